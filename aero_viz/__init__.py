@@ -1,0 +1,1 @@
+"""AERO-Viz: interactive web visualizer and tuning dashboard for the AERO-MPPI planner."""

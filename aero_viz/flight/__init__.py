@@ -1,0 +1,11 @@
+"""Closed-loop flights: worlds x drones in one batch, or one behind the dashboard."""
+
+from __future__ import annotations
+
+from aero_viz.flight.batch import FlightBatch, fly
+from aero_viz.flight.metrics import FlightResult
+from aero_viz.flight.simulator import FlightRules, Simulator
+from aero_viz.flight.source import FlightSource
+from aero_viz.flight.vehicle import VehicleModel
+
+__all__ = ["FlightBatch", "FlightResult", "FlightRules", "FlightSource", "Simulator", "VehicleModel", "fly"]

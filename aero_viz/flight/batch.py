@@ -1,0 +1,248 @@
+"""Closed-loop flights: hundreds in lock step on a GPU, or one."""
+
+from __future__ import annotations
+
+import csv
+import statistics
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from aero_planner import Planner, PlannerConfig
+from aero_viz.errors import UserError
+from aero_viz.flight.metrics import FlightResult, flight_results
+from aero_viz.flight.simulator import FlightRules, Record, Simulator
+from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.scenes.world import World
+from aero_viz.sensors.lidar import LidarModel, livox_mid360
+
+__all__ = ["SWEEPS", "FlightBatch", "fly"]
+
+wp.set_module_options({"enable_backward": False})
+
+SWEEPS = 10
+"""Number of sweeps that the planner sees at once."""
+_CHECK_TICKS = 25  # on CUDA the host waits for the device only this often
+
+
+@wp.kernel
+def observe_kernel(
+    time: wp.float64,
+    records: wp.array(dtype=Record),
+    positions: wp.array(dtype=wp.vec3),
+    velocities: wp.array(dtype=wp.vec3),
+    accelerations: wp.array(dtype=wp.vec3),
+    quaternions: wp.array(dtype=wp.vec4),
+    time_out: wp.array(dtype=wp.float64),
+    goal_out: wp.array(dtype=wp.vec3),
+    position_out: wp.array(dtype=wp.vec3),
+    velocity_out: wp.array(dtype=wp.vec3),
+    acceleration_out: wp.array(dtype=wp.vec3),
+    quaternion_out: wp.array(dtype=wp.vec4),
+):
+    b = wp.tid()
+    time_out[b] = time
+    goal_out[b] = records[b].goal
+    position_out[b] = positions[b]
+    velocity_out[b] = velocities[b]
+    acceleration_out[b] = accelerations[b]
+    quaternion_out[b] = quaternions[b]
+
+
+class FlightBatch:
+    """B flights in lock step: plan, fly one tick, scan, with everything on the device.
+
+    Args:
+        worlds: one per flight; repeat a World object to fly it several times.
+        config: of the planner: one for all, or one per flight with equal structure.
+        device: Warp device.
+        seed: flight b draws LiDAR pattern, noise and samples as a single flight with seed + b does.
+        lidar: of all drones; None is the Livox Mid-360.
+        vehicle: of all drones; None is the vehicle that the first configuration assumes.
+        rules: when flights end; the period is the planner's.
+        config_names: names of the configurations in the results, one per flight; None finds preset names.
+        threads: CPU threads of the planner; None for one per core.
+
+    Raises:
+        ValueError: there are no worlds, or an option does not fit the others.
+
+    Attributes:
+        simulator: states, outcomes, records.
+        planner: its inputs, points and outputs are those of the last plan.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        *,
+        config: PlannerConfig | Sequence[PlannerConfig] | None = None,
+        device: str = "cpu",
+        seed: int = 0,
+        lidar: LidarModel | None = None,
+        vehicle: VehicleModel | None = None,
+        rules: FlightRules | None = None,
+        config_names: Sequence[str] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        if len(worlds) == 0:
+            raise ValueError("there are no worlds to fly; give one per flight.")
+        config = config or PlannerConfig()
+        configs = [config] * len(worlds) if isinstance(config, PlannerConfig) else list(config)
+        names = {id(one): _preset_name(one) for one in configs} if config_names is None else {}
+        self._config_names = list(config_names or (names[id(one)] for one in configs))
+        self._worlds = list(worlds)
+        self._seeds = [seed + b for b in range(len(worlds))]
+        self._plan_ms: list[float] = []
+        self._pending: list[tuple[wp.Event, wp.Event]] = []
+
+        self.planner = Planner(configs[0], device=device, seed=seed, batch=len(worlds), threads=threads)
+        if not isinstance(config, PlannerConfig):
+            self.planner.configure(configs)
+        self.simulator = Simulator(
+            worlds,
+            lidar=lidar or livox_mid360(),
+            vehicle=vehicle or VehicleModel.from_config(configs[0]),
+            rules=rules or FlightRules(),
+            seeds=self._seeds,
+            device=device,
+        )
+        self.planner.reserve(SWEEPS * self.simulator.lidar.model.points_per_sweep)
+        for sweep in range(-SWEEPS, 0):
+            self.simulator.look(sweep)
+            self._publish(sweep)
+
+    def step(self) -> None:
+        """Plan and fly one tick; flights that are over stay as they are."""
+        self._observe()
+        self._plan()
+        sweep, _, end = self.simulator.advance(self.planner.command)
+        if end == self.simulator.lidar.model.points_per_sweep:
+            self._publish(sweep)
+
+    def is_done(self) -> bool:
+        """Return whether all flights are over; waits for the device."""
+        return bool((self.simulator.outcome.numpy() != 0).all())
+
+    def run(self) -> list[FlightResult]:
+        """Fly until all flights are over."""
+        ticks = _CHECK_TICKS if self.simulator.device.is_cuda else 1
+        while not self.is_done():
+            for _ in range(ticks):
+                self.step()
+            self._collect_times()
+        return self.results()
+
+    def results(self) -> list[FlightResult]:
+        """Return what is known of each flight so far."""
+        self._collect_times()
+        return flight_results(
+            self.simulator.records(),
+            self.simulator.outcomes(),
+            seeds=self._seeds,
+            scenes=[world.name for world in self._worlds],
+            configs=self._config_names,
+            plan_ms=statistics.median(self._plan_ms) if self._plan_ms else None,
+        )
+
+    def _observe(self) -> None:
+        vehicle, inputs = self.simulator.vehicle, self.planner.inputs
+        state = [vehicle.position, vehicle.velocity, vehicle.acceleration, vehicle.quaternion]
+        outputs = [inputs.time, inputs.goal_position]
+        outputs += [inputs.position, inputs.velocity, inputs.acceleration, inputs.quaternion]
+        wp.launch(
+            observe_kernel,
+            len(self._worlds),
+            [self.simulator.time, self.simulator.record, *state],
+            outputs,
+            device=self.simulator.device,
+        )
+
+    def _plan(self) -> None:
+        if self.simulator.device.is_cuda:
+            started, ended = (wp.Event(self.simulator.device, enable_timing=True) for _ in range(2))
+            wp.record_event(started)
+            self.planner.launch()
+            wp.record_event(ended)
+            self._pending.append((started, ended))
+        else:
+            started = time.perf_counter()
+            self.planner.launch()
+            self._plan_ms.append(1e3 * (time.perf_counter() - started))
+
+    def _collect_times(self) -> None:
+        if self._pending:
+            wp.synchronize_event(self._pending[-1][1])
+            self._plan_ms += [wp.get_event_elapsed_time(*pair) for pair in self._pending]
+            self._pending.clear()
+
+    def _publish(self, sweep: int) -> None:
+        """Let the planner see a whole sweep, in the place of the oldest."""
+        size = self.simulator.lidar.model.points_per_sweep
+        first = sweep % SWEEPS * size
+        wp.copy(self.planner.points[:, first : first + size], self.simulator.lidar.points)
+
+
+def fly(
+    world: World,
+    *,
+    config: PlannerConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    lidar: LidarModel | None = None,
+    vehicle: VehicleModel | None = None,
+    rules: FlightRules | None = None,
+    speed: float | None = None,
+    trajectory: str | Path | None = None,
+    config_name: str | None = None,
+) -> FlightResult:
+    """Fly once, headless and as fast as possible.
+
+    Args:
+        world: where to fly.
+        config: of the planner; None is the default.
+        seed: of LiDAR and planner; same seed and device, same flight.
+        device: Warp device.
+        lidar, vehicle, rules: as in `FlightBatch`.
+        speed: replaces vehicle.speed_limit of the configuration [m/s].
+        trajectory: CSV file to write while flying, t,x,y,z,vx,vy,vz at every tick, the start included.
+        config_name: name of the configuration in the result; None finds a preset's name.
+
+    Raises:
+        UserError: an option is out of range, the device does not exist, or the file cannot be written.
+    """
+    config = config or PlannerConfig()
+    name = config_name or _preset_name(config)
+    try:
+        if speed is not None:
+            config = config.replace({"vehicle.speed_limit": speed})
+        batch = FlightBatch(
+            [world], config=config, seed=seed, device=device, lidar=lidar, vehicle=vehicle, rules=rules, config_names=[name]
+        )
+    except ValueError as error:
+        raise UserError(f"Cannot fly {world.name!r}: {error}") from error
+    if trajectory is None:
+        return batch.run()[0]
+    try:
+        with open(trajectory, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["t", "x", "y", "z", "vx", "vy", "vz"])
+            _write_row(writer, batch.simulator)
+            while not batch.is_done():
+                batch.step()
+                _write_row(writer, batch.simulator)
+                file.flush()  # a flight that is killed leaves a readable file
+    except OSError as error:
+        raise UserError(f"Cannot write the trajectory {trajectory}: {error.strerror or error}.") from error
+    return batch.results()[0]
+
+
+def _write_row(writer: Any, simulator: Simulator) -> None:
+    state = [*simulator.vehicle.position.numpy()[0], *simulator.vehicle.velocity.numpy()[0]]
+    writer.writerow([f"{simulator.time:.6f}", *(f"{value:.6f}" for value in state)])
+
+
+def _preset_name(config: PlannerConfig) -> str:
+    return next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), "custom")

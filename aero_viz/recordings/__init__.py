@@ -1,0 +1,19 @@
+"""Recordings of LiDAR sweeps and poses: MCAP, rosbag2 and ROS 1 bags behind one interface."""
+
+from __future__ import annotations
+
+from aero_viz.recordings.info import RecordingInfo, inspect
+from aero_viz.recordings.poses import Pose, PoseTrack
+from aero_viz.recordings.recording import PointSweep, Recording, open_recording
+from aero_viz.recordings.source import RecordingSource
+
+__all__ = [
+    "PointSweep",
+    "Pose",
+    "PoseTrack",
+    "Recording",
+    "RecordingInfo",
+    "RecordingSource",
+    "inspect",
+    "open_recording",
+]

@@ -1,0 +1,173 @@
+"""Seeded synthetic scenes: 40 m x 40 m of obstacles between a start and a goal 45 m apart."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_viz.errors import UserError
+from aero_viz.scenes.world import World
+
+__all__ = ["SCENES", "forest", "inclines", "scene", "verticals"]
+
+START = (0.0, 0.0, 2.0)
+GOAL = (45.0, 0.0, 2.0)
+AREA = ((2.5, 42.5), (-20.0, 20.0))
+"""Where obstacles stand: x and y ranges [m]."""
+CLEAR_RADIUS = 2.5
+"""Free distance around start and goal [m]."""
+GROUND = (22.5, 0.0, -0.5, 85.0, 80.0, 1.0, 0.0)
+"""The ground: a box whose top is z = 0, at least 20 m wider on each side than start, goal and area."""
+
+Rows = NDArray[np.float64]
+
+
+def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool = True) -> World:
+    """Return a forest: each tree a tilted trunk that carries a canopy of spheres.
+
+    A tree of scale s, uniform in [0.7, 1.3], has a trunk of radius 0.12 .. 0.3 m times s and height 5 .. 8 m times s, and
+    four canopy spheres of radius 0.8 .. 1.4 m times s near its top, none below 3 m: flight at 2 m is between the trunks.
+
+    Args:
+        seed: same seed, same forest.
+        count: number of trees.
+        tilt_max: largest angle of a trunk to the vertical [deg], uniform from 0.
+        ground: add the ground, a box whose top is z = 0.
+    """
+    rng = np.random.default_rng(seed)
+    canopies: list[Rows] = []
+
+    def tree() -> Rows:
+        scale = rng.uniform(0.7, 1.3)
+        axis = _axis(rng, tilt_max)
+        height = scale * rng.uniform(5.0, 8.0)
+        base = _place(rng)
+        radius = scale * rng.uniform(0.8, 1.4, size=4)
+        spread = rng.uniform(-1.0, 1.0, size=(4, 3)) * scale * np.array([0.8, 0.8, 0.6])
+        centre = base + height * axis + spread
+        centre[:, 2] = np.maximum(centre[:, 2], 3.0 + radius)
+        canopies.append(np.column_stack([centre, radius]))
+        return np.concatenate([base, axis, [scale * rng.uniform(0.12, 0.3), height]])
+
+    trunks = []
+    while len(trunks) < count:
+        trunk = tree()
+        if _is_clear(trunk[None], canopies[-1]):
+            trunks.append(trunk)
+        else:
+            canopies.pop()
+    spheres = np.concatenate(canopies) if canopies else np.zeros((0, 4))
+    return _world(f"forest-{count}-{seed}", np.reshape(trunks, (-1, 8)), spheres, ground)
+
+
+def verticals(
+    *, seed: int, count: int = 1000, width: tuple[float, float] = (0.4, 1.1), height: float = 6.0, ground: bool = True
+) -> World:
+    """Return vertical cylinders.
+
+    Args:
+        seed: same seed, same world.
+        count: number of cylinders.
+        width: range of the diameters [m], uniform.
+        height: of every cylinder, from z = 0 [m].
+        ground: add the ground, a box whose top is z = 0.
+    """
+    rng = np.random.default_rng(seed)
+
+    def draw() -> Rows:
+        return np.concatenate([_place(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(*width), height]])
+
+    return _world(f"verticals-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
+
+
+def inclines(
+    *,
+    seed: int,
+    count: int = 800,
+    tilt_max: float = 30.0,
+    radius: tuple[float, float] = (0.06, 0.3),
+    height: float = 10.0,
+    ground: bool = True,
+) -> World:
+    """Return inclined cylinders that stand on z = 0 and lean in all directions.
+
+    Args:
+        seed: same seed, same world.
+        count: number of cylinders.
+        tilt_max: largest angle to the vertical [deg], uniform from 0.
+        radius: range of the radii [m], uniform.
+        height: length of every cylinder [m].
+        ground: add the ground, a box whose top is z = 0.
+    """
+    rng = np.random.default_rng(seed)
+
+    def draw() -> Rows:
+        return np.concatenate([_place(rng), _axis(rng, tilt_max), [rng.uniform(*radius), height]])
+
+    return _world(f"inclines-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
+
+
+@dataclass(frozen=True)
+class SceneKind:
+    """One entry of the registry: a generator and one sentence on it."""
+
+    description: str
+    generate: Callable[..., World]
+
+
+SCENES: dict[str, SceneKind] = {
+    "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m of ground.", forest),
+    "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide.", verticals),
+    "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees.", inclines),
+}
+
+
+def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = True) -> World:
+    """Return the scene `name` of the registry `SCENES`, with `count` obstacles, or the scene's own number for None.
+
+    Raises:
+        UserError: no such scene, or a negative seed or count; the message suggests the nearest name.
+    """
+    if name not in SCENES:
+        close = difflib.get_close_matches(name, SCENES, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise UserError(f"Unknown scene {name!r}.{hint} Scenes: {', '.join(SCENES)}; or give the path of a world's JSON file.")
+    if seed < 0:
+        raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
+    if count is not None and count < 0:
+        raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be 0 or more.")
+    options = {} if count is None else {"count": count}
+    return SCENES[name].generate(seed=seed, ground=ground, **options)
+
+
+def _place(rng: np.random.Generator) -> Rows:
+    return np.array([rng.uniform(*AREA[0]), rng.uniform(*AREA[1]), 0.0])
+
+
+def _axis(rng: np.random.Generator, tilt_max: float) -> Rows:
+    tilt = np.radians(rng.uniform(0.0, tilt_max))
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    return np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
+
+
+def _is_clear(cylinders: Rows, spheres: Rows) -> bool:
+    obstacle = World("", np.array(START), np.array(GOAL), cylinders=cylinders, spheres=spheres)
+    return bool(np.all(obstacle.distance([START, GOAL]) >= CLEAR_RADIUS))
+
+
+def _clear_cylinders(draw: Callable[[], Rows], count: int) -> Rows:
+    rows: list[Rows] = []
+    while len(rows) < count:
+        row = draw()
+        if _is_clear(row[None], np.zeros((0, 4))):
+            rows.append(row)
+    return np.reshape(rows, (-1, 8))
+
+
+def _world(name: str, cylinders: Rows, spheres: Rows, ground: bool) -> World:
+    boxes = np.array([GROUND]) if ground else np.zeros((0, 7))
+    return World(name, np.array(START), np.array(GOAL), cylinders=cylinders, boxes=boxes, spheres=spheres)

@@ -1,0 +1,19 @@
+"""Simulated sensors: ray casting in Warp and LiDAR models."""
+
+from __future__ import annotations
+
+from aero_viz.sensors.geometry import DeviceWorlds
+from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, full_sphere, lidar_model, livox_mid360, spinning64
+from aero_viz.sensors.raycast import cast
+
+__all__ = [
+    "LIDARS",
+    "DeviceWorlds",
+    "Lidar",
+    "LidarModel",
+    "cast",
+    "full_sphere",
+    "lidar_model",
+    "livox_mid360",
+    "spinning64",
+]

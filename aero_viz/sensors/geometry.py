@@ -1,0 +1,225 @@
+"""Worlds on the device: packed primitives, a grid over each world, exact distances in Warp."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_viz.scenes.world import World, primitive_bounds
+
+__all__ = ["DeviceWorlds", "Geometry", "Primitive", "primitive_distance", "world_distance"]
+
+wp.set_module_options({"enable_backward": False})
+
+CYLINDER = wp.constant(0)
+BOX = wp.constant(1)
+SPHERE = wp.constant(2)
+FAR = wp.constant(1.0e9)
+CELL = wp.constant(1.0)  # edge of a grid cell [m]
+
+_SEGMENT = 0.5  # [m]; an inclined cylinder is entered in the grid in pieces of this length
+_PADDING = 1e-3  # [m]; well above float32 rounding of a point 100 m away
+_EVERYWHERE = 400  # cells; a primitive that covers more is tested for every ray: the ground
+
+
+@wp.struct
+class Primitive:
+    """One solid, world frame."""
+
+    kind: int
+    origin: wp.vec3
+    """Base centre of a cylinder, centre of a box or sphere [m]."""
+    axis: wp.vec3
+    """Unit axis of a cylinder; half edge lengths of a box [m]."""
+    size: wp.vec2
+    """Radius and height of a cylinder [m]; cosine and sine of a box's yaw; radius of a sphere [m] and 0."""
+
+
+@wp.struct
+class Grid:
+    """Square cells over the x-y extent of one world's primitives."""
+
+    lower: wp.vec3
+    """Corner of the primitives' axis-aligned box [m]."""
+    upper: wp.vec3
+    columns: int
+    """Number of cells along x."""
+    rows: int
+    """Number of cells along y."""
+    first_cell: int
+    """Position of cell (0, 0) in `Geometry.cells`; then y runs fastest."""
+    first_large: int
+    """`Geometry.large`[first_large .. end_large - 1] are the primitives outside the grid."""
+    end_large: int
+
+
+@wp.struct
+class Entry:
+    """A primitive in a cell, and the heights it covers there [m]."""
+
+    primitive: int
+    bottom: float
+    top: float
+
+
+@wp.struct
+class Geometry:
+    """All primitives of all worlds."""
+
+    primitives: wp.array(dtype=Primitive)
+    first: wp.array(dtype=int)
+    """World w owns primitives first[w] .. first[w + 1] - 1."""
+    grids: wp.array(dtype=Grid)
+    cells: wp.array(dtype=int)
+    """Cell c owns entries cells[c] .. cells[c + 1] - 1."""
+    entries: wp.array(dtype=Entry)
+    large: wp.array(dtype=int)
+
+
+@wp.func
+def rotate_z(v: wp.vec3, c: float, s: float):
+    return wp.vec3(c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
+
+
+@wp.func
+def solid_distance(x: float, y: float, z: float):
+    outside = wp.length(wp.vec3(wp.max(x, 0.0), wp.max(y, 0.0), wp.max(z, 0.0)))
+    return outside + wp.min(wp.max(x, wp.max(y, z)), 0.0)
+
+
+@wp.func
+def primitive_distance(p: Primitive, point: wp.vec3):
+    """Signed distance to the surface [m], negative inside."""
+    relative = point - p.origin
+    if p.kind == CYLINDER:
+        height = wp.dot(relative, p.axis)
+        across = wp.length(relative - height * p.axis)
+        half = 0.5 * p.size[1]
+        return solid_distance(across - p.size[0], wp.abs(height - half) - half, -FAR)
+    if p.kind == BOX:
+        local = rotate_z(relative, p.size[0], -p.size[1])
+        return solid_distance(
+            wp.abs(local[0]) - p.axis[0], wp.abs(local[1]) - p.axis[1], wp.abs(local[2]) - p.axis[2]
+        )
+    return wp.length(relative) - p.size[0]
+
+
+@wp.func
+def world_distance(geometry: Geometry, world: int, point: wp.vec3, lane: int, lanes: int):
+    """Signed distance to the nearest surface of a world [m] among every lanes-th primitive; inf without any."""
+    nearest = float(wp.inf)
+    for i in range(geometry.first[world] + lane, geometry.first[world + 1], lanes):
+        nearest = wp.min(nearest, primitive_distance(geometry.primitives[i], point))
+    return nearest
+
+
+class DeviceWorlds:
+    """Worlds as arrays on a device, float32.
+
+    Args:
+        worlds: one world per flight; flights that share a World object share its primitives.
+        device: Warp device.
+
+    Attributes:
+        geometry: to pass to kernels.
+        index: world of each flight, int [B], on the device.
+        device: Warp device.
+    """
+
+    def __init__(self, worlds: Sequence[World], *, device: Any = "cpu") -> None:
+        unique = list({id(world): world for world in worlds}.values())
+        position = {id(world): i for i, world in enumerate(unique)}
+        primitives = [_pack(world) for world in unique]
+        first = np.concatenate([[0], np.cumsum([len(p) for p in primitives])])
+        grids = np.zeros(len(unique), dtype=Grid.numpy_dtype())
+        counts, entries, large = [np.zeros(1, dtype=int)], [], []
+        for grid, world, start in zip(grids, unique, first[:-1], strict=True):
+            pieces, outside = _pieces(world)
+            grid["first_cell"] = sum(map(len, counts)) - 1
+            grid["first_large"] = sum(map(len, large))
+            grid["end_large"] = grid["first_large"] + len(outside)
+            cell_counts, cell_entries = _fill(grid, *pieces)
+            cell_entries["primitive"] += start
+            counts.append(cell_counts)
+            entries.append(cell_entries)
+            large.append(outside + start)
+
+        self.device = wp.get_device(device)
+        with wp.ScopedDevice(self.device):
+            self.index = wp.array([position[id(world)] for world in worlds], dtype=int)
+            self.geometry: Any = Geometry()
+            self.geometry.primitives = wp.array(np.concatenate(primitives), dtype=Primitive)
+            self.geometry.first = wp.array(first, dtype=int)
+            self.geometry.grids = wp.array(grids, dtype=Grid)
+            self.geometry.cells = wp.array(np.cumsum(np.concatenate(counts)), dtype=int)
+            self.geometry.entries = wp.array(np.concatenate(entries), dtype=Entry)
+            self.geometry.large = wp.array(np.concatenate(large), dtype=int)
+
+
+def _pack(world: World) -> NDArray[Any]:
+    rows = np.zeros(len(world.cylinders) + len(world.boxes) + len(world.spheres), dtype=Primitive.numpy_dtype())
+    cylinders, boxes, spheres = np.split(rows, np.cumsum([len(world.cylinders), len(world.boxes)]))
+    cylinders["kind"], boxes["kind"], spheres["kind"] = CYLINDER, BOX, SPHERE
+    cylinders["origin"], cylinders["axis"], cylinders["size"] = np.split(world.cylinders, [3, 6], axis=1)
+    yaw = world.boxes[:, 6]
+    boxes["origin"], boxes["axis"] = world.boxes[:, :3], 0.5 * world.boxes[:, 3:6]
+    boxes["size"] = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+    spheres["origin"], spheres["size"][:, 0] = world.spheres[:, :3], world.spheres[:, 3]
+    return rows
+
+
+_Pieces = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+
+
+def _pieces(world: World) -> tuple[_Pieces, NDArray[np.int64]]:
+    """Return what goes into the grid, as axis-aligned boxes that cover the solids, and the primitives too large for it.
+
+    Boxes are lower and upper corners [m, 3], padded, and the primitive each belongs to [m].
+    """
+    table = world.cylinders
+    count = np.maximum(1, np.ceil(table[:, 7] / _SEGMENT)).astype(int)
+    count[np.abs(table[:, 5]) > 1.0 - 1e-6] = 1  # one box fits a vertical cylinder
+    piece = np.repeat(np.arange(len(table)), count)
+    number = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count)
+    cut = table[piece]
+    cut[:, 7] /= count[piece]
+    cut[:, :3] += (number * cut[:, 7])[:, None] * cut[:, 3:6]
+    lower, upper = primitive_bounds(cut, world.boxes, world.spheres)
+    owner = np.concatenate([piece, len(table) + np.arange(len(world.boxes) + len(world.spheres))])
+    extent = np.prod((upper - lower)[:, :2] / CELL + 1.0, axis=1)
+    fits = extent <= _EVERYWHERE
+    fits &= ~np.isin(owner, owner[~fits])
+    return (lower[fits] - _PADDING, upper[fits] + _PADDING, owner[fits]), np.unique(owner[~fits])
+
+
+def _fill(
+    grid: Any, lower: NDArray[np.float64], upper: NDArray[np.float64], owner: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """Size `grid` to the boxes; return the number of entries of each cell and all entries, cell by cell."""
+    if len(owner) == 0:
+        grid["upper"] = -1.0  # no ray enters
+        return np.zeros(0, dtype=int), np.zeros(0, dtype=Entry.numpy_dtype())
+    grid["lower"], grid["upper"] = lower.min(axis=0), upper.max(axis=0)
+    shape = np.maximum(1, np.ceil((grid["upper"] - grid["lower"])[:2] / CELL)).astype(int)
+    grid["columns"], grid["rows"] = shape
+    low = np.clip(np.floor((lower - grid["lower"])[:, :2] / CELL).astype(int), 0, shape - 1)
+    high = np.clip(np.floor((upper - grid["lower"])[:, :2] / CELL).astype(int), 0, shape - 1)
+    span = high - low + 1
+    total = span.prod(axis=1)
+    box = np.repeat(np.arange(len(owner)), total)
+    number = np.arange(len(box)) - np.repeat(np.cumsum(total) - total, total)
+    cell = (low[box, 0] + number // span[box, 1]) * shape[1] + low[box, 1] + number % span[box, 1]
+
+    # Pieces of one primitive in one cell become one entry.
+    key = cell * (owner.max() + 1) + owner[box]
+    order = np.argsort(key, kind="stable")
+    key, first = np.unique(key[order], return_index=True)
+    entries = np.zeros(len(key), dtype=Entry.numpy_dtype())
+    entries["primitive"] = key % (owner.max() + 1)
+    entries["bottom"] = np.minimum.reduceat(lower[box[order], 2], first)
+    entries["top"] = np.maximum.reduceat(upper[box[order], 2], first)
+    return np.bincount(key // (owner.max() + 1), minlength=int(shape.prod())), entries

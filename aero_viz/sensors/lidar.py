@@ -1,0 +1,242 @@
+"""LiDAR models and the simulated sensor: rays over time, motion within a sweep, noise, misses."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_viz.errors import UserError
+from aero_viz.sensors.geometry import DeviceWorlds, Geometry
+from aero_viz.sensors.raycast import ray_range
+
+__all__ = ["LIDARS", "Lidar", "LidarModel", "full_sphere", "lidar_model", "livox_mid360", "spinning64"]
+
+wp.set_module_options({"enable_backward": False})
+
+# Steps of the two-dimensional low-discrepancy sequence R2 (Roberts 2018), 1 / rho and 1 / rho^2 with rho the plastic
+# number, in units of 2^-32: integer overflow is the fractional part, exact for every index.
+STEP_AZIMUTH = wp.constant(wp.uint32(3242174889))
+STEP_ELEVATION = wp.constant(wp.uint32(2447445414))
+INVERSE_2_24 = wp.constant(2.0**-24)
+
+
+@dataclass(frozen=True)
+class LidarModel:
+    """A LiDAR fixed to the body; sensor frame = body frame.
+
+    With `rings` = 0 the pattern never repeats: rays follow a low-discrepancy sequence that covers the field of view evenly
+    per solid angle and goes on from sweep to sweep, so that gaps close the longer one looks. Otherwise `rings` beams, evenly
+    spaced in elevation, turn once per sweep.
+    """
+
+    name: str
+    elevation_min: float = -7.0
+    """Lower edge of the field of view [deg]; 360 deg around."""
+    elevation_max: float = 52.0
+    """Upper edge [deg]."""
+    points_per_sweep: int = 20_000
+    sweep_rate: float = 10.0
+    """Sweeps per second [Hz]."""
+    range_min: float = 0.1
+    """Nearer surfaces give no point [m]."""
+    range_max: float = 40.0
+    """Farther surfaces give no point [m]."""
+    range_noise: float = 0.02
+    """Standard deviation of the range [m]."""
+    dropout: float = 0.02
+    """Fraction of the returns that are lost."""
+    rings: int = 0
+
+    def __post_init__(self) -> None:
+        checks = {
+            "elevation_min and elevation_max": -90.0 <= self.elevation_min < self.elevation_max <= 90.0,
+            "points_per_sweep": self.points_per_sweep >= 1,
+            "sweep_rate": 0.0 < self.sweep_rate < math.inf,
+            "range_min and range_max": 0.0 <= self.range_min < self.range_max < math.inf,
+            "range_noise": 0.0 <= self.range_noise < math.inf,
+            "dropout": 0.0 <= self.dropout <= 1.0,
+            "rings": self.rings >= 0 and (self.rings == 0 or self.points_per_sweep % self.rings == 0),
+        }
+        for what, holds in checks.items():
+            if not holds:
+                raise ValueError(f"{what} of the LiDAR {self.name!r} cannot be used; got {self}.")
+
+    def point_times(self) -> NDArray[np.float64]:
+        """Return when each point of a sweep is measured, from the start of the sweep [s], shape [points_per_sweep]."""
+        return (np.arange(self.points_per_sweep) + 0.5) / (self.points_per_sweep * self.sweep_rate)
+
+
+def livox_mid360() -> LidarModel:
+    """Return the Livox Mid-360: 200 000 points/s, non-repetitive, -7 to 52 degrees."""
+    return LidarModel("mid360")
+
+
+def full_sphere() -> LidarModel:
+    """Return a sensor that sees all around, at the Mid-360's rate: what a planner could do without blind zones."""
+    return LidarModel("full-sphere", elevation_min=-90.0, elevation_max=90.0)
+
+
+def spinning64() -> LidarModel:
+    """Return a spinning sensor with 64 rings of 512 points, -22.5 to 22.5 degrees, 10 Hz."""
+    return LidarModel(
+        "spinning64", elevation_min=-22.5, elevation_max=22.5, points_per_sweep=64 * 512, range_max=90.0, rings=64
+    )
+
+
+LIDARS: dict[str, Callable[[], LidarModel]] = {
+    "mid360": livox_mid360,
+    "full-sphere": full_sphere,
+    "spinning64": spinning64,
+}
+
+
+def lidar_model(name: str) -> LidarModel:
+    """Return a model by name.
+
+    Raises:
+        UserError: no such model; the message lists them.
+    """
+    if name not in LIDARS:
+        close = difflib.get_close_matches(name, LIDARS, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise UserError(f"Unknown LiDAR {name!r}.{hint} LiDARs: {', '.join(LIDARS)}.")
+    return LIDARS[name]()
+
+
+@wp.struct
+class Beams:
+    """`LidarModel` for kernels; angles in radians."""
+
+    elevation_min: float
+    elevation_max: float
+    points_per_sweep: int
+    range_min: float
+    range_max: float
+    range_noise: float
+    dropout: float
+    rings: int
+
+
+@wp.func
+def fraction(index: wp.uint32, step: wp.uint32):
+    """Fractional part of index * step / 2^32."""
+    return float((index * step) >> wp.uint32(8)) * INVERSE_2_24
+
+
+@wp.func
+def beam_direction(beams: Beams, index: int, phase: wp.uint32):
+    """Unit direction in the sensor frame of the ray `index`, counted through all sweeps."""
+    azimuth = float(0.0)
+    height = float(0.0)
+    if beams.rings > 0:
+        i = (index % beams.points_per_sweep + beams.points_per_sweep) % beams.points_per_sweep
+        ring = i % beams.rings
+        azimuth = float(i - ring) / float(beams.points_per_sweep)
+        share = float(ring) / float(wp.max(beams.rings - 1, 1))
+        height = wp.sin(beams.elevation_min + share * (beams.elevation_max - beams.elevation_min))
+    else:
+        k = wp.uint32(index) + phase
+        azimuth = fraction(k, STEP_AZIMUTH)
+        low = wp.sin(beams.elevation_min)
+        height = low + fraction(k, STEP_ELEVATION) * (wp.sin(beams.elevation_max) - low)
+    flat = wp.sqrt(wp.max(1.0 - height * height, 0.0))
+    angle = 2.0 * wp.pi * azimuth
+    return wp.vec3(flat * wp.cos(angle), flat * wp.sin(angle), height)
+
+
+@wp.func
+def to_quat(q: wp.vec4):
+    """Warp's x, y, z, w from w, x, y, z."""
+    return wp.quat(q[1], q[2], q[3], q[0])
+
+
+@wp.kernel
+def scan_kernel(
+    geometry: Geometry,
+    world: wp.array(dtype=int),
+    beams: Beams,
+    seeds: wp.array(dtype=int),
+    finished: wp.array(dtype=int),
+    position_before: wp.array(dtype=wp.vec3),
+    position: wp.array(dtype=wp.vec3),
+    quaternion_before: wp.array(dtype=wp.vec4),
+    quaternion: wp.array(dtype=wp.vec4),
+    sweep: int,
+    first: int,
+    count: int,
+    points: wp.array2d(dtype=wp.vec3),
+):
+    b, i = wp.tid()
+    if finished[b] != 0:
+        return
+    index = sweep * beams.points_per_sweep + first + i
+    share = (float(i) + 0.5) / float(count)
+    origin = wp.lerp(position_before[b], position[b], share)
+    attitude = wp.quat_slerp(to_quat(quaternion_before[b]), to_quat(quaternion[b]), share)
+    direction = wp.quat_rotate(attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
+    distance = ray_range(geometry, world[b], origin, direction, beams.range_max)
+    point = wp.vec3(wp.nan, wp.nan, wp.nan)
+    if distance <= beams.range_max and distance >= beams.range_min:
+        random = wp.rand_init(seeds[b], index)
+        if wp.randf(random) >= beams.dropout:
+            point = origin + (distance + beams.range_noise * wp.randn(random)) * direction
+    points[b, first + i] = point
+
+
+class Lidar:
+    """B equal sensors in B flights.
+
+    Args:
+        model: of the sensors.
+        worlds: the worlds of B flights.
+        seeds: one per flight; the seed and the count of rays fix a sensor's pattern and noise, whatever the batch.
+
+    Attributes:
+        points: the sweep in progress [m], vec3 [B, points_per_sweep], world frame by the pose at each point's time; NaN is
+            no return.
+    """
+
+    def __init__(self, model: LidarModel, worlds: DeviceWorlds, *, seeds: Sequence[int]) -> None:
+        self.model = model
+        self._worlds = worlds
+        beams = Beams()
+        beams.elevation_min = math.radians(model.elevation_min)
+        beams.elevation_max = math.radians(model.elevation_max)
+        for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout", "rings"):
+            setattr(beams, name, getattr(model, name))
+        self._beams = beams
+        with wp.ScopedDevice(worlds.device):
+            self._seeds = wp.array(list(seeds), dtype=int)
+            self.points = wp.full((len(seeds), model.points_per_sweep), wp.vec3(math.nan), dtype=wp.vec3)
+
+    def scan(
+        self,
+        sweep: int,
+        first: int,
+        end: int,
+        *,
+        poses: tuple[wp.array, wp.array],
+        poses_before: tuple[wp.array, wp.array],
+        finished: wp.array,
+    ) -> None:
+        """Measure the points first .. end - 1 of a sweep into `points`.
+
+        Args:
+            sweep: number of the sweep; negative before time 0.
+            first: first point.
+            end: one past the last point.
+            poses: positions [m], vec3 [B], and quaternions w, x, y, z, vec4 [B], at the end of the scan, world frame.
+            poses_before: at its beginning; the sensor moves evenly in between.
+            finished: int [B]; sensors with anything but 0 measure nothing, their points stay.
+        """
+        worlds = self._worlds
+        positions, quaternions = zip(poses_before, poses, strict=True)
+        inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, finished, *positions, *quaternions]
+        inputs += [sweep, first, end - first]
+        wp.launch(scan_kernel, (len(self._seeds), end - first), inputs, [self.points], device=worlds.device)

@@ -1,0 +1,187 @@
+"""Ray casting: the nearest solid along a ray, batched over flights, each in its own world.
+
+Obstacle fields are wide and flat and a ray ends at its first hit, so a two-dimensional grid, walked cell by cell from the
+sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in scenes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import warp as wp
+
+from aero_viz.sensors.geometry import BOX, CELL, CYLINDER, FAR, DeviceWorlds, Geometry, Primitive, rotate_z
+
+__all__ = ["cast", "primitive_range", "ray_range"]
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def cylinder_range(p: Primitive, origin: wp.vec3, direction: wp.vec3):
+    relative = origin - p.origin
+    height = wp.dot(relative, p.axis)
+    climb = wp.dot(direction, p.axis)
+    enter = float(-FAR)
+    leave = float(FAR)
+    if wp.abs(climb) > 1.0e-7:
+        bottom = -height / climb
+        top = (p.size[1] - height) / climb
+        enter = wp.min(bottom, top)
+        leave = wp.max(bottom, top)
+    elif height < 0.0 or height > p.size[1]:
+        return wp.inf
+    across = relative - height * p.axis
+    slide = direction - climb * p.axis
+    a = wp.dot(slide, slide)
+    if a < 1.0e-10:
+        if wp.length_sq(across) > p.size[0] * p.size[0]:
+            return wp.inf
+    else:
+        # The quadratic is solved from the point nearest to the axis: from the origin, b^2 - a c would cancel when the
+        # cylinder is thin and far away. Between the caps, so that a ray along the axis has no nearest point at infinity.
+        nearest = wp.clamp(-wp.dot(across, slide) / a, enter, leave)
+        near = across + nearest * slide
+        b = wp.dot(near, slide)
+        c = wp.length_sq(near) - p.size[0] * p.size[0]
+        discriminant = b * b - a * c
+        if discriminant < 0.0:
+            return wp.inf
+        root = wp.sqrt(discriminant)
+        enter = wp.max(enter, nearest - (b + root) / a)
+        leave = wp.min(leave, nearest - (b - root) / a)
+    if leave < 0.0 or enter > leave:
+        return wp.inf
+    return wp.max(enter, 0.0)
+
+
+@wp.func
+def box_range(p: Primitive, origin: wp.vec3, direction: wp.vec3):
+    o = rotate_z(origin - p.origin, p.size[0], -p.size[1])
+    d = rotate_z(direction, p.size[0], -p.size[1])
+    enter = float(-FAR)
+    leave = float(FAR)
+    for i in range(3):
+        if wp.abs(d[i]) > 1.0e-9:
+            low = (-p.axis[i] - o[i]) / d[i]
+            high = (p.axis[i] - o[i]) / d[i]
+            enter = wp.max(enter, wp.min(low, high))
+            leave = wp.min(leave, wp.max(low, high))
+        elif wp.abs(o[i]) > p.axis[i]:
+            return wp.inf
+    if leave < 0.0 or enter > leave:
+        return wp.inf
+    return wp.max(enter, 0.0)
+
+
+@wp.func
+def sphere_range(p: Primitive, origin: wp.vec3, direction: wp.vec3):
+    relative = origin - p.origin
+    nearest = -wp.dot(relative, direction)
+    discriminant = p.size[0] * p.size[0] - wp.length_sq(relative + nearest * direction)
+    if discriminant < 0.0:
+        return wp.inf
+    root = wp.sqrt(discriminant)
+    if nearest + root < 0.0:
+        return wp.inf
+    return wp.max(nearest - root, 0.0)
+
+
+@wp.func
+def primitive_range(p: Primitive, origin: wp.vec3, direction: wp.vec3):
+    """Distance along a unit direction to the solid [m]: 0 from inside, inf for a miss."""
+    if p.kind == CYLINDER:
+        return cylinder_range(p, origin, direction)
+    if p.kind == BOX:
+        return box_range(p, origin, direction)
+    return sphere_range(p, origin, direction)
+
+
+@wp.func
+def cell_index(offset: float, count: int):
+    return wp.clamp(int(wp.floor(offset / CELL)), 0, count - 1)
+
+
+@wp.func
+def cell_exit(index: int, lower: float, direction: float):
+    """Distance along the ray at which it leaves the cell, along one axis; lower is relative to the ray's origin."""
+    if wp.abs(direction) < 1.0e-9:
+        return FAR
+    return (lower + CELL * float(index + wp.where(direction > 0.0, 1, 0))) / direction
+
+
+@wp.func
+def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec3, range_max: float):
+    """Distance along a unit direction to the nearest solid of a world [m]; inf when none is within range_max."""
+    grid = geometry.grids[world]
+    nearest = float(wp.inf)
+    for i in range(grid.first_large, grid.end_large):
+        nearest = wp.min(nearest, primitive_range(geometry.primitives[geometry.large[i]], origin, direction))
+
+    # The part of the ray inside the grid.
+    enter = float(0.0)
+    leave = wp.min(range_max, nearest)
+    for i in range(3):
+        if wp.abs(direction[i]) > 1.0e-9:
+            low = (grid.lower[i] - origin[i]) / direction[i]
+            high = (grid.upper[i] - origin[i]) / direction[i]
+            enter = wp.max(enter, wp.min(low, high))
+            leave = wp.min(leave, wp.max(low, high))
+        elif origin[i] < grid.lower[i] or origin[i] > grid.upper[i]:
+            leave = -1.0
+
+    if enter <= leave:
+        column = cell_index(origin[0] + enter * direction[0] - grid.lower[0], grid.columns)
+        row = cell_index(origin[1] + enter * direction[1] - grid.lower[1], grid.rows)
+        while enter <= leave:
+            exit_x = cell_exit(column, grid.lower[0] - origin[0], direction[0])
+            exit_y = cell_exit(row, grid.lower[1] - origin[1], direction[1])
+            out = wp.min(leave, wp.min(exit_x, exit_y))
+            z_in = origin[2] + enter * direction[2]
+            z_out = origin[2] + out * direction[2]
+            cell = grid.first_cell + column * grid.rows + row
+            for e in range(geometry.cells[cell], geometry.cells[cell + 1]):
+                entry = geometry.entries[e]
+                if wp.max(z_in, z_out) >= entry.bottom and wp.min(z_in, z_out) <= entry.top:
+                    hit = primitive_range(geometry.primitives[entry.primitive], origin, direction)
+                    nearest = wp.min(nearest, hit)
+            # A hit beyond this cell may hide behind one in the next.
+            leave = wp.min(leave, nearest)
+            enter = out
+            if exit_x < exit_y:
+                column += wp.where(direction[0] > 0.0, 1, -1)
+            else:
+                row += wp.where(direction[1] > 0.0, 1, -1)
+            if out >= leave or column < 0 or column >= grid.columns or row < 0 or row >= grid.rows:
+                enter = leave + 1.0
+    return wp.where(nearest <= range_max, nearest, wp.inf)
+
+
+@wp.kernel
+def cast_kernel(
+    geometry: Geometry,
+    world: wp.array(dtype=int),
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array2d(dtype=wp.vec3),
+    range_max: float,
+    ranges: wp.array2d(dtype=float),
+):
+    b, i = wp.tid()
+    ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], range_max)
+
+
+def cast(worlds: DeviceWorlds, origins: wp.array, directions: wp.array, *, range_max: float = math.inf) -> wp.array:
+    """Return the distance along each ray to the nearest solid [m], float [B, R] on the worlds' device.
+
+    0 from inside a solid, inf where nothing is within range_max.
+
+    Args:
+        worlds: the worlds of B flights.
+        origins: of each flight's rays [m], vec3 [B], world frame.
+        directions: unit vectors, vec3 [B, R], world frame.
+        range_max: [m].
+    """
+    ranges = wp.empty(directions.shape, dtype=float, device=worlds.device)
+    inputs = [worlds.geometry, worlds.index, origins, directions, range_max]
+    wp.launch(cast_kernel, directions.shape, inputs, [ranges], device=worlds.device)
+    return ranges

@@ -1,0 +1,92 @@
+"""What a source of sweeps and states gives to the engine: a recording or a flight behind one protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner import Goal, Plan, VehicleState
+
+if TYPE_CHECKING:
+    from aero_viz.scenes import World
+
+__all__ = ["Observation", "Scenery", "Source"]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What the planner sees at one tick."""
+
+    time: float
+    """Time since the start of the source [s]."""
+    state: VehicleState
+    """Estimated state, world frame."""
+    goal: Goal
+    """Where to fly, world frame."""
+    points: NDArray[np.float32]
+    """Accumulated cloud [m], shape [P, 3], world frame; rows that are not finite are no points."""
+    sweep_count: int = 0
+    """Number of sweeps accumulated in `points`."""
+    true_state: VehicleState | None = None
+    """True state of a simulated vehicle, None on a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """What stands still and can be drawn once."""
+
+    start: NDArray[np.float64]
+    """First position of the drone [m], shape [3]."""
+    world: World | None = None
+    """Obstacles of a synthetic world."""
+    recorded_path: NDArray[np.float64] | None = None
+    """Recorded positions [m], shape [n, 3]."""
+    notices: tuple[str, ...] = field(default=())
+    """Sentences the user should see, such as "open loop: the plan is shown, not flown"."""
+
+
+class Source(Protocol):
+    """Sweeps and states over time. Called from one thread."""
+
+    name: str
+    """Short name for the user."""
+    closed_loop: bool
+    """True when the plan is flown, False when a recording is replayed."""
+    period: float
+    """Nominal time between two ticks [s]."""
+    times: NDArray[np.float64] | None
+    """Tick times of a recording [s], shape [n]; None for a flight, which ends when it ends."""
+    scenery: Scenery
+    outcome: str | None
+    """None while running, then "arrived", "collision", "stall", "out_of_bounds", "timeout" or "end"."""
+
+    def observe(self) -> Observation:
+        """Return the current tick's observation; without side effects."""
+        ...
+
+    def advance(self, plan: Plan) -> None:
+        """Go one tick on, flying `plan` when the loop is closed."""
+        ...
+
+    def checkpoint(self) -> object:
+        """Return all that `restore` needs to continue from here exactly."""
+        ...
+
+    def restore(self, checkpoint: object) -> None:
+        """Continue from a checkpoint of this source."""
+        ...
+
+    def seek(self, time: float) -> None:
+        """Go to the tick at or before `time` [s]; recordings only."""
+        ...
+
+    def set_goal(self, position: NDArray[np.float64]) -> None:
+        """Move the goal to `position` [m], shape [3], world frame."""
+        ...
+
+    def close(self) -> None:
+        """Release files and device memory."""
+        ...

@@ -1,0 +1,159 @@
+"""Device memory of the planner: named arrays in few blocks, so that each plan needs one copy in and one copy out."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from aero_planner.clearance import GRID
+from aero_planner.config import PlannerConfig
+from aero_planner.mppi import PROBES
+
+__all__ = ["Block", "input_block", "output_block", "work_arrays"]
+
+Spec = dict[str, tuple[Any, tuple[int, ...]]]
+_ALIGNMENT = 256
+
+
+class Block:
+    """Arrays that share one allocation, and with it one copy between host and device.
+
+    Args:
+        spec: dtype and shape of each array, by name.
+        device: where the block lives.
+
+    Attributes:
+        arrays: the device arrays as a namespace.
+    """
+
+    def __init__(self, spec: Spec, device: wp.Device) -> None:
+        self._layout: dict[str, tuple[int, np.dtype, tuple[int, ...]]] = {}
+        self.arrays = SimpleNamespace()
+        size = 0
+        for name, (dtype, shape) in spec.items():
+            size = -(-size // _ALIGNMENT) * _ALIGNMENT
+            scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
+            tail = tuple(getattr(dtype, "_shape_", ()))
+            self._layout[name] = (size, scalar, (*shape, *tail))
+            size += scalar.itemsize * int(np.prod((*shape, *tail)))
+        self.memory = wp.zeros(max(size, 1), dtype=wp.uint8, device=device)
+        for (name, (dtype, shape)), (offset, _, _) in zip(spec.items(), self._layout.values(), strict=True):
+            view = wp.array(ptr=self.memory.ptr + offset, dtype=dtype, shape=shape, device=device)
+            setattr(self.arrays, name, view)
+        # On the CPU the host's bytes are the device's own.
+        self._host = self.memory if device.is_cpu else wp.zeros(max(size, 1), dtype=wp.uint8, device="cpu", pinned=True)
+
+    def _views(self, memory: np.ndarray) -> dict[str, np.ndarray]:
+        views = {}
+        for name, (offset, dtype, shape) in self._layout.items():
+            size = dtype.itemsize * int(np.prod(shape))
+            views[name] = memory[offset : offset + size].view(dtype).reshape(shape)
+        return views
+
+    def host(self) -> dict[str, np.ndarray]:
+        """Return writable host views of all arrays; `upload` moves what was written to the device."""
+        return self._views(self._host.numpy())
+
+    def upload(self) -> None:
+        """Copy the host's bytes to the device, ordered before later launches."""
+        if self._host is not self.memory:
+            wp.copy(self.memory, self._host)
+
+    def download(self) -> dict[str, np.ndarray]:
+        """Return host arrays of their own with the device's present values."""
+        if self._host is not self.memory:
+            wp.copy(self._host, self.memory)
+            wp.synchronize_stream(self.memory.device)
+        return self._views(self._host.numpy().copy())
+
+
+def input_block(batch: int, device: wp.Device) -> Block:
+    """State, goal and bookkeeping of each drone. A NaN goal velocity, goal quaternion or time means: derive it."""
+    vec3, vec4, shape = wp.vec3, wp.vec4, (batch,)
+    spec: Spec = {
+        "time": (wp.float64, shape),
+        "position": (vec3, shape),
+        "velocity": (vec3, shape),
+        "quaternion": (vec4, shape),
+        "acceleration": (vec3, shape),
+        "goal_position": (vec3, shape),
+        "goal_velocity": (vec3, shape),
+        "goal_quaternion": (vec4, shape),
+        "cloud_age": (wp.float32, shape),
+        "point_count": (wp.int32, shape),
+    }
+    return Block(spec, device)
+
+
+def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> Block:
+    """Everything that a Plan shows."""
+    M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
+    coarse = config.partition.coarse_rows * config.partition.coarse_columns
+    fine = coarse * config.partition.fine_cells**2
+    vec3, vec4, real, integer = wp.vec3, wp.vec4, wp.float32, wp.int32
+    spec: Spec = {
+        "fine_range": (real, (batch, fine)),
+        "occupied": (integer, (batch, fine)),
+        "filtered": (vec3, (batch, fine)),
+        "safe_range": (real, (batch, coarse)),
+        "safe_direction": (vec3, (batch, coarse)),
+        "initial_endpoint": (vec3, (batch, M)),
+        "anchor": (vec3, (batch, M)),
+        "coefficient": (vec3, (batch, M, 6)),
+        "guide": (vec3, (batch, M, N + 1)),
+        "controls": (vec4, (batch, M, N)),
+        "positions": (vec3, (batch, M, N + 1)),
+        "velocities": (vec3, (batch, M, N + 1)),
+        "quaternions": (vec4, (batch, M, N + 1)),
+        "cost": (real, (batch * M, K)),
+        "S2": (real, (batch, M)),
+        "J_goal": (real, (batch, M)),
+        "J_col": (real, (batch, M)),
+        "clearance": (real, (batch, M, N)),
+        "best": (integer, (batch,)),
+        "status": (integer, (batch,)),
+        "braked": (integer, (batch,)),
+        "dropped": (integer, (lanes, batch)),
+    }
+    return Block(spec, device)
+
+
+def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> SimpleNamespace:
+    """What only the kernels need."""
+    M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
+    coarse = config.partition.coarse_rows * config.partition.coarse_columns
+    fine = coarse * config.partition.fine_cells**2
+    rows = N + PROBES
+    with wp.ScopedDevice(device):
+        work = SimpleNamespace(
+            quaternion=wp.zeros(batch, dtype=wp.vec4),
+            goal_velocity=wp.zeros(batch, dtype=wp.vec3),
+            goal_quaternion=wp.zeros(batch, dtype=wp.vec4),
+            keys=wp.zeros((lanes, batch, fine), dtype=wp.uint64),
+            reach=wp.zeros(batch, dtype=wp.float32),
+            initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
+            count=wp.zeros((batch, GRID**3), dtype=wp.int32),
+            near=wp.zeros((batch, GRID**3), dtype=wp.uint8),
+            total=wp.zeros(batch, dtype=wp.int32),
+            start=wp.zeros((batch, GRID**3), dtype=wp.int32),
+            end=wp.zeros((batch, GRID**3), dtype=wp.int32),
+            sorted_points=wp.zeros((batch, fine), dtype=wp.vec3),
+            nominal=wp.zeros((batch, M, N), dtype=wp.vec4),
+            sample_controls=wp.zeros((batch * M, N, K), dtype=wp.vec4),
+            sample_positions=wp.zeros((batch * M, rows, K), dtype=wp.vec3),
+            sample_distance=wp.zeros((batch * M, rows, K), dtype=wp.float32),
+            weight=wp.zeros((batch * M, K), dtype=wp.float32),
+            probed=wp.zeros((batch * M, rows, 1), dtype=wp.vec3),
+            distance=wp.zeros((batch * M, rows, 1), dtype=wp.float32),
+            J_speed=wp.zeros((batch, M), dtype=wp.float32),
+            seed=wp.zeros(batch, dtype=wp.int32),
+            tick=wp.zeros(batch, dtype=wp.int32),
+            previous_controls=wp.zeros((batch, N), dtype=wp.vec4),
+            previous_end=wp.zeros(batch, dtype=wp.vec3),
+            previous_time=wp.zeros(batch, dtype=wp.float64),
+        )
+        work.keys.fill_(0xFFFFFFFFFFFFFFFF)
+    return work

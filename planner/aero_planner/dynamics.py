@@ -1,0 +1,114 @@
+"""Quadrotor model and its RK4 step.
+
+State x = [p, q, v], control u = (F_t, omega): dp = v, dq = 1/2 q (x) [0, omega], dv = R(q) [0, 0, F_t] / m + g.
+Quaternions are wp.vec4 in the order w, x, y, z, body to world.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from aero_planner.params import Params
+
+__all__ = [
+    "clamp_control",
+    "quat_from_heading",
+    "quat_inverse_rotate",
+    "quat_multiply",
+    "quat_rotate",
+    "rk4_step",
+    "rotate_by_rates",
+    "thrust_axis",
+]
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def quat_multiply(a: wp.vec4, b: wp.vec4) -> wp.vec4:
+    """Hamilton product a (x) b."""
+    return wp.vec4(
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@wp.func
+def quat_rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
+    """R(q) x: from body to world."""
+    u = wp.vec3(q[1], q[2], q[3])
+    t = 2.0 * wp.cross(u, x)
+    return x + q[0] * t + wp.cross(u, t)
+
+
+@wp.func
+def quat_inverse_rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
+    """R(q)^T x: from world to body."""
+    u = wp.vec3(-q[1], -q[2], -q[3])
+    t = 2.0 * wp.cross(u, x)
+    return x + q[0] * t + wp.cross(u, t)
+
+
+@wp.func
+def quat_from_heading(heading: float) -> wp.vec4:
+    """Level attitude with the nose at `heading` [rad]."""
+    return wp.vec4(wp.cos(0.5 * heading), 0.0, 0.0, wp.sin(0.5 * heading))
+
+
+@wp.func
+def thrust_axis(q: wp.vec4) -> wp.vec3:
+    """R(q) e_3: the body's z axis in the world."""
+    return wp.vec3(
+        2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+    )
+
+
+@wp.func
+def clamp_control(u: wp.vec4, params: Params) -> wp.vec4:
+    """u within the limits of the vehicle."""
+    xy = params.rate_xy_max
+    z = params.rate_z_max
+    return wp.vec4(
+        wp.clamp(u[0], params.thrust_min, params.thrust_max),
+        wp.clamp(u[1], -xy, xy),
+        wp.clamp(u[2], -xy, xy),
+        wp.clamp(u[3], -z, z),
+    )
+
+
+@wp.func
+def _rate(q: wp.vec4, omega: wp.vec3) -> wp.vec4:
+    """1/2 q (x) [0, omega]."""
+    return 0.5 * quat_multiply(q, wp.vec4(0.0, omega[0], omega[1], omega[2]))
+
+
+@wp.func
+def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
+    """q after dt at constant body rates: the quaternion part of `rk4_step`."""
+    # dq is linear in q and its matrix A satisfies A^2 = -|omega|^2 / 4, so the four RK4 stages sum to this polynomial.
+    s = 0.25 * dt * dt * wp.dot(omega, omega)
+    return wp.normalize((1.0 - s / 2.0 + s * s / 24.0) * q + (dt * (1.0 - s / 6.0)) * _rate(q, omega))
+
+
+@wp.func
+def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, gravity: float, dt: float):
+    """One RK4 step at constant control; returns p, v, q with q renormalised."""
+    omega = wp.vec3(u[1], u[2], u[3])
+    specific_thrust = u[0] / mass
+    g = wp.vec3(0.0, 0.0, -gravity)
+    k1 = _rate(q, omega)
+    q2 = q + (0.5 * dt) * k1
+    k2 = _rate(q2, omega)
+    q3 = q + (0.5 * dt) * k2
+    k3 = _rate(q3, omega)
+    q4 = q + dt * k3
+    a1 = specific_thrust * thrust_axis(q) + g
+    a2 = specific_thrust * thrust_axis(q2) + g
+    a3 = specific_thrust * thrust_axis(q3) + g
+    a4 = specific_thrust * thrust_axis(q4) + g
+    # dp = v makes the position's stages combinations of a1, a2, a3.
+    p_next = p + dt * v + (dt * dt / 6.0) * (a1 + a2 + a3)
+    v_next = v + (dt / 6.0) * (a1 + 2.0 * (a2 + a3) + a4)
+    return p_next, v_next, rotate_by_rates(q, omega, dt)

@@ -1,0 +1,203 @@
+"""Quintic guides to the endpoints and the nominal controls that follow from them by differential flatness."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from aero_planner.dynamics import clamp_control, quat_inverse_rotate, rotate_by_rates, thrust_axis
+from aero_planner.params import Params
+
+__all__ = ["heading", "make_guides", "quintic", "wrap_angle", "write_brake", "write_nominal"]
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def heading(q: wp.vec4) -> float:
+    """Yaw of an attitude [rad]."""
+    return wp.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
+
+
+@wp.func
+def wrap_angle(angle: float) -> float:
+    """Angle in [-pi, pi)."""
+    return angle - 2.0 * wp.PI * wp.floor(angle / (2.0 * wp.PI) + 0.5)
+
+
+@wp.func
+def quintic(p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, p1: wp.vec3, v1: wp.vec3, T: float):
+    """Coefficients c_3, c_4, c_5 of p0 + v0 t + a0/2 t^2 + c_3 t^3 + c_4 t^4 + c_5 t^5, which reaches (p1, v1, 0) at T."""
+    dp = p1 - p0 - T * v0 - (0.5 * T * T) * a0
+    dv = T * (v1 - v0 - T * a0)
+    da = (-0.5 * T * T) * a0
+    T3 = T * T * T
+    c3 = (10.0 * dp - 4.0 * dv + da) / T3
+    c4 = (-15.0 * dp + 7.0 * dv - 2.0 * da) / (T3 * T)
+    c5 = (6.0 * dp - 3.0 * dv + da) / (T3 * T * T)
+    return c3, c4, c5
+
+
+@wp.func
+def write_guide(
+    b: int,
+    m: int,
+    p0: wp.vec3,
+    v0: wp.vec3,
+    a0: wp.vec3,
+    p1: wp.vec3,
+    v1: wp.vec3,
+    dt: float,
+    coefficient: wp.array3d(dtype=wp.vec3),
+    guide: wp.array3d(dtype=wp.vec3),
+):
+    """Write the guide's coefficients and its samples at t = 0, dt, .., T."""
+    steps = guide.shape[2] - 1
+    c3, c4, c5 = quintic(p0, v0, a0, p1, v1, float(steps) * dt)
+    coefficient[b, m, 0] = p0
+    coefficient[b, m, 1] = v0
+    coefficient[b, m, 2] = 0.5 * a0
+    coefficient[b, m, 3] = c3
+    coefficient[b, m, 4] = c4
+    coefficient[b, m, 5] = c5
+    for t in range(steps + 1):
+        s = float(t) * dt
+        guide[b, m, t] = p0 + s * (v0 + s * (0.5 * a0 + s * (c3 + s * (c4 + s * c5))))
+
+
+@wp.func
+def guide_acceleration(b: int, m: int, s: float, coefficient: wp.array3d(dtype=wp.vec3)) -> wp.vec3:
+    """Second derivative of a guide at time s."""
+    return 2.0 * coefficient[b, m, 2] + s * (
+        6.0 * coefficient[b, m, 3] + s * (12.0 * coefficient[b, m, 4] + s * (20.0 * coefficient[b, m, 5]))
+    )
+
+
+@wp.func
+def write_nominal(
+    b: int, m: int, q0: wp.vec4, heading_goal: float, params: Params, coefficient: wp.array3d(dtype=wp.vec3),
+    nominal: wp.array3d(dtype=wp.vec4),
+):  # fmt: skip
+    """Write the controls that follow a guide: F_t and omega from the flat outputs position and heading.
+
+    The guide's acceleration fixes the thrust vector m (a - g) and so the body's z axis. Rates turn the attitude reached so
+    far to the axis wanted at the end of each step, which also takes up an attitude that does not fit the guide at its start;
+    the heading turns evenly to the goal's.
+    """
+    dt = params.dt
+    steps = nominal.shape[2]
+    turn = wrap_angle(heading_goal - heading(q0)) / (float(steps) * dt)
+    q = q0
+    for t in range(steps):
+        u = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
+        if params.nominal == 0:
+            up = wp.vec3(0.0, 0.0, params.gravity)
+            f = params.mass * (guide_acceleration(b, m, (float(t) + 0.5) * dt, coefficient) + up)
+            z_wanted = wp.normalize(guide_acceleration(b, m, float(t + 1) * dt, coefficient) + up)
+            z_body = quat_inverse_rotate(q, z_wanted)
+            # Shortest rotation from the body's z axis: about e_3 x z_body, by the angle between them.
+            sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
+            gain = wp.atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
+            u = wp.vec4(wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], turn)
+        u = clamp_control(u, params)
+        nominal[b, m, t] = u
+        q = rotate_by_rates(q, wp.vec3(u[1], u[2], u[3]), dt)
+
+
+@wp.func
+def write_brake(
+    b: int, m: int, p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, q0: wp.vec4, params: Params,
+    endpoint: wp.array2d(dtype=wp.vec3), coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3),
+    nominal: wp.array3d(dtype=wp.vec4),
+):  # fmt: skip
+    """Write a guide that stops within brake_reach v T, and its controls."""
+    steps = nominal.shape[2]
+    p1 = p0 + (params.brake_reach * float(steps) * params.dt) * v0
+    endpoint[b, m] = p1
+    write_guide(b, m, p0, v0, a0, p1, wp.vec3(0.0, 0.0, 0.0), params.dt, coefficient, guide)
+    write_nominal(b, m, q0, heading(q0), params, coefficient, nominal)
+
+
+@wp.func
+def write_previous(
+    b: int, m: int, elapsed: float, params: Params, previous: wp.array2d(dtype=wp.vec4), nominal: wp.array3d(dtype=wp.vec4)
+):
+    """Write the previous best controls, shifted by the elapsed time; past their end the drone hovers."""
+    steps = nominal.shape[2]
+    hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
+    shift = elapsed / params.dt
+    for t in range(steps):
+        s = float(t) + shift
+        i = int(s)
+        u0 = hover
+        u1 = hover
+        if i < steps:
+            u0 = previous[b, i]
+        if i + 1 < steps:
+            u1 = previous[b, i + 1]
+        nominal[b, m, t] = u0 + (s - float(i)) * (u1 - u0)
+
+
+@wp.kernel
+def make_guides(
+    position: wp.array(dtype=wp.vec3),
+    velocity: wp.array(dtype=wp.vec3),
+    quaternion: wp.array(dtype=wp.vec4),
+    acceleration: wp.array(dtype=wp.vec3),
+    time: wp.array(dtype=wp.float64),
+    goal_position: wp.array(dtype=wp.vec3),
+    goal_velocity: wp.array(dtype=wp.vec3),
+    goal_quaternion: wp.array(dtype=wp.vec4),
+    params: wp.array(dtype=Params),
+    anchor_count: int,
+    previous_index: int,
+    brake_index: int,
+    reach: wp.array(dtype=float),
+    previous_controls: wp.array2d(dtype=wp.vec4),
+    previous_end: wp.array(dtype=wp.vec3),
+    previous_time: wp.array(dtype=wp.float64),
+    initial_endpoint: wp.array2d(dtype=wp.vec3),
+    anchor: wp.array2d(dtype=wp.vec3),
+    coefficient: wp.array3d(dtype=wp.vec3),
+    guide: wp.array3d(dtype=wp.vec3),
+    nominal: wp.array3d(dtype=wp.vec4),
+):
+    """Guide and nominal controls of each instance. Launched over [B, M].
+
+    `previous_time` is NaN when there is no previous plan; a `time` of NaN means one replan_period later.
+    """
+    b, m = wp.tid()
+    c = params[b]
+    p0 = position[b]
+    v0 = velocity[b]
+    a0 = acceleration[b]
+    q0 = quaternion[b]
+    steps = nominal.shape[2]
+    T = float(steps) * c.dt
+    to_goal = goal_position[b] - p0
+    goal_distance = wp.length(to_goal)
+    if m == brake_index:
+        write_brake(b, m, p0, v0, a0, q0, c, anchor, coefficient, guide, nominal)
+        initial_endpoint[b, m] = anchor[b, m]
+        return
+    elapsed = float(-1.0)
+    if m == previous_index:
+        # Compared in float64, since stamps may count from 1970.
+        elapsed = float(time[b] - previous_time[b])
+        if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):
+            elapsed = c.replan_period
+        anchor[b, m] = previous_end[b]
+        if not (elapsed >= 0.0 and elapsed < T):
+            elapsed = -1.0
+            anchor[b, m] = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
+        initial_endpoint[b, m] = anchor[b, m]
+    p1 = anchor[b, m]
+    v1 = wp.vec3(0.0, 0.0, 0.0)
+    if m < anchor_count:
+        v1 = c.arrival_speed * wp.normalize(p1 - p0)
+        if reach[b] >= goal_distance:
+            v1 = goal_velocity[b]
+    write_guide(b, m, p0, v0, a0, p1, v1, c.dt, coefficient, guide)
+    if elapsed >= 0.0:
+        write_previous(b, m, elapsed, c, previous_controls, nominal)
+    else:
+        write_nominal(b, m, q0, heading(goal_quaternion[b]), c, coefficient, nominal)

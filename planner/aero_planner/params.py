@@ -1,0 +1,33 @@
+"""The live parameters as a Warp struct in device memory, one per drone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from aero_planner.config import ParameterInfo, PlannerConfig, parameters
+
+__all__ = ["Params", "pack"]
+
+_LIVE: tuple[ParameterInfo, ...] = tuple(info for info in parameters() if info.live)
+
+
+def _warp_type(info: ParameterInfo) -> Any:
+    return wp.int32 if info.choices or isinstance(info.default, bool | int) else wp.float32
+
+
+# One field per live parameter, under its own name: `params.q_track` is costs.q_track. Switches are 0 or 1, choices count from 0.
+Params: Any = wp.struct(
+    type("Params", (), {"__annotations__": {info.name: _warp_type(info) for info in _LIVE}, "__module__": __name__})
+)
+
+
+def pack(config: PlannerConfig) -> np.ndarray:
+    """Return the live parameters of `config` as one record, shape [], of `Params.numpy_dtype()`."""
+    record = np.zeros((), dtype=Params.numpy_dtype())
+    for info in _LIVE:
+        value = config.get(info.path)
+        record[info.name] = info.choices.index(str(value)) if info.choices else value
+    return record

@@ -1,0 +1,263 @@
+"""The pipeline as a list of launches, recorded once per structure and repeated at every plan.
+
+On the CPU each launch runs on one thread but releases the interpreter, so the heavy stages are cut into *lanes*, slices of
+the points and of the instances, which run at the same time. On CUDA there is one lane and everything replays as one graph.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from aero_planner import anchors, clearance, guides, mppi, partition
+from aero_planner.config import PlannerConfig
+from aero_planner.guides import heading
+from aero_planner.params import Params
+
+__all__ = ["Pipeline"]
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def prepare(
+    position: wp.array(dtype=wp.vec3),
+    quaternion_in: wp.array(dtype=wp.vec4),
+    goal_position: wp.array(dtype=wp.vec3),
+    goal_velocity_in: wp.array(dtype=wp.vec3),
+    goal_quaternion_in: wp.array(dtype=wp.vec4),
+    quaternion: wp.array(dtype=wp.vec4),
+    goal_velocity: wp.array(dtype=wp.vec3),
+    goal_quaternion: wp.array(dtype=wp.vec4),
+):
+    """Normalise the attitudes and derive what the goal leaves open; see `Goal`. Launched over [B]."""
+    b = wp.tid()
+    quaternion[b] = wp.normalize(quaternion_in[b])
+    v = goal_velocity_in[b]
+    if wp.isnan(v[0]):
+        v = wp.vec3(0.0, 0.0, 0.0)
+    goal_velocity[b] = v
+    q = goal_quaternion_in[b]
+    if wp.isnan(q[0]):
+        to_goal = goal_position[b] - position[b]
+        yaw = heading(quaternion[b])
+        if to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1] > 0.25:
+            yaw = wp.atan2(to_goal[1], to_goal[0])
+        q = wp.vec4(wp.cos(0.5 * yaw), 0.0, 0.0, wp.sin(0.5 * yaw))
+    goal_quaternion[b] = wp.normalize(q)
+
+
+@dataclass
+class _Stage:
+    """Launches that belong together; `lanes` run at the same time, each in order."""
+
+    name: str
+    lanes: list[list[tuple[str, Callable[[], Any]]]] = field(default_factory=list)
+
+
+class Pipeline:
+    """Runs the kernels over the given arrays.
+
+    Args:
+        config: structure of the planner.
+        batch: B.
+        lanes: number of slices that run at the same time, 1 on CUDA.
+        inputs, outputs, work: arrays of `buffers`.
+        points: cloud, shape [B, P], world frame.
+        params: live parameters, shape [B].
+    """
+
+    def __init__(
+        self,
+        config: PlannerConfig,
+        *,
+        batch: int,
+        lanes: int,
+        inputs: SimpleNamespace,
+        outputs: SimpleNamespace,
+        work: SimpleNamespace,
+        points: wp.array,
+        params: wp.array,
+    ) -> None:
+        self._device = points.device
+        self._lanes = lanes
+        self._points = points
+        self._batch = batch
+        self._executor = ThreadPoolExecutor(lanes - 1, "aero-planner") if lanes > 1 else None
+        self._graph: Any = None
+        self._scatter: list[Any] = []
+        self.stage_ms: dict[str, float] = {}
+        self._resets = [work.count, work.near, work.total, outputs.dropped]
+        self._stages = self._record(config, inputs, outputs, work, params)
+
+    def _record(
+        self, config: PlannerConfig, inputs: SimpleNamespace, outputs: SimpleNamespace, work: SimpleNamespace, params: wp.array
+    ) -> list[_Stage]:
+        B, M, N, K = self._batch, len(config.kinds), config.sampling.steps, config.sampling.samples
+        part, anchor_count = config.partition, config.anchor_count
+        rows, columns = part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
+        fine, coarse, instances = rows * columns, part.coarse_rows * part.coarse_columns, B * M
+        previous = config.kinds.index("previous") if "previous" in config.kinds else -1
+        brake = config.kinds.index("brake") if "brake" in config.kinds else -1
+        i, o, w = inputs, outputs, work
+        state = [i.position, i.velocity, w.quaternion]
+        goal = [i.goal_position, w.goal_velocity, w.goal_quaternion]
+        grid = [w.near, w.start, w.end, w.sorted_points]
+        pool = [part.fine_cells, part.coarse_rows, part.coarse_columns]
+
+        def launch(kernel: Any, dim: Any, *arguments: Any) -> Any:
+            return wp.launch(kernel, dim=dim, inputs=list(arguments), device=self._device, record_cmd=True)
+
+        def serial(name: str, *launches: Any) -> _Stage:
+            return _Stage(name, [[(name, command.launch) for command in launches]])
+
+        directions = serial(
+            "anchors",
+            launch(
+                prepare, B, i.position, i.quaternion, i.goal_position, i.goal_velocity, i.goal_quaternion, w.quaternion,
+                w.goal_velocity, w.goal_quaternion,
+            ),
+            launch(
+                anchors.place_anchors, (B, anchor_count), *state, i.goal_position, params, config.anchors.columns,
+                config.anchors.rows, N, w.reach, w.initial_direction, o.initial_endpoint,
+            ),
+        )  # fmt: skip
+        scatter = _Stage("partition")
+        share = -(-self._points.shape[1] // self._lanes)
+        for lane in range(self._lanes):
+            command = launch(
+                partition.scatter_points, (B, share), lane * share, lane, self._points, i.point_count, i.position,
+                w.quaternion, params, rows, columns, w.keys, o.dropped,
+            )  # fmt: skip
+            scatter.lanes.append([("partition", command.launch)])
+            self._scatter.append(command)
+        coarse_cells = serial(
+            "partition",
+            launch(partition.finish_fine, (B, fine), w.keys, self._points, params, o.fine_range, o.occupied, o.filtered),
+            launch(
+                partition.pool_coarse, (B, coarse), o.fine_range, w.initial_direction, anchor_count, *pool, o.safe_range,
+                o.safe_direction,
+            ),
+        )  # fmt: skip
+        guide = serial(
+            "guides",
+            launch(
+                anchors.refine_anchors, (B, anchor_count), i.position, w.quaternion, params, o.fine_range, w.reach,
+                w.initial_direction, *pool, o.anchor,
+            ),
+            launch(
+                guides.make_guides, (B, M), *state, i.acceleration, i.time, *goal, params, anchor_count, previous, brake,
+                w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
+                o.coefficient, o.guide, w.nominal,
+            ),
+        )  # fmt: skip
+        index = serial(
+            "grid",
+            launch(clearance.count_points, (B, fine), o.occupied, o.filtered, i.position, params, w.count, w.near),
+            launch(clearance.allocate_rows, (B, clearance.GRID**2), w.count, w.total, w.start, w.end),
+            launch(clearance.fill_cells, (B, fine), o.occupied, o.filtered, i.position, params, w.end, w.sorted_points),
+        )
+        optimise = _Stage("mppi")
+        for lane in range(self._lanes):
+            first = instances * lane // self._lanes
+            n = instances * (lane + 1) // self._lanes - first
+            if n == 0:
+                continue
+            launches = [
+                ("rollouts", launch(
+                    mppi.sample_rollouts, (n, K), first, M, previous, *state, *goal, params, w.seed, w.tick, o.guide,
+                    w.nominal, w.sample_controls, w.sample_positions, o.cost,
+                )),
+                ("clearance", launch(
+                    clearance.query_clearance, (n, N + mppi.PROBES, K), first, M, N, w.sample_positions, i.position, params,
+                    *grid, w.sample_distance,
+                )),
+                ("update", launch(
+                    mppi.score_samples, (n, K), first, M, i.goal_position, params, w.sample_positions, w.sample_distance,
+                    o.cost,
+                )),
+                ("update", launch(mppi.weigh, n, first, M, params, o.cost, w.weight)),
+                ("update", launch(mppi.update, (n, N), first, M, w.nominal, w.sample_controls, w.weight, o.controls)),
+                ("stage2", launch(
+                    mppi.roll_out_best, n, first, M, *state, *goal, params, o.controls, o.positions, o.velocities,
+                    o.quaternions, w.probed, o.J_goal, w.J_speed,
+                )),
+                ("stage2", launch(
+                    clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, w.probed, i.position, params, *grid,
+                    w.distance,
+                )),
+            ]  # fmt: skip
+            optimise.lanes.append([(name, command.launch) for name, command in launches])
+        choose = serial(
+            "stage2",
+            launch(
+                mppi.select, B, i.goal_position, i.position, params, i.cloud_age, *grid, w.distance, o.positions, o.J_goal,
+                w.J_speed, o.J_col, o.S2, o.clearance, o.best, o.status,
+            ),
+            launch(
+                mppi.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, *grid, o.status, o.best,
+                o.braked, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions, w.probed,
+                w.distance, o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance,
+            ),
+            launch(
+                mppi.remember, B, i.time, params, o.best, o.controls, o.positions, w.tick, w.previous_controls,
+                w.previous_end, w.previous_time,
+            ),
+        )  # fmt: skip
+        return [directions, scatter, coarse_cells, guide, index, optimise, choose]
+
+    def limit_points(self, count: int) -> None:
+        """Let the partition read only the first `count` points of each drone, where launches are not captured."""
+        if self._device.is_cpu:
+            share = -(-self._points.shape[1] // self._lanes)
+            # Lanes keep their slices; the last ones may be empty.
+            for lane, command in enumerate(self._scatter):
+                command.set_dim((self._batch, max(0, min(share, count - lane * share))))
+
+    def run(self) -> None:
+        """Run all stages in order. `stage_ms` then holds the time of each on the CPU, [ms]."""
+        if self._device.is_cuda:
+            if self._graph is None:
+                # Modules must be loaded before a capture.
+                self._run_eagerly()
+                return self._capture()
+            wp.capture_launch(self._graph)
+        else:
+            self._run_eagerly()
+
+    def _capture(self) -> None:
+        with wp.ScopedDevice(self._device), wp.ScopedCapture() as capture:
+            self._run_eagerly()
+        self._graph = capture.graph
+
+    def _run_eagerly(self) -> None:
+        for array in self._resets:
+            array.zero_()
+        self.stage_ms = {}
+        for stage in self._stages:
+            others = [self._executor.submit(self._run_lane, lane, {}) for lane in stage.lanes[1:]] if self._executor else []
+            self._run_lane(stage.lanes[0], self.stage_ms)
+            started = time.perf_counter()
+            for other in others:
+                other.result()
+            if others:
+                last = stage.lanes[0][-1][0]
+                self.stage_ms[last] += 1e3 * (time.perf_counter() - started)
+
+    @staticmethod
+    def _run_lane(lane: list[tuple[str, Callable[[], Any]]], stage_ms: dict[str, float]) -> None:
+        for name, launch in lane:
+            started = time.perf_counter()
+            launch()
+            stage_ms[name] = stage_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - started)
+
+    def close(self) -> None:
+        """End the worker threads."""
+        if self._executor:
+            self._executor.shutdown(wait=True)

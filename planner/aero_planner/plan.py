@@ -1,0 +1,123 @@
+"""What goes into the planner and what comes out of it, as NumPy."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Goal", "Plan", "PlanStatus", "VehicleState"]
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleState:
+    """State of the quadrotor, world frame; with a batch of B drones every array has a leading axis B.
+
+    Args:
+        position: p [m], shape [3].
+        velocity: v [m/s], shape [3].
+        quaternion: q, body to world, order w, x, y, z, shape [4]; need not be normalised.
+        acceleration: a [m/s^2], shape [3]; None means zero.
+        time: stamp of the state [s]; None means one `sampling.replan_period` after the state before. It tells how far
+            the previous plan has been flown.
+    """
+
+    position: ArrayLike
+    velocity: ArrayLike
+    quaternion: ArrayLike
+    acceleration: ArrayLike | None = None
+    time: ArrayLike | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """Where to fly, world frame; with a batch of B drones every array has a leading axis B.
+
+    Args:
+        position: p_goal [m], shape [3].
+        velocity: v_goal [m/s], shape [3]; None means zero: arrive and stop.
+        quaternion: q_goal, body to world, order w, x, y, z, shape [4]; None means level, with the nose toward the goal,
+            or with the current heading when the goal is less than 0.5 m away horizontally.
+    """
+
+    position: ArrayLike
+    velocity: ArrayLike | None = None
+    quaternion: ArrayLike | None = None
+
+
+class PlanStatus(enum.IntEnum):
+    """Whether the plan may be flown."""
+
+    OK = 0
+    """The best candidate keeps its distance over the whole horizon."""
+    NO_SAFE_CANDIDATE = 1
+    """Every candidate comes too close; `controls[best]` is a braking sequence."""
+    STALE_CLOUD = 2
+    """The cloud held no usable point in view; the plan assumes free space."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The result of one `Planner.plan` call: arrays of its own, never overwritten.
+
+    M instances (anchors first), K samples each, N steps of dt. With a batch, every array has a leading axis B and
+    `best`, `status` and `dropped_points` are arrays of shape [B].
+    """
+
+    fine_range: Array
+    """r_ij: nearest range per 3 deg cell, r_max where empty [m], shape [60, 120]; elevation rows from -90 deg up, azimuth
+    columns from -180 deg, body frame."""
+    safe_range: Array
+    """Largest fine range of each coarse cell [m], shape [10, 20]."""
+    safe_direction: Array
+    """Direction of that fine cell, shape [10, 20, 3], body frame."""
+    filtered_points: NDArray[np.float32] | list[NDArray[np.float32]]
+    """Nearest point of each occupied fine cell [m], shape [F, 3], world frame; a list of B arrays with a batch."""
+    initial_endpoints: Array
+    """Endpoints before the refinement [m], shape [M, 3], world frame."""
+    anchors: Array
+    """Refined endpoints [m], shape [M, 3], world frame."""
+    guide_coefficients: Array
+    """a_0 .. a_5 of the quintic guides per axis, shape [M, 3, 6], world frame."""
+    guides: Array
+    """Guides at t = 0, dt, .., T [m], shape [M, N+1, 3], world frame."""
+    kinds: tuple[str, ...]
+    """"anchor" for the first M_h M_v instances, then "previous" and "brake" where configured, length M."""
+    controls: Array
+    """Optimised thrust [N] and body rates [rad/s], shape [M, N, 4]."""
+    positions: Array
+    """Stage II rollouts [m], shape [M, N+1, 3], world frame."""
+    velocities: Array
+    """Stage II rollouts [m/s], shape [M, N+1, 3], world frame."""
+    quaternions: Array
+    """Stage II rollouts, body to world, w x y z, shape [M, N+1, 4]."""
+    stage1_cost: Array
+    """S1 of every sample, shape [M, K]."""
+    stage2_cost: Array
+    """S2 of every instance, shape [M]: J_goal + J_col, and the options' terms where they are on."""
+    goal_cost: Array
+    """J_goal of every instance, shape [M]."""
+    collision_cost: Array
+    """J_col of every instance, shape [M]."""
+    clearance: Array
+    """Distance to the nearest filtered point after each control, d_max where farther [m], shape [M, N]."""
+    best: int | NDArray[np.int32]
+    """Index of the instance to fly: `controls[best]`."""
+    status: PlanStatus | NDArray[np.int32]
+    dropped_points: int | NDArray[np.int32]
+    """Points that were not finite."""
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    """Time of each stage [ms]."""
+    samples: Array | None = None
+    """Stage I rollouts [m], shape [M, K, N+1, 3], world frame, when asked for."""
+
+    @property
+    def command(self) -> Array:
+        """The controls to fly, shape [N, 4]; with a batch [B, N, 4]."""
+        if isinstance(self.best, np.ndarray):
+            return self.controls[np.arange(len(self.best)), self.best]
+        return self.controls[self.best]
