@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import queue
 import threading
@@ -9,75 +10,28 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from aero_planner import Planner, PlannerConfig
 
-from aero_planner import Plan, Planner, PlannerConfig
-from aero_planner.planner import History
+from aero_viz.config_history import ConfigHistory
 from aero_viz.errors import UserError
-from aero_viz.sinks import Sink
-from aero_viz.source import Observation, Source
+from aero_viz.frame import Frame, Notice
+from aero_viz.sinks import Publisher, Sink
+from aero_viz.source import Source
+from aero_viz.timeline import Mark, Timeline
 
 __all__ = ["Frame", "Notice", "Session"]
 
 _log = logging.getLogger(__name__)
-_MARKS = 30_000
-"""Ticks that can be returned to: ten minutes of flight at 50 Hz."""
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """Record of one tick: what was seen, what was planned, and how. Never changed after it is published."""
-
-    index: int
-    """Number of the tick since the source's start."""
-    time: float
-    """Time in the source [s]."""
-    observation: Observation
-    plan: Plan
-    config: PlannerConfig
-    config_version: int
-    """Counts the configurations of the session."""
-    outcome: str | None
-    """None while running; see `Source.outcome`."""
-    timings_ms: dict[str, float]
-    """Duration of "observe", "plan" and of the "advance" that led here [ms]."""
-    rate: float
-    """Ticks per second of wall time, over the last second."""
-    dropped_ticks: int
-    """Ticks skipped (recording) or started late by more than a period (flight) since the source's start."""
-    trail: NDArray[np.float32]
-    """Positions so far [m], shape [n, 3], world frame; read-only."""
-    epoch: int
-    """Changes when time jumps or the source is exchanged."""
-
-
-@dataclass(frozen=True)
-class Notice:
-    """A sentence for the user."""
-
-    level: Literal["info", "error"]
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class _Mark:
-    """A tick that can be returned to exactly."""
-
-    time: float
-    checkpoint: object
-    history: History
-    position: NDArray[np.float32]
 
 
 class Session:
     """Owns a source, a planner and the clock.
 
-    Either call `tick` yourself, as fast as you like, or `start` a thread that keeps time and control it from any thread with
-    `play`, `pause`, `step`, `seek`, `speed` and the setters. Commands take effect between two ticks.
+    Either call `tick` yourself, as fast as you like, or `start` a thread that keeps time and control it from any thread
+    with `play`, `pause`, `step`, `seek`, `speed` and the setters. Commands take effect between two ticks.
 
     Args:
         source: where sweeps and states come from; closed with the session.
@@ -92,13 +46,11 @@ class Session:
         self._source = source
         self._config = config or PlannerConfig()
         self._planner = Planner(self._config, device=device, seed=seed)
-        self._configs = [self._config]
-        self._version = 0
-        self._config_lock = threading.Lock()
+        self._configs = ConfigHistory(self._config)
         self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._sinks: list[Sink] = []
-        self._notice_sinks: list[Sink] = []
+        self._frames = Publisher()
+        self._notices = Publisher()
         self._frame: Frame | None = None
         self._playing = False
         self._speed = 1.0
@@ -108,12 +60,9 @@ class Session:
 
     def _forget(self) -> None:
         """Start anew at the source's present tick."""
-        self._marks: list[_Mark] = []
-        self._cursor = -1
-        self._first_index = 0
+        self._timeline = Timeline()
         self._dropped = 0
         self._ended = False
-        self._trail = np.empty((1024, 3), dtype=np.float32)
         self._tick_ends: deque[float] = deque(maxlen=200)
         self._next_due = time.monotonic()
         self._epoch += 1
@@ -133,8 +82,7 @@ class Session:
     @property
     def config(self) -> PlannerConfig:
         """The configuration that the next tick will use."""
-        with self._config_lock:
-            return self._configs[self._version]
+        return self._configs.present[0]
 
     @property
     def playing(self) -> bool:
@@ -152,36 +100,30 @@ class Session:
         times = self._source.times
         if times is not None and len(times):
             return float(times[0]), float(times[-1])
-        marks = self._marks
-        return (marks[0].time, marks[-1].time) if marks else (0.0, 0.0)
+        return self._timeline.time_range
 
     # --- sinks ------------------------------------------------------------------------------------------------------
 
     def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink:
-        """Call `callback` with the newest frame, from a thread of its own; with `every`, with each frame as long as fewer than
-        256 wait. Close the returned sink to end it."""
-        sink = Sink(callback, capacity=256 if every else 1, name=name)
-        self._sinks = [*self._sinks, sink]
+        """Call `callback` with the newest frame, from a thread of its own; with `every`, with each frame as long as
+        fewer than 256 wait. Close the returned sink to end it."""
+        sink = self._frames.subscribe(callback, capacity=256 if every else 1, name=name)
         if self._frame is not None:
             sink.put(self._frame)
         return sink
 
     def subscribe_notices(self, callback: Callable[[Notice], None]) -> Sink:
         """Call `callback` with each notice, from a thread of its own."""
-        sink = Sink(callback, capacity=64, name="notices")
-        self._notice_sinks = [*self._notice_sinks, sink]
-        return sink
+        return self._notices.subscribe(callback, capacity=64, name="notices")
 
     def unsubscribe(self, sink: Sink) -> None:
         """Close a sink and forget it."""
-        sink.close()
-        self._sinks = [s for s in self._sinks if s is not sink]
-        self._notice_sinks = [s for s in self._notice_sinks if s is not sink]
+        self._frames.unsubscribe(sink)
+        self._notices.unsubscribe(sink)
 
     def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
         """Send a notice to everyone."""
-        for sink in self._notice_sinks:
-            sink.put(Notice(level, text))
+        self._notices.publish(Notice(level, text))
 
     # --- commands, from any thread ----------------------------------------------------------------------------------
 
@@ -207,14 +149,15 @@ class Session:
         def command() -> None:
             self._playing = False
             if count < 0:
-                self._go_back(count)
+                self._go_back(-count)
             for _ in range(count):
                 self.tick()
 
         return self._post(command)
 
     def seek(self, time: float) -> Future[Any]:
-        """Go to the tick at or before `time` [s]. A flight can go back to any tick flown, and from there on differently."""
+        """Go to the tick at or before `time` [s]. A flight can go back to any tick flown, and from there on
+        differently."""
         return self._post(lambda: self._seek(time))
 
     def set_speed(self, speed: float) -> None:
@@ -254,30 +197,21 @@ class Session:
         Raises:
             ValueError: a parameter is unknown or out of its bounds; the present configuration stays.
         """
-        with self._config_lock:
-            now = self._configs[self._version]
-            config = change if isinstance(change, PlannerConfig) else now.replace(change)
-            if config == now:
-                return now
-            del self._configs[self._version + 1 :]
-            self._configs.append(config)
-            self._version += 1
-        self._post(self._replan_if_paused)
+        config = self._configs.change(change)
+        self._post(self._replan_if_changed)
         return config
 
     def undo(self) -> PlannerConfig:
         """Return to the configuration before the present one."""
-        return self._change_version(-1)
+        return self._go_to_config(-1)
 
     def redo(self) -> PlannerConfig:
         """Return to the configuration that `undo` left."""
-        return self._change_version(+1)
+        return self._go_to_config(+1)
 
-    def _change_version(self, step: int) -> PlannerConfig:
-        with self._config_lock:
-            self._version = min(max(self._version + step, 0), len(self._configs) - 1)
-            config = self._configs[self._version]
-        self._post(self._replan_if_paused)
+    def _go_to_config(self, step: int) -> PlannerConfig:
+        config = self._configs.go(step)
+        self._post(self._replan_if_changed)
         return config
 
     def _post(self, command: Callable[[], Any]) -> Future[Any]:
@@ -305,7 +239,7 @@ class Session:
 
     def tick(self) -> Frame:
         """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
-        if self._frame is None or self._cursor < 0:
+        if self._frame is None or not self._timeline:
             return self._plan(mark=True)
         if self._source.outcome is not None:
             self._finish()
@@ -315,13 +249,13 @@ class Session:
         advance_ms = 1e3 * (time.perf_counter() - started)
         if self._source.outcome == "end":
             # A recording that is over has no further tick: what is on screen stays.
-            self._publish(_with_outcome(self._frame, "end"))
-            return self._frame
+            frame = dataclasses.replace(self._frame, outcome="end")
+            self._publish(frame)
+            return frame
         return self._plan(mark=True, advance_ms=advance_ms)
 
     def _plan(self, *, mark: bool, advance_ms: float = 0.0) -> Frame:
-        with self._config_lock:
-            config, version = self._configs[self._version], self._version
+        config, version = self._configs.present
         started = time.perf_counter()
         observation = self._source.observe()
         observed = time.perf_counter()
@@ -332,11 +266,12 @@ class Session:
         plan = self._planner.plan(observation.state, observation.goal, observation.points, samples=self._samples)
         planned = time.perf_counter()
         if mark:
-            self._mark(observation, history)
+            position = (observation.true_state or observation.state).position
+            self._timeline.append(Mark(observation.time, self._source.checkpoint(), history), position)
         timings = {"observe": 1e3 * (observed - started), "plan": 1e3 * (planned - observed), "advance": advance_ms}
         self._tick_ends.append(planned)
         frame = Frame(
-            index=self._first_index + self._cursor,
+            index=self._timeline.index,
             time=observation.time,
             observation=observation,
             plan=plan,
@@ -346,7 +281,7 @@ class Session:
             timings_ms=timings,
             rate=self._rate(),
             dropped_ticks=self._dropped,
-            trail=self._trail_so_far(),
+            trail=self._timeline.trail(),
             epoch=self._epoch,
         )
         self._publish(frame)
@@ -354,29 +289,7 @@ class Session:
 
     def _publish(self, frame: Frame) -> None:
         self._frame = frame
-        for sink in self._sinks:
-            sink.put(frame)
-
-    def _mark(self, observation: Observation, history: History) -> None:
-        del self._marks[self._cursor + 1 :]
-        position = np.asarray((observation.true_state or observation.state).position, dtype=np.float32)
-        self._marks.append(_Mark(observation.time, self._source.checkpoint(), history, position))
-        if len(self._marks) > _MARKS:
-            del self._marks[0]
-            self._first_index += 1
-        self._cursor = len(self._marks) - 1
-        row = self._first_index + self._cursor
-        if row >= len(self._trail):
-            self._trail = np.concatenate((self._trail, np.empty_like(self._trail)))
-        if self._frame is not None and row < len(self._frame.trail):
-            # Frames already published look at these rows.
-            self._trail = self._trail.copy()
-        self._trail[row] = position
-
-    def _trail_so_far(self) -> NDArray[np.float32]:
-        trail = self._trail[: self._first_index + self._cursor + 1]
-        trail.flags.writeable = False
-        return trail
+        self._frames.publish(frame)
 
     def _rate(self) -> float:
         now = self._tick_ends[-1]
@@ -385,13 +298,14 @@ class Session:
 
     def _replan(self) -> Frame | None:
         """Plan the present tick again, as if for the first time."""
-        if self._cursor < 0:
+        if not self._timeline:
             return None
-        self._planner.restore(self._marks[self._cursor].history)
+        self._planner.restore(self._timeline.present.history)
         return self._plan(mark=False)
 
-    def _replan_if_paused(self) -> None:
-        if not self._playing:
+    def _replan_if_changed(self) -> None:
+        # Of many changes in a row only the last one is planned.
+        if not self._playing and self.config is not self._config:
             self._replan()
 
     # --- jumps in time ----------------------------------------------------------------------------------------------
@@ -404,37 +318,34 @@ class Session:
             self._planner.reset()
             self._forget()
             self._plan(mark=True)
-        elif self._marks:
-            times = [mark.time for mark in self._marks]
-            self._return_to(int(np.searchsorted(times, wanted + 1e-9, side="right")) - 1)
+        elif self._timeline:
+            self._return_to(self._timeline.go_to_time(wanted))
 
     def _go_back(self, count: int) -> None:
-        if self._source.times is not None and self._frame is not None and self._cursor + count < 0:
-            row = int(np.searchsorted(self._source.times, self._frame.time + 1e-9, side="right")) - 1
-            self._seek(float(self._source.times[max(row + count, 0)]))
-        elif self._marks:
-            self._return_to(self._cursor + count)
+        times = self._source.times
+        if times is not None and self._frame is not None and self._timeline.position_in_marks < count:
+            row = int(np.searchsorted(times, self._frame.time + 1e-9, side="right")) - 1
+            self._seek(float(times[max(row - count, 0)]))
+        elif self._timeline:
+            self._return_to(self._timeline.go_by(-count))
 
-    def _return_to(self, cursor: int) -> None:
-        cursor = min(max(cursor, 0), len(self._marks) - 1)
-        mark = self._marks[cursor]
+    def _return_to(self, mark: Mark) -> None:
         self._source.restore(mark.checkpoint)
         self._planner.restore(mark.history)
-        self._cursor = cursor
         self._epoch += 1
         self._ended = False
         self._next_due = time.monotonic()
         self._plan(mark=False)
 
     def _exchange(self, source: Source) -> None:
-        before = (self._source, self._marks, self._cursor, self._first_index, self._trail, self._planner.history())
+        before = (self._source, self._timeline, self._planner.history())
         self._source = source
         self._planner.reset()
         self._forget()
         try:
             self._plan(mark=True)
         except Exception:
-            self._source, self._marks, self._cursor, self._first_index, self._trail, history = before
+            self._source, self._timeline, history = before
             self._planner.restore(history)
             source.close()
             raise
@@ -515,8 +426,8 @@ class Session:
             self._commands.put(None)
             self._thread.join(timeout=10.0)
             self._thread = None
-        for sink in [*self._sinks, *self._notice_sinks]:
-            sink.close()
+        self._frames.close()
+        self._notices.close()
         self._source.close()
         self._planner.close()
 
@@ -529,9 +440,3 @@ _OUTCOMES = {
     "timeout": "ran out of time.",
     "end": "end of the recording.",
 }
-
-
-def _with_outcome(frame: Frame, outcome: str) -> Frame:
-    import dataclasses
-
-    return dataclasses.replace(frame, outcome=outcome)

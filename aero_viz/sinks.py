@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["Sink"]
+__all__ = ["Publisher", "Sink"]
 
 _log = logging.getLogger(__name__)
 
@@ -18,7 +18,7 @@ class Sink:
 
     Args:
         callback: called with one item at a time; what it raises is logged and counted, and the next item is delivered.
-        capacity: items that may wait. When full, the oldest is dropped: 1 always delivers the newest, as a display wants it.
+        capacity: items that may wait. When full, the oldest is dropped: 1 delivers the newest.
         name: of the thread and in the log.
     """
 
@@ -68,3 +68,35 @@ class Sink:
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=2.0)
+
+
+class Publisher:
+    """Hands each item to any number of sinks."""
+
+    def __init__(self) -> None:
+        # Replaced whole, never changed, so that publishing needs no lock.
+        self._sinks: tuple[Sink, ...] = ()
+        self._lock = threading.Lock()
+
+    def subscribe(self, callback: Callable[[Any], None], *, capacity: int, name: str) -> Sink:
+        """Return a new sink for `callback`; see `Sink`."""
+        sink = Sink(callback, capacity=capacity, name=name)
+        with self._lock:
+            self._sinks = (*self._sinks, sink)
+        return sink
+
+    def publish(self, item: Any) -> None:
+        """Hand `item` to every sink without waiting."""
+        for sink in self._sinks:
+            sink.put(item)
+
+    def unsubscribe(self, sink: Sink) -> None:
+        """Close a sink and forget it."""
+        sink.close()
+        with self._lock:
+            self._sinks = tuple(other for other in self._sinks if other is not sink)
+
+    def close(self) -> None:
+        """Close all sinks."""
+        for sink in self._sinks:
+            sink.close()

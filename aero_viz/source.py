@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-
 from aero_planner import Goal, Plan, VehicleState
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from aero_viz.scenes import World

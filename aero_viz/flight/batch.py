@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
-
 from aero_planner import Planner, PlannerConfig
+
 from aero_viz.errors import UserError
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.simulator import FlightRules, Record, Simulator
@@ -141,6 +141,7 @@ class FlightBatch:
         return flight_results(
             self.simulator.records(),
             self.simulator.outcomes(),
+            period=self.simulator.rules.period,
             seeds=self._seeds,
             scenes=[world.name for world in self._worlds],
             configs=self._config_names,
@@ -219,7 +220,14 @@ def fly(
         if speed is not None:
             config = config.replace({"vehicle.speed_limit": speed})
         batch = FlightBatch(
-            [world], config=config, seed=seed, device=device, lidar=lidar, vehicle=vehicle, rules=rules, config_names=[name]
+            [world],
+            config=config,
+            seed=seed,
+            device=device,
+            lidar=lidar,
+            vehicle=vehicle,
+            rules=rules,
+            config_names=[name],
         )
     except ValueError as error:
         raise UserError(f"Cannot fly {world.name!r}: {error}") from error

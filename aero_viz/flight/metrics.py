@@ -46,15 +46,16 @@ def flight_results(
     records: NDArray[Any],
     outcomes: Sequence[str | None],
     *,
+    period: float,
     seeds: Sequence[int],
     scenes: Sequence[str],
     configs: Sequence[str],
     plan_ms: float | None,
 ) -> list[FlightResult]:
-    """Return one result per flight from the simulator's records and outcomes and what the flights were."""
+    """Return one result per flight from the simulator's records and outcomes; `period` is that of a tick [s]."""
     results = []
     for record, outcome, seed, scene, config in zip(records, outcomes, seeds, scenes, configs, strict=True):
-        time, length = float(record["time"]), float(record["length"])
+        time, length = int(record["ticks"]) * period, float(record["length"])
         results.append(
             FlightResult(
                 arrived=outcome == "arrived",

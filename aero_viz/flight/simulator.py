@@ -73,8 +73,8 @@ class Record:
 
     goal: wp.vec3
     """[m], world frame."""
-    time: float
-    """Since the start, until the end of the flight [s]."""
+    ticks: int
+    """Number of ticks until the end of the flight."""
     length: float
     """Of the path, through the positions at the ticks [m]."""
     speed_max: float
@@ -118,7 +118,7 @@ def clearance_kernel(
 @wp.kernel
 def judge_kernel(
     rules: Rules,
-    elapsed: float,
+    tick: int,
     lower: wp.array(dtype=wp.vec3),
     upper: wp.array(dtype=wp.vec3),
     positions: wp.array(dtype=wp.vec3),
@@ -128,14 +128,15 @@ def judge_kernel(
     records: wp.array(dtype=Record),
     outcomes: wp.array(dtype=int),
 ):
-    """Bring the records up to date and end flights; `elapsed` is the time of the tick [s], 0 at the start.
+    """Bring the records up to date and end flights; `tick` counts from 0 at the start.
 
-    Smoothness is the sum of |a_k - a_(k-1)|^2 / dt over the ticks with a_k = (v_(k+1) - v_k) / dt, the mean acceleration
-    of a tick, and a_(-1) = 0: the drone hovers before it starts. It can be recomputed from the trajectory's file.
+    Smoothness is the sum of |a_k - a_(k-1)|^2 / dt over the ticks with a_k = (v_(k+1) - v_k) / dt, the mean
+    acceleration of a tick, and a_(-1) = 0: the drone hovers before it starts. The trajectory's file gives the same.
     """
     b = wp.tid()
     if outcomes[b] != FLYING:
         return
+    elapsed = float(tick) * rules.period
     r = records[b]
     position = positions[b]
     nearest = float(wp.inf)
@@ -144,14 +145,14 @@ def judge_kernel(
         r.clearance_sum += clearance[b, s]
     r.clearance_count += clearance.shape[1]
     r.clearance_min = wp.min(r.clearance_min, nearest)
-    if elapsed > 0.0:
+    if tick > 0:
         acceleration = (velocities[b] - r.velocity) / rules.period
         r.smoothness += wp.length_sq(acceleration - r.acceleration) / rules.period
         r.acceleration = acceleration
     r.velocity = velocities[b]
     r.length += wp.length(position - positions_before[b])
     r.speed_max = wp.max(r.speed_max, wp.length(velocities[b]))
-    r.time = elapsed
+    r.ticks = tick
 
     remaining = wp.length(r.goal - position)
     if remaining <= r.nearest_goal - rules.stall_distance:
@@ -249,7 +250,7 @@ class Simulator:
         return self.tick * self.rules.period
 
     def look(self, sweep: int) -> None:
-        """Measure the whole sweep number `sweep`, negative, from the first poses, as if hovering there before the start."""
+        """Measure all of a sweep with a negative number from the first poses, as if hovering there before the start."""
         self._scan(sweep, 0, self.lidar.model.points_per_sweep)
 
     def advance(self, commands: wp.array) -> tuple[int, int, int]:
@@ -307,7 +308,7 @@ class Simulator:
         wp.launch(clear_kernel, (count, steps), [], [self._clearance], device=self.device)
         inputs = [worlds.geometry, worlds.index, self.outcome, v.trail, lanes]
         wp.launch(clearance_kernel, (count, steps, lanes), inputs, [self._clearance], device=self.device)
-        inputs = [self._rules, self.time, self._lower, self._upper]
+        inputs = [self._rules, self.tick, self._lower, self._upper]
         inputs += [v.position, v.position_before, v.velocity, self._clearance]
         wp.launch(judge_kernel, count, inputs, [self.record, self.outcome], device=self.device)
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS
 from aero_viz.flight.metrics import FlightResult, flight_results
@@ -92,7 +92,7 @@ class FlightSource:
         return self._simulator
 
     def observe(self) -> Observation:
-        """Return what the planner sees now: the state, which the simulation knows exactly, and the last 10 whole sweeps."""
+        """Return what the planner sees now: the exact state and the last 10 whole sweeps."""
         return self._observation
 
     def advance(self, plan: Plan) -> None:
@@ -140,7 +140,7 @@ class FlightSource:
         """
         goal = np.array(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
-            raise UserError(f"The goal {np.asarray(position).tolist()} is no position; give three finite numbers x, y, z.")
+            raise UserError(f"The goal {np.asarray(position).tolist()} is no position; give three finite numbers.")
         goal.flags.writeable = False
         self._goal = goal
         self._simulator.set_goal(goal[None])
@@ -151,6 +151,7 @@ class FlightSource:
         return flight_results(
             self._simulator.records(),
             [self.outcome],
+            period=self.period,
             seeds=[self._seed],
             scenes=[self.name],
             configs=[""],
@@ -184,7 +185,7 @@ class FlightSource:
         self._points.flags.writeable = False
 
 
-def _returns(parts: Sequence[Cloud]) -> Cloud:
+def _returns(parts: Sequence[Cloud]) -> Any:
     """Join the parts of a sweep and leave out the rays without return."""
     points = np.concatenate(parts)
     return points[~np.isnan(points[:, 0])]

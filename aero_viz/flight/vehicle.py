@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
-
 from aero_planner import PlannerConfig
 
 __all__ = ["Vehicle", "VehicleModel"]
@@ -46,9 +45,12 @@ class VehicleModel:
             value = getattr(self, f.name)
             zero_allowed = f.name not in ("mass", "step", "thrust_max")
             if not (math.isfinite(value) and (value > 0.0 or (zero_allowed and value == 0.0))):
-                raise ValueError(f"{f.name} of the vehicle is {value!r}; it must be finite and {'not negative' if zero_allowed else 'positive'}.")
+                sign = "not negative" if zero_allowed else "positive"
+                raise ValueError(f"{f.name} of the vehicle is {value!r}; it must be finite and {sign}.")
         if self.thrust_min > self.thrust_max:
-            raise ValueError(f"thrust_min of the vehicle is {self.thrust_min:g} N, more than thrust_max, {self.thrust_max:g} N.")
+            raise ValueError(
+                f"thrust_min of the vehicle, {self.thrust_min:g} N, exceeds thrust_max, {self.thrust_max:g} N."
+            )
 
     @classmethod
     def from_config(cls, config: PlannerConfig, **changes: float) -> VehicleModel:
@@ -232,7 +234,10 @@ class Vehicle:
             self.trail = wp.clone(wp.array([[p] * steps for p in positions], dtype=wp.vec3))
 
     def fly(self, commands: wp.array, *, finished: wp.array) -> None:
-        """Hold `commands[:, 0]`, F_t [N] and omega [rad/s], vec4 [B, any], for one period; `finished`, int [B], stand still."""
+        """Hold `commands[:, 0]`, F_t [N] and omega [rad/s], vec4 [B, any], for one period.
+
+        Vehicles with anything but 0 in `finished`, int [B], stand still.
+        """
         state = [self.position, self.velocity, self.quaternion, self.acceleration, self.control]
         outputs = [*state, self.position_before, self.quaternion_before, self.trail]
         inputs = [self._parameters, commands, finished]

@@ -14,8 +14,8 @@ __all__ = [
     "BlockFile",
     "Channel",
     "Message",
+    "checked_channel",
     "expand",
-    "normalised_type",
     "unwrap",
 ]
 
@@ -76,7 +76,14 @@ class BagFile(Protocol):
         ...
 
 
-def normalised_type(name: str) -> str:
+def checked_channel(topic: str, kind: str, encoding: str) -> Channel:
+    """Return a channel with its type in full; raises ValueError for names that only damage can have made."""
+    if not (topic + kind + encoding).isprintable():
+        raise ValueError("a channel's name is damaged")
+    return Channel(topic, _normalised_type(kind), encoding)
+
+
+def _normalised_type(name: str) -> str:
     """Return pkg/msg/Type for pkg/Type, as ROS 2 spells it."""
     package, _, rest = name.partition("/")
     return name if "/" in rest or not rest else f"{package}/msg/{rest}"

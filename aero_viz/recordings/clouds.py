@@ -82,7 +82,10 @@ class _Cursor:
         if len(raw) < length:
             raise DamagedMessage("it ends within a name")
         self.position += length
-        return raw.rstrip(b"\0").decode(errors="replace")
+        name = raw.rstrip(b"\0").decode(errors="replace")
+        if not name.isprintable():
+            raise DamagedMessage("a name in it is damaged")
+        return name
 
     def header(self) -> tuple[int, str]:
         """Return stamp [ns] and frame of a std_msgs/Header."""

@@ -1,4 +1,4 @@
-"""MCAP files, read record by record: that works for whole files and for files whose end is missing alike."""
+"""MCAP files, read record by record: files whose end is missing read like whole ones."""
 
 from __future__ import annotations
 
@@ -13,45 +13,69 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema
 
-from aero_viz.recordings.bagfile import BlockFile, Channel, Message, expand, normalised_type
+from aero_viz.recordings.bagfile import BlockFile, Message, checked_channel, expand
 
 __all__ = ["MCAP_MAGIC", "McapFile"]
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 _RECORD = struct.Struct("<BQ")
+_FOOTER = _RECORD.size + 20 + len(MCAP_MAGIC)
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQII")
 
 
 class McapFile(BlockFile):
-    """One MCAP file (mcap.dev/spec). The index at its end is not used, so that a file without one reads the same."""
+    """One MCAP file (mcap.dev/spec). The summary at its end helps past damage and is not needed."""
 
     def __init__(self, path: Path):
         super().__init__(path)
         self._schemas: dict[int, str] = {}
 
     def scan(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Yield every message in the order of the file."""
-        finished = False
-        for opcode, body, end, whole in _records(self._map, len(MCAP_MAGIC), len(self._map)):
-            if opcode == Opcode.DATA_END and whole:
-                finished = True
+        """Yield every message in the order of the file; past a damaged record, from the next chunk of the index on."""
+        chunks, start, finished, damaged = self._read_summary(), len(MCAP_MAGIC), False, False
+        while not finished:
+            for opcode, body, end, whole in _records(self._map, start, len(self._map)):
+                if opcode == Opcode.DATA_END and whole:
+                    finished = True
+                    break
+                if opcode == Opcode.CHUNK:
+                    yield from self._chunk(body, end, whole, wanted)
+                elif whole:
+                    yield from self._record(self._map, opcode, body, end, None, wanted)
+                start = end if whole else start
+            later = [chunk for chunk in chunks if chunk > start]
+            if finished or not later:
                 break
-            if opcode == Opcode.CHUNK:
-                yield from self._chunk(body, end, whole, wanted)
-            elif whole:
-                yield from self._record(self._map, opcode, body, end, None, wanted)
-        if not finished:
-            intact = self._map[-len(MCAP_MAGIC) :] == MCAP_MAGIC
-            self.problems.append(
-                "damaged: a record's length is wrong and what follows it is lost" if intact
-                else "truncated: the end of the file is missing and what was whole before it is used"
-            )  # fmt: skip
+            start, damaged = min(later), True
+        if damaged:
+            self.problems.append("damaged: a record's length is wrong and what follows it up to the next chunk is lost")
+        elif not finished:
+            self.problems.append("truncated: the end of the file is missing and what was whole before it is used")
+
+    def _read_summary(self) -> list[int]:
+        """Learn the channels from the summary, where there is one, and return where the chunks start.
+
+        Channels are declared in the first chunk, too, which may be the damaged one.
+        """
+        footer = len(self._map) - _FOOTER
+        if self._map[-len(MCAP_MAGIC) :] != MCAP_MAGIC or footer < 0:
+            return []
+        (start,) = struct.unpack_from("<Q", self._map, footer + _RECORD.size)
+        chunks = []
+        if start:
+            for opcode, body, end, whole in _records(self._map, start, footer):
+                if opcode == Opcode.CHUNK_INDEX and whole and end - body >= 24:
+                    chunks.append(struct.unpack_from("<QQQ", self._map, body)[2])
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and whole:
+                    for _ in self._record(self._map, opcode, body, end, None, ()):
+                        pass
+        return chunks
 
     def _chunk(self, body: int, end: int, whole: bool, wanted: Collection[str]) -> Iterator[Message]:
         try:
-            compression, start, _, _ = self._chunk_header(body)
+            compression, start, stored, _ = self._chunk_header(body)
             # The last, incomplete chunk of a truncated file still holds whole messages when it is not compressed.
             if compression and not whole:
                 return
@@ -60,7 +84,7 @@ class McapFile(BlockFile):
             self.damaged += 1
             return
         block = body if compression else None
-        first, last = (0, len(buffer)) if compression else (start, end)
+        first, last = (0, len(buffer)) if compression else (start, min(start + stored, end))
         for opcode, record, stop, complete in _records(buffer, first, last):
             if complete:
                 yield from self._record(buffer, opcode, record, stop, block, wanted)
@@ -74,11 +98,11 @@ class McapFile(BlockFile):
                 yield self.message(channel, time, position, buffer, wanted)
             elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(_stream(buffer, body, end))
-                self._schemas[schema.id] = normalised_type(schema.name)
+                self._schemas[schema.id] = schema.name
             elif opcode == Opcode.CHANNEL:
                 record = ChannelRecord.read(_stream(buffer, body, end))
                 kind = self._schemas.get(record.schema_id, "")
-                self.channels[record.id] = Channel(record.topic, kind, record.message_encoding)
+                self.channels[record.id] = checked_channel(record.topic, kind, record.message_encoding)
         except (KeyError, struct.error, UnicodeDecodeError, ValueError):
             self.damaged += 1
         except Exception as error:  # mcap's own errors share no base class with a record that is too short

@@ -34,10 +34,11 @@ class StampedPose(NamedTuple):
 
     @property
     def valid(self) -> bool:
-        """Whether the position is finite and the quaternion is one: unset ones are all zero."""
+        """Whether the position is finite, the quaternion is one (unset ones are all zero) and the names are names."""
         position, quaternion = self.values[:3], self.values[3:7]
         norm = math.hypot(*quaternion)
-        return all(map(math.isfinite, position)) and 0.5 < norm < 2.0 and max(map(abs, position)) < 1e8
+        named = (self.parent + self.child).isprintable()
+        return named and all(map(math.isfinite, position)) and 0.5 < norm < 2.0 and max(map(abs, position)) < 1e8
 
 
 @cache

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
-from aero_viz.recordings.bagfile import BlockFile, Channel, Message, expand, normalised_type
+from aero_viz.recordings.bagfile import BlockFile, Message, checked_channel, expand
 
 __all__ = ["ROS1_MAGIC", "Ros1File"]
 
@@ -26,7 +26,7 @@ class _Record(NamedTuple):
 
 
 class Ros1File(BlockFile):
-    """One ROS 1 bag (wiki.ros.org/Bags/Format/2.0). Its index is not used; chunks may be plain, bz2 or lz4."""
+    """One ROS 1 bag (wiki.ros.org/Bags/Format/2.0). It needs no index; chunks may be plain, bz2 or lz4."""
 
     def scan(self, wanted: Collection[str]) -> Iterator[Message]:
         """Yield every message in the order of the file."""
@@ -36,6 +36,10 @@ class Ros1File(BlockFile):
             if record.op == _BAG_HEADER:
                 index = int.from_bytes(record.header.get(b"index_pos", b"\1"), "little")
                 whole &= index <= size
+                # The connections are repeated at the end: a damaged chunk must not hide them.
+                for connection in _records(self._map, index, size) if 0 < index < size else ():
+                    if connection.op == _CONNECTION and connection.whole:
+                        self._connection(self._map, connection)
                 if index == 0:
                     self.problems.append("unindexed: the recording was interrupted; `rosbag reindex` repairs it")
             elif record.op == _CHUNK:
@@ -76,10 +80,9 @@ class Ros1File(BlockFile):
             number = _U32.unpack(record.header[b"conn"])[0]
             topic = record.header[b"topic"].decode()
             kind = _fields(buffer[record.body : record.end])[b"type"].decode()
-        except (KeyError, struct.error, UnicodeDecodeError):
+            self.channels[number] = checked_channel(topic, kind, "ros1")
+        except (KeyError, struct.error, ValueError):
             self.damaged += 1
-        else:
-            self.channels[number] = Channel(topic, normalised_type(kind), "ros1")
 
     def expand_block(self, offset: int) -> bytes:
         """Decompress the chunk whose record starts at byte `offset`."""

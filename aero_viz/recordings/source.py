@@ -81,7 +81,7 @@ class RecordingSource:
         self.sweeps = sweeps
         self.goal_ahead = goal_ahead
         track = recording.poses
-        self.times: NDArray[np.float64] = recording.sweep_times
+        self._ticks: NDArray[np.float64] = recording.sweep_times
         self.notice: str | None = None
         """What the user should know about this recording's poses, None when all is well."""
         self._path: RecordedPath | None = None
@@ -90,14 +90,15 @@ class RecordingSource:
         else:
             inside = (track.times >= 0.0) & (track.times <= recording.sweep_times[-1] + POSE_TOLERANCE)
             if inside.any():
-                self.times = track.times[inside]
+                self._ticks = track.times[inside]
             self._path = RecordedPath(track.times, track.positions)
+        self.times: NDArray[np.float64] | None = self._ticks
         self.name = recording.path.name
-        self.period = float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.1
+        self.period = float(np.median(np.diff(self._ticks))) if len(self._ticks) > 1 else 0.1
         self.outcome: str | None = None
         path = None if track is None else track.positions
         self.scenery = Scenery(
-            start=self._pose(float(self.times[0])).position,
+            start=self._pose(float(self._ticks[0])).position,
             recorded_path=path,
             notices=("open loop: the plan is shown, not flown", *recording.problems),
         )
@@ -119,7 +120,7 @@ class RecordingSource:
 
     def observe(self) -> Observation:
         """Return what the planner sees at this tick."""
-        time = float(self.times[self._index])
+        time = float(self._ticks[self._index])
         pose = self._pose(time)
         state = VehicleState(pose.position, pose.velocity, pose.quaternion, time=time)
         first, last = self._window(time)
@@ -127,7 +128,7 @@ class RecordingSource:
 
     def advance(self, plan: Plan | None = None) -> None:
         """Go to the next recorded pose; the plan is not flown. After the last one the outcome is "end"."""
-        if self._index + 1 < len(self.times):
+        if self._index + 1 < len(self._ticks):
             self._index += 1
         else:
             self.outcome = "end"
@@ -145,9 +146,9 @@ class RecordingSource:
     def seek(self, time: float) -> None:
         """Go to the tick at or before `time` [s]; the first or last tick for times outside the recording."""
         if not np.isfinite(time):
-            raise UserError(f"cannot seek to {time} s: name a time between {self.times[0]} and {self.times[-1]} s")
-        index = int(np.searchsorted(self.times, time, side="right")) - 1
-        self._index = min(max(index, 0), len(self.times) - 1)
+            raise UserError(f"cannot seek to {time} s: name a time between {self._ticks[0]} and {self._ticks[-1]} s")
+        index = int(np.searchsorted(self._ticks, time, side="right")) - 1
+        self._index = min(max(index, 0), len(self._ticks) - 1)
         self.outcome = None
 
     def set_goal(self, position: ArrayLike | None) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
-from aero_viz.recordings.bagfile import HEAD_BYTES, ZSTD_MAGIC, Channel, Message, normalised_type, unwrap
+from aero_viz.recordings.bagfile import HEAD_BYTES, ZSTD_MAGIC, Channel, Message, checked_channel, unwrap
 
 __all__ = ["SQLITE_MAGIC", "SqliteFile"]
 
@@ -34,7 +34,7 @@ class SqliteFile:
             for row, topic, kind, encoding in self._database.execute(
                 "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
             ):
-                self.channels[row] = Channel(str(topic), normalised_type(str(kind)), str(encoding))
+                self.channels[row] = checked_channel(str(topic), str(kind), str(encoding))
             # Walking the table by row leaves the messages' pages untouched and survives a damaged index.
             rows = self._database.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
             for row, topic, time in rows:
@@ -42,7 +42,7 @@ class SqliteFile:
                     yield self._message(row, self.channels[topic], time, wanted)
                 else:
                     self.damaged += 1
-        except (sqlite3.Error, UnicodeDecodeError) as error:
+        except (sqlite3.Error, ValueError) as error:
             self.problems.append(f"damaged or truncated ({error}): what could be read before that is used")
 
     def _message(self, row: int, channel: Channel, time: int, wanted: Collection[str]) -> Message:

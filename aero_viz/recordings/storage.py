@@ -133,7 +133,8 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    text = " ".join(str(error).split())
+    return "".join(letter if letter.isprintable() else "?" for letter in text) or type(error).__name__
 
 
 def _part(file: Path) -> int:

@@ -29,8 +29,8 @@ Rows = NDArray[np.float64]
 def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool = True) -> World:
     """Return a forest: each tree a tilted trunk that carries a canopy of spheres.
 
-    A tree of scale s, uniform in [0.7, 1.3], has a trunk of radius 0.12 .. 0.3 m times s and height 5 .. 8 m times s, and
-    four canopy spheres of radius 0.8 .. 1.4 m times s near its top, none below 3 m: flight at 2 m is between the trunks.
+    A tree of scale s, uniform in [0.7, 1.3], has a trunk of radius 0.12 .. 0.3 m times s and height 5 .. 8 m times s,
+    and four canopy spheres of radius 0.8 .. 1.4 m times s near its top, none below 3 m: flight at 2 m is among trunks.
 
     Args:
         seed: same seed, same forest.
@@ -135,7 +135,7 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     if name not in SCENES:
         close = difflib.get_close_matches(name, SCENES, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise UserError(f"Unknown scene {name!r}.{hint} Scenes: {', '.join(SCENES)}; or give the path of a world's JSON file.")
+        raise UserError(f"Unknown scene {name!r}.{hint} Give one of {', '.join(SCENES)}, or a world's JSON file.")
     if seed < 0:
         raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
     if count is not None and count < 0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Mesh", "to_meshes"]
 
-_SIDES = 16
-_RINGS = 8
+_SIDES = 12
+_RINGS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Mesh:
 
 
 def to_meshes(world: World) -> dict[str, Mesh]:
-    """Return the world as one merged mesh per kind: "cylinders", "boxes", "ground", "spheres"; absent kinds left out."""
+    """Return one merged mesh each of "cylinders", "boxes", "ground" and "spheres", where present."""
     ground = world.ground
     parts = {
         "cylinders": _instances(_unit_cylinder(), *_cylinder_frames(world.cylinders)),
@@ -45,7 +45,7 @@ def _instances(shape: Mesh, linear: NDArray[np.float64], offset: NDArray[np.floa
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.int32))
 
 
-def _cylinder_frames(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cylinder_frames(table: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
     axis = table[:, 3:6]
     helper = np.where(np.abs(axis[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(helper, axis)

@@ -24,10 +24,6 @@ _BOUNDS_MARGIN = 10.0  # generous: leaving the derived bounds means that the dro
 _CHUNK = 2_000_000  # point-primitive pairs handled at once by `World.distance`
 
 
-def _empty(columns: int) -> Any:
-    return field(default_factory=lambda: np.zeros((0, columns)))
-
-
 @dataclass(frozen=True, eq=False)
 class World:
     """Solid primitives, a start and a goal; metres and radians, z up. Arrays are read-only float64.
@@ -48,9 +44,9 @@ class World:
     name: str
     start: NDArray[np.float64]
     goal: NDArray[np.float64]
-    cylinders: NDArray[np.float64] = _empty(8)
-    boxes: NDArray[np.float64] = _empty(7)
-    spheres: NDArray[np.float64] = _empty(4)
+    cylinders: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 8)))
+    boxes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
+    spheres: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
     bounds: NDArray[np.float64] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -84,7 +80,7 @@ class World:
         """
         known = ("name", "start", "goal", *_TABLES, "bounds")
         if not isinstance(content, dict):
-            raise ValueError(f"the top level is {type(content).__name__}; it must be an object with keys {', '.join(known)}.")
+            raise ValueError(f"it holds a {type(content).__name__}; it must be an object with keys {', '.join(known)}.")
         for key in content:
             if key not in known:
                 raise ValueError(f'unknown key "{key}"; the keys are {", ".join(known)}.')
@@ -156,7 +152,7 @@ class World:
         return nearest
 
     def to_meshes(self) -> dict[str, Mesh]:
-        """Return triangles for drawing: one merged mesh each of "cylinders", "boxes", "ground", "spheres", where present."""
+        """Return triangles for drawing: one mesh per kind present: "cylinders", "boxes", "ground", "spheres"."""
         return to_meshes(self)
 
     @property
@@ -199,7 +195,7 @@ def _rotate_z(vectors: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArr
 
 def _solid(excess: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed distance from the excess over each half extent, last axis: outside the norm, inside the largest."""
-    outside = np.linalg.norm(np.maximum(excess, 0.0), axis=-1)
+    outside = np.sqrt(np.sum(np.maximum(excess, 0.0) ** 2, axis=-1))
     return outside + np.minimum(excess.max(axis=-1), 0.0)
 
 
@@ -216,7 +212,7 @@ def _to_boxes(points: NDArray[np.float64], table: NDArray[np.float64]) -> NDArra
 
 
 def _to_spheres(points: NDArray[np.float64], table: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.linalg.norm(points - table[:, :3], axis=-1) - table[:, 3]
+    return np.sqrt(np.sum((points - table[:, :3]) ** 2, axis=-1)) - table[:, 3]
 
 
 def _store(world: World, key: str, value: NDArray[np.float64]) -> None:
@@ -235,7 +231,7 @@ def _row(value: Any, count: int, where: str, columns: str) -> NDArray[np.float64
     if len(value) != count:
         raise ValueError(f"{where} has {len(value)} values; it must have {count} numbers ({columns}).")
     for name, number in zip(columns.split(", "), value, strict=True):
-        if isinstance(number, bool) or not isinstance(number, (int, float, np.number)) or not np.isfinite(float(number)):
+        if isinstance(number, bool) or not isinstance(number, (int, float, np.number)) or not abs(number) < np.inf:
             raise ValueError(f"{where} has {name} = {number!r}; it must be a finite number.")
     return np.array(value, dtype=np.float64)
 
@@ -245,7 +241,7 @@ def _table(value: Any, key: str, columns: str) -> NDArray[np.float64]:
     rows = _sequence(value, f'"{key}"', f"rows of {count} numbers ({columns})")
     if len(rows) == 0:
         return np.zeros((0, count))
-    if isinstance(rows, np.ndarray) and rows.dtype == np.float64 and rows.shape[1:] == (count,) and np.isfinite(rows).all():
+    if isinstance(rows, np.ndarray) and rows.shape[1:] == (count,) and rows.dtype == float and np.isfinite(rows).all():
         return rows.copy()  # thousands of rows at once
     return np.stack([_row(row, count, f'"{key}" row {i}', columns) for i, row in enumerate(rows)])
 
@@ -260,6 +256,6 @@ def _check_sizes(table: NDArray[np.float64], key: str, columns: list[str]) -> No
 def _normalise_axes(cylinders: NDArray[np.float64]) -> None:
     norm = np.linalg.norm(cylinders[:, 3:6], axis=1)
     for i in np.flatnonzero(np.abs(norm - 1.0) > 1e-3)[:1]:
-        raise ValueError(f'"cylinders" row {i} has an axis of length {norm[i]:g}; it must be a unit vector (ax, ay, az).')
+        raise ValueError(f'"cylinders" row {i} has an axis of length {norm[i]:g}; (ax, ay, az) must be a unit vector.')
     # Axes that are unit vectors to rounding stay as they are: saving and loading changes nothing.
     cylinders[:, 3:6] /= np.where(np.abs(norm - 1.0) > 1e-12, norm, 1.0)[:, None]

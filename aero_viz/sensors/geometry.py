@@ -19,11 +19,12 @@ CYLINDER = wp.constant(0)
 BOX = wp.constant(1)
 SPHERE = wp.constant(2)
 FAR = wp.constant(1.0e9)
-CELL = wp.constant(1.0)  # edge of a grid cell [m]
 
 _SEGMENT = 0.5  # [m]; an inclined cylinder is entered in the grid in pieces of this length
 _PADDING = 1e-3  # [m]; well above float32 rounding of a point 100 m away
-_EVERYWHERE = 400  # cells; a primitive that covers more is tested for every ray: the ground
+_CELL = 1.0  # smallest edge of a grid cell [m]
+_CELLS = 100_000  # about as many cells a grid has at most, however far apart the obstacles are
+_EVERYWHERE = 2000.0  # [m^2]; what covers more is tested for every ray: the ground
 
 
 @wp.struct
@@ -46,6 +47,8 @@ class Grid:
     lower: wp.vec3
     """Corner of the primitives' axis-aligned box [m]."""
     upper: wp.vec3
+    cell: float
+    """Edge of a cell [m]."""
     columns: int
     """Number of cells along x."""
     rows: int
@@ -102,9 +105,7 @@ def primitive_distance(p: Primitive, point: wp.vec3):
         return solid_distance(across - p.size[0], wp.abs(height - half) - half, -FAR)
     if p.kind == BOX:
         local = rotate_z(relative, p.size[0], -p.size[1])
-        return solid_distance(
-            wp.abs(local[0]) - p.axis[0], wp.abs(local[1]) - p.axis[1], wp.abs(local[2]) - p.axis[2]
-        )
+        return solid_distance(wp.abs(local[0]) - p.axis[0], wp.abs(local[1]) - p.axis[1], wp.abs(local[2]) - p.axis[2])
     return wp.length(relative) - p.size[0]
 
 
@@ -181,7 +182,7 @@ def _pieces(world: World) -> tuple[_Pieces, NDArray[np.int64]]:
     Boxes are lower and upper corners [m, 3], padded, and the primitive each belongs to [m].
     """
     table = world.cylinders
-    count = np.maximum(1, np.ceil(table[:, 7] / _SEGMENT)).astype(int)
+    count = np.clip(np.ceil(table[:, 7] / _SEGMENT), 1, 1000).astype(int)
     count[np.abs(table[:, 5]) > 1.0 - 1e-6] = 1  # one box fits a vertical cylinder
     piece = np.repeat(np.arange(len(table)), count)
     number = np.arange(len(piece)) - np.repeat(np.cumsum(count) - count, count)
@@ -190,8 +191,7 @@ def _pieces(world: World) -> tuple[_Pieces, NDArray[np.int64]]:
     cut[:, :3] += (number * cut[:, 7])[:, None] * cut[:, 3:6]
     lower, upper = primitive_bounds(cut, world.boxes, world.spheres)
     owner = np.concatenate([piece, len(table) + np.arange(len(world.boxes) + len(world.spheres))])
-    extent = np.prod((upper - lower)[:, :2] / CELL + 1.0, axis=1)
-    fits = extent <= _EVERYWHERE
+    fits = np.prod((upper - lower)[:, :2], axis=1) <= _EVERYWHERE
     fits &= ~np.isin(owner, owner[~fits])
     return (lower[fits] - _PADDING, upper[fits] + _PADDING, owner[fits]), np.unique(owner[~fits])
 
@@ -199,15 +199,18 @@ def _pieces(world: World) -> tuple[_Pieces, NDArray[np.int64]]:
 def _fill(
     grid: Any, lower: NDArray[np.float64], upper: NDArray[np.float64], owner: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """Size `grid` to the boxes; return the number of entries of each cell and all entries, cell by cell."""
+    """Fit `grid` to the boxes; return the number of entries of each cell and all entries, cell by cell."""
     if len(owner) == 0:
         grid["upper"] = -1.0  # no ray enters
         return np.zeros(0, dtype=int), np.zeros(0, dtype=Entry.numpy_dtype())
     grid["lower"], grid["upper"] = lower.min(axis=0), upper.max(axis=0)
-    shape = np.maximum(1, np.ceil((grid["upper"] - grid["lower"])[:2] / CELL)).astype(int)
+    size = (grid["upper"] - grid["lower"])[:2]
+    cell_size = np.float32(max(_CELL, np.sqrt(np.prod(size) / _CELLS), size.max() / _CELLS))
+    shape = np.maximum(1, np.ceil(size / cell_size)).astype(int)
+    grid["cell"] = cell_size
     grid["columns"], grid["rows"] = shape
-    low = np.clip(np.floor((lower - grid["lower"])[:, :2] / CELL).astype(int), 0, shape - 1)
-    high = np.clip(np.floor((upper - grid["lower"])[:, :2] / CELL).astype(int), 0, shape - 1)
+    low = np.clip(np.floor((lower - grid["lower"])[:, :2] / cell_size).astype(int), 0, shape - 1)
+    high = np.clip(np.floor((upper - grid["lower"])[:, :2] / cell_size).astype(int), 0, shape - 1)
     span = high - low + 1
     total = span.prod(axis=1)
     box = np.repeat(np.arange(len(owner)), total)

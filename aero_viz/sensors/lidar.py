@@ -30,9 +30,9 @@ INVERSE_2_24 = wp.constant(2.0**-24)
 class LidarModel:
     """A LiDAR fixed to the body; sensor frame = body frame.
 
-    With `rings` = 0 the pattern never repeats: rays follow a low-discrepancy sequence that covers the field of view evenly
-    per solid angle and goes on from sweep to sweep, so that gaps close the longer one looks. Otherwise `rings` beams, evenly
-    spaced in elevation, turn once per sweep.
+    With `rings` = 0 the pattern never repeats: rays follow a low-discrepancy sequence that covers the field of view
+    evenly per solid angle and goes on from sweep to sweep, so that gaps close the longer one looks. Otherwise `rings`
+    beams, evenly spaced in elevation, turn once per sweep.
     """
 
     name: str
@@ -132,8 +132,8 @@ def fraction(index: wp.uint32, step: wp.uint32):
 @wp.func
 def beam_direction(beams: Beams, index: int, phase: wp.uint32):
     """Unit direction in the sensor frame of the ray `index`, counted through all sweeps."""
-    azimuth = float(0.0)
-    height = float(0.0)
+    azimuth = float(0.0)  # noqa: UP018
+    height = float(0.0)  # noqa: UP018
     if beams.rings > 0:
         i = (index % beams.points_per_sweep + beams.points_per_sweep) % beams.points_per_sweep
         ring = i % beams.rings
@@ -198,8 +198,8 @@ class Lidar:
         seeds: one per flight; the seed and the count of rays fix a sensor's pattern and noise, whatever the batch.
 
     Attributes:
-        points: the sweep in progress [m], vec3 [B, points_per_sweep], world frame by the pose at each point's time; NaN is
-            no return.
+        points: the sweep in progress [m], vec3 [B, points_per_sweep], world frame by the pose at each point's time;
+            NaN is no return.
     """
 
     def __init__(self, model: LidarModel, worlds: DeviceWorlds, *, seeds: Sequence[int]) -> None:

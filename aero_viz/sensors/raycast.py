@@ -1,7 +1,7 @@
 """Ray casting: the nearest solid along a ray, batched over flights, each in its own world.
 
-Obstacle fields are wide and flat and a ray ends at its first hit, so a two-dimensional grid, walked cell by cell from the
-sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in scenes.
+Obstacle fields are wide and flat and a ray ends at its first hit, so a two-dimensional grid, walked cell by cell from
+the sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in scenes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 
 import warp as wp
 
-from aero_viz.sensors.geometry import BOX, CELL, CYLINDER, FAR, DeviceWorlds, Geometry, Primitive, rotate_z
+from aero_viz.sensors.geometry import BOX, CYLINDER, FAR, DeviceWorlds, Geometry, Primitive, rotate_z
 
 __all__ = ["cast", "primitive_range", "ray_range"]
 
@@ -39,7 +39,7 @@ def cylinder_range(p: Primitive, origin: wp.vec3, direction: wp.vec3):
             return wp.inf
     else:
         # The quadratic is solved from the point nearest to the axis: from the origin, b^2 - a c would cancel when the
-        # cylinder is thin and far away. Between the caps, so that a ray along the axis has no nearest point at infinity.
+        # cylinder is thin and far. It stays between the caps: a ray along the axis has its nearest point at infinity.
         nearest = wp.clamp(-wp.dot(across, slide) / a, enter, leave)
         near = across + nearest * slide
         b = wp.dot(near, slide)
@@ -98,16 +98,16 @@ def primitive_range(p: Primitive, origin: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
-def cell_index(offset: float, count: int):
-    return wp.clamp(int(wp.floor(offset / CELL)), 0, count - 1)
+def cell_index(offset: float, cell: float, count: int):
+    return wp.clamp(int(wp.floor(offset / cell)), 0, count - 1)
 
 
 @wp.func
-def cell_exit(index: int, lower: float, direction: float):
+def cell_exit(index: int, cell: float, lower: float, direction: float):
     """Distance along the ray at which it leaves the cell, along one axis; lower is relative to the ray's origin."""
     if wp.abs(direction) < 1.0e-9:
         return FAR
-    return (lower + CELL * float(index + wp.where(direction > 0.0, 1, 0))) / direction
+    return (lower + cell * float(index + wp.where(direction > 0.0, 1, 0))) / direction
 
 
 @wp.func
@@ -119,7 +119,7 @@ def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec
         nearest = wp.min(nearest, primitive_range(geometry.primitives[geometry.large[i]], origin, direction))
 
     # The part of the ray inside the grid.
-    enter = float(0.0)
+    enter = float(0.0)  # noqa: UP018
     leave = wp.min(range_max, nearest)
     for i in range(3):
         if wp.abs(direction[i]) > 1.0e-9:
@@ -131,11 +131,11 @@ def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec
             leave = -1.0
 
     if enter <= leave:
-        column = cell_index(origin[0] + enter * direction[0] - grid.lower[0], grid.columns)
-        row = cell_index(origin[1] + enter * direction[1] - grid.lower[1], grid.rows)
+        column = cell_index(origin[0] + enter * direction[0] - grid.lower[0], grid.cell, grid.columns)
+        row = cell_index(origin[1] + enter * direction[1] - grid.lower[1], grid.cell, grid.rows)
         while enter <= leave:
-            exit_x = cell_exit(column, grid.lower[0] - origin[0], direction[0])
-            exit_y = cell_exit(row, grid.lower[1] - origin[1], direction[1])
+            exit_x = cell_exit(column, grid.cell, grid.lower[0] - origin[0], direction[0])
+            exit_y = cell_exit(row, grid.cell, grid.lower[1] - origin[1], direction[1])
             out = wp.min(leave, wp.min(exit_x, exit_y))
             z_in = origin[2] + enter * direction[2]
             z_out = origin[2] + out * direction[2]

@@ -1,8 +1,8 @@
 """Exact distance to the nearest point of the filtered cloud, truncated where it no longer matters.
 
-Points are sorted into a cubic grid around the drone. A cell is at least as wide as the largest distance that is asked for, so
-the 27 cells around a position hold every point that counts: nothing is approximated. Cells without a point in those 27 are
-marked, which settles most positions with one look-up.
+Points are sorted into a cubic grid around the drone. A cell is at least as wide as the largest distance that is asked
+for, so the 27 cells around a position hold every point that counts: nothing is approximated. Cells without a point in
+those 27 are marked, which settles most positions with one look-up.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ GRID = wp.constant(40)
 def cell_size(params: Params) -> float:
     """Width of a cell [m]."""
     return wp.max(
-        wp.max(params.distance_max, params.blocked_radius), wp.max(params.safe_clearance, 2.0 * params.range_max / float(GRID))
+        wp.max(params.distance_max, params.blocked_radius),
+        wp.max(params.safe_clearance, 2.0 * params.range_max / float(GRID)),
     )
 
 

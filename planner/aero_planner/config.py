@@ -1,8 +1,8 @@
 """Every parameter of the planner: default, unit, bounds, help, and whether it is live or structural.
 
-A *live* parameter sits in device memory and can change between two plans at no cost. A *structural* one sizes buffers or
-selects kernels; changing it rebuilds the planner. Sliders, command line flags, YAML files and the documentation derive from
-the fields below. Symbols are the paper's.
+A *live* parameter sits in device memory and can change between two plans at no cost. A *structural* one sizes buffers
+or selects kernels; changing it rebuilds the planner. Sliders, command line flags, YAML files and the documentation
+derive from the fields below. Symbols are the paper's.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -51,29 +51,25 @@ class ParameterInfo:
         return f"{self.section}.{self.name}"
 
     def check(self, value: Any) -> Value:
-        """Return `value` in this parameter's type.
+        """Return `value` in this parameter's type; NumPy scalars count as numbers, and 128.0 as a whole one.
 
         Raises:
             ValueError: the value has the wrong type or lies outside the bounds; names field, value and range.
         """
         kind = type(self.default)
+        if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
+            value = value.item()
         if self.choices:
-            if value not in self.choices:
-                raise ValueError(f"{self.path} is {value!r}; it must be one of {', '.join(self.choices)}.")
-            return str(value)
-        if kind is bool:
-            if isinstance(value, bool):
-                return value
-            raise ValueError(f"{self.path} is {value!r}; it must be true or false.")
-        if isinstance(value, bool) or not hasattr(value, "__float__"):
-            raise ValueError(f"{self.path} is {value!r}; it must be a number in [{self.low:g}, {self.high:g}] {self.unit}.")
-        number = float(value)
-        if kind is int and number != math.floor(number):
-            raise ValueError(f"{self.path} is {value!r}; it must be a whole number in [{self.low:g}, {self.high:g}].")
-        if not self.low <= number <= self.high:
-            unit = f" {self.unit}" if self.unit else ""
-            raise ValueError(f"{self.path} is {number:g}{unit}; it must be in [{self.low:g}, {self.high:g}]{unit}.")
-        return int(number) if kind is int else number
+            valid, wanted = isinstance(value, str) and value in self.choices, f"one of {', '.join(self.choices)}"
+        elif kind is bool:
+            valid, wanted = isinstance(value, bool), "true or false"
+        else:
+            valid = isinstance(value, int | float) and not isinstance(value, bool)
+            valid = valid and self.low <= value <= self.high and (kind is float or value == int(value))
+            wanted = f"{'a whole' if kind is int else 'a'} number in [{self.low:g}, {self.high:g}] {self.unit}".rstrip()
+        if not valid:
+            raise ValueError(f"{self.path} is {value!r}; it must be {wanted}.")
+        return kind(value)
 
 
 def _live(
@@ -95,12 +91,14 @@ def _structural(default: int, low: float, high: float, help: str, *, symbol: str
     return field(default=default, metadata=dict(unit="", low=low, high=high, help=help, symbol=symbol, live=False))
 
 
+@dataclass(frozen=True)
 class _Section:
     """Checks every field against its metadata when a section is made."""
 
     def __post_init__(self) -> None:
-        for info in _section_parameters(type(self)):
-            object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
+        for info in _PARAMETERS:
+            if SECTIONS[info.section] is type(self):
+                object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ class PartitionConfig(_Section):
     range_min: float = _live(
         0.1, "m", 0.0, 5.0, "Points nearer than this are ignored: returns from the drone itself. The paper has none."
     )
-    cloud_age_max: float = _live(0.5, "s", 0.05, 10.0, "Age of the cloud from which on the drone brakes, where it is told.")
+    cloud_age_max: float = _live(0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, where told.")
     fine_cells: int = _structural(
         6, 2, 18, "Fine cells along each side of a coarse cell; 6 gives 3 deg in 18 deg.", symbol="n"
     )
@@ -146,8 +144,8 @@ class AnchorConfig(_Section):
     lookahead: float = _live(5.0, "m", 0.2, 30.0, "Distance of the anchors; never beyond the goal.", symbol="l")
     lookahead_rest: float = _live(
         1.5, "m", 0.1, 30.0,
-        "Distance at rest, growing by 0.6 T v with the speed v up to the look-ahead: from rest a full-length guide asks "
-        "for an acceleration that saturates the thrust. At or above the look-ahead this is off, as in the paper.",
+        "Distance at rest, growing by 0.6 T v with the speed v up to the look-ahead: from rest a full-length guide "
+        "asks for an acceleration that saturates the thrust. At or above the look-ahead this is off, as in the paper.",
     )  # fmt: skip
     slow_spread: float = _live(
         2.0, "", 1.0, 5.0, "Factor on the spacing below slow_speed, to find a way round; 1 as in the paper."
@@ -165,9 +163,10 @@ class CandidateConfig(_Section):
         True, "Add the previous best plan, shifted in time and free of the tracking cost: it keeps a way once found.",
         live=False,
     )  # fmt: skip
-    brake: bool = _switch(True, "Add a guide that brakes: something else than 15 guides across an obstacle.", live=False)
+    brake: bool = _switch(True, "Add a guide that brakes, for when all others cross an obstacle.", live=False)
     safe_clearance: float = _live(
-        0.25, "m", 0.0, 5.0, "A candidate that comes nearer than this is not safe; if none is safe, the drone brakes. "
+        0.25, "m", 0.0, 5.0,
+        "A candidate that comes nearer than this is not safe; if none is safe, the drone brakes. "
         "The drone's radius; d_min in the paper preset.",
     )  # fmt: skip
     brake_reach: float = _live(
@@ -184,15 +183,17 @@ class SamplingConfig(_Section):
     dt: float = _live(0.05, "s", 0.005, 0.5, "Length of a step.", symbol="dt")
     temperature: float = _live(0.1, "", 1e-3, 1e3, "Softness of the weights.", scale="log", symbol="lambda")
     variance_thrust: float = _live(1.0, "N^2", 0.0, 100.0, "Noise variance of the thrust.", symbol="Sigma_F")
-    variance_rate_xy: float = _live(1.0, "rad^2/s^2", 0.0, 100.0, "Noise variance of roll and pitch rate.", symbol="Sigma_xy")
+    variance_rate_xy: float = _live(
+        1.0, "rad^2/s^2", 0.0, 100.0, "Noise variance of roll and pitch rate.", symbol="Sigma_xy"
+    )
     variance_rate_z: float = _live(0.5, "rad^2/s^2", 0.0, 100.0, "Noise variance of the yaw rate.", symbol="Sigma_z")
     correlation: float = _live(
         0.8, "", 0.0, 0.99, "Correlation of the noise from step to step, AR(1): smooth detours; 0 as in the paper."
     )
-    keep_nominal: bool = _switch(True, "Let the first sample be the nominal itself, without noise; off as in the paper.")
+    keep_nominal: bool = _switch(True, "Let the first sample be the nominal itself, noise-free; off as in the paper.")
     fresh_noise: bool = _switch(True, "Draw new noise at every plan; otherwise every plan draws the same.")
     nominal: str = _choice(
-        "guide", ("guide", "hover"), "Nominal controls: the guide's by differential flatness, or hovering (no warm start)."
+        "guide", ("guide", "hover"), "Nominal controls: the guide's by differential flatness, or hovering."
     )
     replan_period: float = _live(0.02, "s", 0.001, 1.0, "Time between two plans when the states carry no time.")
 
@@ -224,11 +225,10 @@ class CostConfig(_Section):
     decay: float = _live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
     soft_weight: float = _live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty.")
     q_blocked: float = _live(
-        100.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the straight line from the last state to the goal; 0 as in the "
-        "paper.",
-    )  # fmt: skip
-    blocked_range: float = _live(5.0, "m", 0.5, 20.0, "Length of that line.")
-    blocked_radius: float = _live(0.35, "m", 0.0, 5.0, "Clearance below which that line is blocked.")
+        100.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the way from the last state to the goal; 0 in the paper."
+    )
+    blocked_range: float = _live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
+    blocked_radius: float = _live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
 
 
 @dataclass(frozen=True)
@@ -247,10 +247,13 @@ class PlannerConfig:
     costs: CostConfig = field(default_factory=CostConfig)
 
     def __post_init__(self) -> None:
-        vehicle, costs, partition = self.vehicle, self.costs, self.partition
-        _require_order("vehicle.thrust_min", vehicle.thrust_min, "vehicle.thrust_max", vehicle.thrust_max)
-        _require_order("costs.distance_min", costs.distance_min, "costs.distance_max", costs.distance_max)
-        _require_order("partition.range_min", partition.range_min, "partition.range_max", partition.range_max)
+        for name, section in SECTIONS.items():
+            if not isinstance(getattr(self, name), section):
+                raise ValueError(f"section {name!r} is {getattr(self, name)!r}; it must be a {section.__name__}.")
+        for stem in ("vehicle.thrust", "costs.distance", "partition.range"):
+            low, high = self.get(f"{stem}_min"), self.get(f"{stem}_max")
+            if low >= high:  # type: ignore[operator]
+                raise ValueError(f"{stem}_min is {low}; it must be less than {stem}_max, which is {high}.")
 
     @property
     def anchor_count(self) -> int:
@@ -273,7 +276,6 @@ class PlannerConfig:
 
         Raises:
             ValueError: a path names no parameter (the message suggests the nearest); see also the class.
-            ValueError: see the class.
         """
         grouped: dict[str, dict[str, Any]] = {}
         for path, value in (changes or {}).items():
@@ -301,9 +303,10 @@ class PlannerConfig:
             ValueError: see the class.
         """
         changes: dict[str, Value] = {}
+        if not isinstance(values, Mapping):
+            raise ValueError(f"the configuration is {values!r}; it must hold sections: {', '.join(SECTIONS)}.")
         for section, content in values.items():
-            if section not in SECTIONS:
-                raise ValueError(f"unknown section {section!r}{_suggest(section, SECTIONS)}; known: {', '.join(SECTIONS)}")
+            check_section(section)
             if not isinstance(content, Mapping):
                 raise ValueError(f"section {section!r} is {content!r}; it must hold names and values.")
             changes.update({f"{section}.{name}": value for name, value in content.items()})
@@ -326,11 +329,14 @@ class PlannerConfig:
             ValueError: no such preset; the message lists them.
         """
         if name not in _PRESETS:
-            raise ValueError(f"unknown preset {name!r}{_suggest(name, _PRESETS)}; known: {', '.join(_PRESETS)}")
+            raise ValueError(f"unknown preset {name!r}{did_you_mean(name, _PRESETS)}; known: {', '.join(_PRESETS)}.")
         return cls().replace(_PRESETS[name][1])
 
 
-SECTIONS = tuple(f.name for f in dataclasses.fields(PlannerConfig))
+SECTIONS: dict[str, type[_Section]] = {
+    "vehicle": VehicleConfig, "partition": PartitionConfig, "anchors": AnchorConfig, "candidates": CandidateConfig,
+    "sampling": SamplingConfig, "costs": CostConfig,
+}  # fmt: skip
 
 _PAPER: dict[str, Value] = {
     "vehicle.speed_limit": 50.0,
@@ -359,21 +365,16 @@ _PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
 }
 
 
-def _require_order(low_path: str, low: float, high_path: str, high: float) -> None:
-    if low >= high:
-        raise ValueError(f"{low_path} is {low:g}; it must be less than {high_path}, which is {high:g}.")
+def did_you_mean(name: Any, known: Iterable[str]) -> str:
+    """Return ", did you mean ..?" with the known name nearest to `name`, or nothing when none is near."""
+    close = difflib.get_close_matches(str(name), list(known), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def _suggest(name: str, known: Any) -> str:
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f", did you mean {close[0]!r}?" if close else ""
-
-
-def _section_parameters(section: type, section_name: str | None = None) -> Iterator[ParameterInfo]:
-    title = section_name or section.__name__.removesuffix("Config").lower()
-    names = {"anchor": "anchors", "candidate": "candidates", "cost": "costs"}
-    for f in dataclasses.fields(section):
-        yield ParameterInfo(section=names.get(title, title), name=f.name, default=f.default, **f.metadata)
+def check_section(name: Any) -> None:
+    """Raise ValueError with a suggestion when there is no section `name`."""
+    if name not in SECTIONS:
+        raise ValueError(f"unknown section {name!r}{did_you_mean(name, SECTIONS)}; known: {', '.join(SECTIONS)}.")
 
 
 def parameters() -> tuple[ParameterInfo, ...]:
@@ -384,11 +385,16 @@ def parameters() -> tuple[ParameterInfo, ...]:
 def find_parameter(path: str) -> ParameterInfo:
     """Return the parameter at `path`, such as "costs.q_track"; ValueError with a suggestion when there is none."""
     if path not in _BY_PATH:
-        raise ValueError(f"unknown parameter {path!r}{_suggest(path, _BY_PATH)}")
+        # A right name in a wrong section, or in none, is nearer than any spelling.
+        name = str(path).rpartition(".")[2]
+        same_name = [info.path for info in _PARAMETERS if info.name == name]
+        raise ValueError(f"unknown parameter {path!r}{did_you_mean(path, same_name[:1] or _BY_PATH)}.")
     return _BY_PATH[path]
 
 
 _PARAMETERS = tuple(
-    info for f in dataclasses.fields(PlannerConfig) for info in _section_parameters(type(f.default_factory()), f.name)
-)  # type: ignore[misc]
+    ParameterInfo(section=name, name=f.name, default=f.default, **f.metadata)  # type: ignore[arg-type]
+    for name, section in SECTIONS.items()
+    for f in dataclasses.fields(section)
+)
 _BY_PATH = {info.path: info for info in _PARAMETERS}

@@ -69,7 +69,8 @@ def goal_cost(
 def collision_cost(d: float, params: Params) -> float:
     """J_col at clearance d [m]: C below d_min, nothing from d_max on, between them one of two shapes.
 
-    "exponential" is the paper's C exp(-a (d - d_min)); "quadratic" is soft_weight s^2, s = (d_max - d) / (d_max - d_min).
+    "exponential" is the paper's C exp(-a (d - d_min)); "quadratic" is soft_weight s^2, s = (d_max - d) / (d_max -
+    d_min).
     """
     if d < params.distance_min:
         return params.penalty

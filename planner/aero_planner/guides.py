@@ -26,7 +26,8 @@ def wrap_angle(angle: float) -> float:
 
 @wp.func
 def quintic(p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, p1: wp.vec3, v1: wp.vec3, T: float):
-    """Coefficients c_3, c_4, c_5 of p0 + v0 t + a0/2 t^2 + c_3 t^3 + c_4 t^4 + c_5 t^5, which reaches (p1, v1, 0) at T."""
+    """Coefficients c_3, c_4, c_5 of p0 + v0 t + a0/2 t^2 + c_3 t^3 + c_4 t^4 + c_5 t^5, which reaches (p1, v1, 0) at
+    T."""
     dp = p1 - p0 - T * v0 - (0.5 * T * T) * a0
     dv = T * (v1 - v0 - T * a0)
     da = (-0.5 * T * T) * a0
@@ -79,9 +80,9 @@ def write_nominal(
 ):  # fmt: skip
     """Write the controls that follow a guide: F_t and omega from the flat outputs position and heading.
 
-    The guide's acceleration fixes the thrust vector m (a - g) and so the body's z axis. Rates turn the attitude reached so
-    far to the axis wanted at the end of each step, which also takes up an attitude that does not fit the guide at its start;
-    the heading turns evenly to the goal's.
+    The guide's acceleration fixes the thrust vector m (a - g) and so the body's z axis. Rates turn the attitude reached
+    so far to the axis wanted at the end of each step, which also takes up an attitude that does not fit the guide at
+    its start; the heading turns evenly to the goal's.
     """
     dt = params.dt
     steps = nominal.shape[2]
@@ -119,7 +120,12 @@ def write_brake(
 
 @wp.func
 def write_previous(
-    b: int, m: int, elapsed: float, params: Params, previous: wp.array2d(dtype=wp.vec4), nominal: wp.array3d(dtype=wp.vec4)
+    b: int,
+    m: int,
+    elapsed: float,
+    params: Params,
+    previous: wp.array2d(dtype=wp.vec4),
+    nominal: wp.array3d(dtype=wp.vec4),
 ):
     """Write the previous best controls, shifted by the elapsed time; past their end the drone hovers."""
     steps = nominal.shape[2]
@@ -187,7 +193,7 @@ def make_guides(
             elapsed = c.replan_period
         anchor[b, m] = previous_end[b]
         if not (elapsed >= 0.0 and elapsed < T):
-            elapsed = -1.0
+            elapsed = float(-1.0)
             anchor[b, m] = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
         initial_endpoint[b, m] = anchor[b, m]
     p1 = anchor[b, m]

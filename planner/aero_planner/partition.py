@@ -1,7 +1,8 @@
 """Spherical partition of the cloud: fine ranges, coarse safe directions, filtered cloud.
 
-A direction d = (cos b cos a, cos b sin a, sin b) with azimuth a and elevation b in the body frame. Fine cells have equal
-angles; row 0 looks straight down, column 0 backward (a = -180 deg). Coarse cells pool fine_cells x fine_cells of them.
+A direction d = (cos b cos a, cos b sin a, sin b) with azimuth a and elevation b in the body frame. Fine cells have
+equal angles; row 0 looks straight down, column 0 backward (a = -180 deg). Coarse cells pool fine_cells x fine_cells of
+them.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ def scatter_points(
     keys: wp.array3d(dtype=wp.uint64),
     dropped: wp.array2d(dtype=int),
 ):
-    """r_ij as a minimum over packed keys: range above, the point's index below, so that equal ranges take the first point.
+    """r_ij as a minimum over packed keys: range above, the point's index below, so that equal ranges take the first
+    point.
 
     Launched over [B, points of this lane]; lanes run at the same time on keys of their own.
     """
@@ -84,7 +86,8 @@ def finish_fine(
     occupied: wp.array2d(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
 ):
-    """Ranges and filtered cloud from the keys of all lanes, which are emptied for the next plan. Launched over [B, cells]."""
+    """Ranges and filtered cloud from the keys of all lanes, which are emptied for the next plan. Launched over [B,
+    cells]."""
     b, cell = wp.tid()
     key = EMPTY
     for lane in range(keys.shape[0]):

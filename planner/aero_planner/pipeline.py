@@ -1,7 +1,8 @@
 """The pipeline as a list of launches, recorded once per structure and repeated at every plan.
 
-On the CPU each launch runs on one thread but releases the interpreter, so the heavy stages are cut into *lanes*, slices of
-the points and of the instances, which run at the same time. On CUDA there is one lane and everything replays as one graph.
+On the CPU each launch runs on one thread but releases the interpreter, so the heavy stages are cut into *lanes*, slices
+of the points and of the instances, which run at the same time. On CUDA there is one lane and everything replays as one
+graph.
 """
 
 from __future__ import annotations
@@ -15,10 +16,9 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner import anchors, clearance, guides, mppi, partition
+from aero_planner import anchors, clearance, guides, mppi, partition, stage2
 from aero_planner.config import PlannerConfig
 from aero_planner.guides import heading
-from aero_planner.params import Params
 
 __all__ = ["Pipeline"]
 
@@ -97,7 +97,12 @@ class Pipeline:
         self._stages = self._record(config, inputs, outputs, work, params)
 
     def _record(
-        self, config: PlannerConfig, inputs: SimpleNamespace, outputs: SimpleNamespace, work: SimpleNamespace, params: wp.array
+        self,
+        config: PlannerConfig,
+        inputs: SimpleNamespace,
+        outputs: SimpleNamespace,
+        work: SimpleNamespace,
+        params: wp.array,
     ) -> list[_Stage]:
         B, M, N, K = self._batch, len(config.kinds), config.sampling.steps, config.sampling.samples
         part, anchor_count = config.partition, config.anchor_count
@@ -141,8 +146,8 @@ class Pipeline:
             "partition",
             launch(partition.finish_fine, (B, fine), w.keys, self._points, params, o.fine_range, o.occupied, o.filtered),
             launch(
-                partition.pool_coarse, (B, coarse), o.fine_range, w.initial_direction, anchor_count, *pool, o.safe_range,
-                o.safe_direction,
+                partition.pool_coarse, (B, coarse), o.fine_range, w.initial_direction, anchor_count, *pool,
+                o.safe_range, o.safe_direction,
             ),
         )  # fmt: skip
         guide = serial(
@@ -152,8 +157,8 @@ class Pipeline:
                 w.initial_direction, *pool, o.anchor,
             ),
             launch(
-                guides.make_guides, (B, M), *state, i.acceleration, i.time, *goal, params, anchor_count, previous, brake,
-                w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
+                guides.make_guides, (B, M), *state, i.acceleration, i.time, *goal, params, anchor_count, previous,
+                brake, w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
                 o.coefficient, o.guide, w.nominal,
             ),
         )  # fmt: skip
@@ -175,38 +180,38 @@ class Pipeline:
                     w.nominal, w.sample_controls, w.sample_positions, o.cost,
                 )),
                 ("clearance", launch(
-                    clearance.query_clearance, (n, N + mppi.PROBES, K), first, M, N, w.sample_positions, i.position, params,
-                    *grid, w.sample_distance,
+                    clearance.query_clearance, (n, N + mppi.PROBES, K), first, M, N, w.sample_positions, i.position,
+                    params, *grid, w.sample_distance,
                 )),
                 ("update", launch(
-                    mppi.score_samples, (n, K), first, M, i.goal_position, params, w.sample_positions, w.sample_distance,
-                    o.cost,
+                    mppi.score_samples, (n, K), first, M, i.goal_position, params, w.sample_positions,
+                    w.sample_distance, o.cost,
                 )),
                 ("update", launch(mppi.weigh, n, first, M, params, o.cost, w.weight)),
                 ("update", launch(mppi.update, (n, N), first, M, w.nominal, w.sample_controls, w.weight, o.controls)),
                 ("stage2", launch(
-                    mppi.roll_out_best, n, first, M, *state, *goal, params, o.controls, o.positions, o.velocities,
+                    stage2.roll_out_best, n, first, M, *state, *goal, params, o.controls, o.positions, o.velocities,
                     o.quaternions, w.probed, o.J_goal, w.J_speed,
                 )),
                 ("stage2", launch(
-                    clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, w.probed, i.position, params, *grid,
-                    w.distance,
+                    clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, w.probed, i.position, params,
+                    *grid, w.distance,
                 )),
             ]  # fmt: skip
             optimise.lanes.append([(name, command.launch) for name, command in launches])
         choose = serial(
             "stage2",
             launch(
-                mppi.select, B, i.goal_position, i.position, params, i.cloud_age, *grid, w.distance, o.positions, o.J_goal,
-                w.J_speed, o.J_col, o.S2, o.clearance, o.best, o.status,
+                stage2.select, B, i.goal_position, i.position, params, i.cloud_age, *grid, w.distance, o.positions,
+                o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance, o.best, o.status,
             ),
             launch(
-                mppi.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, *grid, o.status, o.best,
-                o.braked, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions, w.probed,
-                w.distance, o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance,
+                stage2.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, *grid, o.status, o.best,
+                o.braked, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions,
+                w.probed, w.distance, o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance,
             ),
             launch(
-                mppi.remember, B, i.time, params, o.best, o.controls, o.positions, w.tick, w.previous_controls,
+                stage2.remember, B, i.time, params, o.best, o.controls, o.positions, w.tick, w.previous_controls,
                 w.previous_end, w.previous_time,
             ),
         )  # fmt: skip
@@ -241,7 +246,9 @@ class Pipeline:
             array.zero_()
         self.stage_ms = {}
         for stage in self._stages:
-            others = [self._executor.submit(self._run_lane, lane, {}) for lane in stage.lanes[1:]] if self._executor else []
+            others = (
+                [self._executor.submit(self._run_lane, lane, {}) for lane in stage.lanes[1:]] if self._executor else []
+            )
             self._run_lane(stage.lanes[0], self.stage_ms)
             started = time.perf_counter()
             for other in others:

@@ -57,7 +57,7 @@ class PlanStatus(enum.IntEnum):
     NO_SAFE_CANDIDATE = 1
     """Every candidate comes too close; `controls[best]` is a braking sequence."""
     STALE_CLOUD = 2
-    """The cloud held no usable point in view; the plan assumes free space."""
+    """The cloud is older than partition.cloud_age_max; `controls[best]` is a braking sequence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +69,8 @@ class Plan:
     """
 
     fine_range: Array
-    """r_ij: nearest range per 3 deg cell, r_max where empty [m], shape [60, 120]; elevation rows from -90 deg up, azimuth
-    columns from -180 deg, body frame."""
+    """r_ij: nearest range per 3 deg cell, r_max where empty [m], shape [60, 120]; elevation rows from -90 deg up,
+    azimuth columns from -180 deg, body frame."""
     safe_range: Array
     """Largest fine range of each coarse cell [m], shape [10, 20]."""
     safe_direction: Array

@@ -96,8 +96,8 @@ class Planner:
         if hasattr(self, "_pipeline"):
             self._pipeline.close()
         self._pipeline = Pipeline(
-            self._config, batch=self._batch, lanes=self._lanes, inputs=self._inputs.arrays, outputs=self._outputs.arrays,
-            work=self._work, points=self.points, params=self._params,
+            self._config, batch=self._batch, lanes=self._lanes, inputs=self._inputs.arrays,
+            outputs=self._outputs.arrays, work=self._work, points=self.points, params=self._params,
         )  # fmt: skip
 
     def _write_params(self, records: NDArray[Any] | None = None) -> None:
@@ -117,14 +117,15 @@ class Planner:
 
     @property
     def inputs(self) -> SimpleNamespace:
-        """Device arrays read by `launch`: position, velocity, acceleration, goal_position, goal_velocity [B] vec3; quaternion,
-        goal_quaternion [B] vec4, w x y z; time [B] float64 [s]; cloud_age [B] [s]; point_count [B]. NaN in goal_velocity,
-        goal_quaternion or time means: derive it. The cloud is `points`."""
+        """Device arrays read by `launch`: position, velocity, acceleration, goal_position, goal_velocity [B] vec3;
+        quaternion, goal_quaternion [B] vec4, w x y z; time [B] float64 [s]; cloud_age [B] [s]; point_count [B]. NaN in
+        goal_velocity, goal_quaternion or time means: derive it. The cloud is `points`."""
         return self._inputs.arrays
 
     @property
     def outputs(self) -> SimpleNamespace:
-        """Device arrays written by `launch`, instances flattened where a name is singular; see `buffers.output_block`."""
+        """Device arrays written by `launch`, instances flattened where a name is singular; see
+        `buffers.output_block`."""
         return self._outputs.arrays
 
     @property
@@ -135,17 +136,21 @@ class Planner:
     def configure(self, config: PlannerConfig | Sequence[PlannerConfig]) -> None:
         """Use another configuration from the next plan on.
 
-        Live parameters are copied to the device and nothing else happens; a structural change rebuilds buffers and forgets
-        the previous plan. A sequence of B configurations of equal structure gives each drone its own.
+        Live parameters are copied to the device and nothing else happens; a structural change rebuilds buffers and
+        forgets the previous plan. A sequence of B configurations of equal structure gives each drone its own.
 
         Raises:
             ValueError: a sequence has the wrong length or differs in structure.
         """
         configs = [config] if isinstance(config, PlannerConfig) else list(config)
         if not isinstance(config, PlannerConfig) and len(configs) != self._batch:
-            raise ValueError(f"{len(configs)} configurations were given for a batch of {self._batch}; give one for each.")
+            raise ValueError(
+                f"{len(configs)} configurations were given for a batch of {self._batch}; give one for each."
+            )
         if any(other.structure() != configs[0].structure() for other in configs):
-            raise ValueError("the configurations of one batch differ in structure; give them equal samples, steps and grids.")
+            raise ValueError(
+                "the configurations of one batch differ in structure; give them equal samples, steps and grids."
+            )
         rebuild = configs[0].structure() != self._config.structure()
         self._config = configs[0]
         if rebuild:
@@ -160,8 +165,11 @@ class Planner:
         if count != self.points.shape[1]:
             self.points = wp.full((self._batch, max(count, 1)), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
             self._record()
+        else:
+            self.points.fill_(wp.vec3(np.nan))
         self._inputs.host()["point_count"][:] = count
         self._inputs.upload()
+        self._pipeline.limit_points(count)
 
     def reset(self) -> None:
         """Forget the previous plan and start the noise anew."""
@@ -244,9 +252,9 @@ class Planner:
             "goal_quaternion": _checked("goal.quaternion", goal.quaternion, (*batch, 4), missing=np.nan),
             "cloud_age": _checked("cloud_age", cloud_age, (), limit=np.inf),
         }
-        for name in ("quaternion", "goal_quaternion"):
+        for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
             if (np.linalg.norm(values[name], axis=-1) < 1e-6).any():
-                raise ValueError(f"{name} is zero; give a unit quaternion in the order w, x, y, z.")
+                raise ValueError(f"{field} is zero; give a unit quaternion in the order w, x, y, z.")
         host = self._inputs.host()
         for name, value in values.items():
             host[name][:] = value
@@ -264,7 +272,9 @@ class Planner:
             elif self._device.is_cpu:
                 self.points.numpy()[b, : counts[b]] = cloud
             else:
-                source = wp.array(np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False)
+                source = wp.array(
+                    np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False
+                )
                 wp.copy(self.points[b], source, count=counts[b])
         self._inputs.host()["point_count"][:] = counts
         self._pipeline.limit_points(max(counts))
@@ -281,7 +291,9 @@ class Planner:
             clouds = [np.asarray(cloud) for cloud in points] if self._batched else [np.asarray(points)]
             for cloud in clouds:
                 if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
-                    raise ValueError(f"points has shape {cloud.shape} and type {cloud.dtype}; it must be (P, 3) numbers [m].")
+                    raise ValueError(
+                        f"points has shape {cloud.shape} and type {cloud.dtype}; it must be (P, 3) numbers [m]."
+                    )
         if len(clouds) != self._batch:
             raise ValueError(f"points holds {len(clouds)} clouds; the batch has {self._batch} drones.")
         return clouds
@@ -344,7 +356,9 @@ class Planner:
 
 
 def _find_device(name: str) -> wp.Device:
-    wp.config.quiet = True
+    # Warp reports the modules it loads on stdout, which would mix with the caller's own output.
+    if wp.config.log_level == wp.LOG_INFO:
+        wp.config.log_level = wp.LOG_WARNING
     try:
         return wp.get_device(name)
     except Exception as error:

@@ -1,7 +1,10 @@
 """Small bags of every format, written by rosbags' and mcap's own writers."""
 
+# ruff: noqa: F401
+
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -118,7 +122,8 @@ def livox(seconds: float, points: np.ndarray, offsets: np.ndarray) -> Item:
             for p, t in zip(points, offsets, strict=True)
         ]  # fmt: skip
         return make(store, "livox_ros_driver2/msg/CustomMsg", header=header(store, ros1, stamp, "lidar"),
-                    timebase=stamp, point_num=len(rows), lidar_id=0, rsvd=np.zeros(3, np.uint8), points=rows)  # fmt: skip
+                    timebase=stamp, point_num=len(rows), lidar_id=0, rsvd=np.zeros(3, np.uint8),
+                    points=rows)  # fmt: skip
 
     return Item("/livox/lidar", "livox_ros_driver2/msg/CustomMsg", stamp, build)
 
@@ -186,7 +191,7 @@ def drive(sweeps: int = 10, speed: float = 2.0, poses_per_sweep: int = 4, **opti
     items: list[Item] = []
     for k in range((sweeps - 1) * poses_per_sweep + 1):
         t = 0.1 * k / poses_per_sweep
-        items.append(odometry(t, start + [speed * t, 0, 0], twist=(speed, 0, 0), **options))
+        items.append(odometry(t, np.add(start, [speed * t, 0, 0]), twist=(speed, 0, 0), **options))
     for k in range(sweeps):
         items.append(cloud(0.1 * k, xyz(wall(seed=k) - [speed * 0.1 * k, 0, 0])))
     return sorted(items, key=lambda item: item.time)
@@ -213,9 +218,9 @@ def write_ros1(path: Path, items: Iterable[Item], compression: str | None = None
 
 
 def write_ros2(path: Path, items: Iterable[Item], plugin: str, compression: str | None = None) -> Path:
-    writer = Writer2(path, version=9, storage_plugin=getattr(StoragePlugin, plugin.upper()))
+    writer = Writer2(path, version=9, storage_plugin=StoragePlugin[plugin.upper()])
     if compression:
-        writer.set_compression(getattr(Writer2.CompressionMode, compression.upper()), Writer2.CompressionFormat.ZSTD)
+        writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
     with writer:
         _write_ros(writer, False, items)
     return path
@@ -262,3 +267,15 @@ FORMATS: dict[str, Callable[[Path, list[Item]], Path]] = {
 def mcap_of(tmp_path) -> Callable[[list[Item]], Path]:
     """Return a function that writes messages into an MCAP file."""
     return lambda items: write_mcap(tmp_path / "a.mcap", sorted(items, key=lambda item: item.time))
+
+
+@pytest.fixture
+def bags() -> Any:
+    """Return the functions of this module: test modules cannot import one another."""
+    return sys.modules[__name__]
+
+
+@pytest.fixture(params=sorted(FORMATS))
+def written(request, tmp_path) -> Callable[[list[Item]], Path]:
+    """Return a function that writes messages in the format of this run of the test."""
+    return lambda items: FORMATS[request.param](tmp_path, items)

@@ -1,0 +1,35 @@
+# `make demo` and `make test` are all that a newcomer needs; each sets up .venv first.
+.PHONY: help demo test check format bench setup setup-dev clean
+PYTHON_BIN := .venv/bin/python
+ARGS ?=
+
+help:            ## show this help
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+
+setup:           ## install what the product needs into .venv
+	@scripts/setup run
+
+setup-dev:       ## the same with the test tools and a Chromium
+	@scripts/setup dev
+
+demo: setup      ## fly the forest in the browser
+	@.venv/bin/aero-viz demo $(ARGS)
+
+test: setup-dev check  ## all checks and tests
+	$(PYTHON_BIN) -m pytest $(ARGS)
+
+check: setup-dev  ## style and types
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/pyright
+
+format: setup-dev  ## rewrite the sources in the project's style
+	.venv/bin/ruff check --fix .
+	.venv/bin/ruff format .
+
+bench: setup     ## planner benchmark on this machine
+	$(PYTHON_BIN) -m aero_planner.benchmark $(ARGS)
+
+clean:           ## remove .venv and caches
+	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,49 @@
+"""What the engine publishes: one immutable record per tick, and sentences for the user."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from aero_planner import Plan, PlannerConfig
+from numpy.typing import NDArray
+
+from aero_viz.source import Observation
+
+__all__ = ["Frame", "Notice"]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Record of one tick: what was seen, what was planned, and how. Never changed after it is published."""
+
+    index: int
+    """Number of the tick since the source's start."""
+    time: float
+    """Time in the source [s]."""
+    observation: Observation
+    plan: Plan
+    config: PlannerConfig
+    config_version: int
+    """Counts the configurations of the session."""
+    outcome: str | None
+    """None while running; see `Source.outcome`."""
+    timings_ms: dict[str, float]
+    """Duration of "observe", "plan" and of the "advance" that led here [ms]."""
+    rate: float
+    """Ticks per second of wall time, over the last second."""
+    dropped_ticks: int
+    """Ticks skipped (recording) or started late by more than a period (flight) since the source's start."""
+    trail: NDArray[np.float32]
+    """Positions so far [m], shape [n, 3], world frame; read-only."""
+    epoch: int
+    """Changes when time jumps or the source is exchanged."""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A sentence for the user."""
+
+    level: Literal["info", "error"]
+    text: str

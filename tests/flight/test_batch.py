@@ -1,0 +1,134 @@
+"""Closed-loop flights with the planner."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from aero_planner import PlannerConfig
+
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightBatch, FlightRules, fly
+from aero_viz.scenes import World, scene
+from aero_viz.sensors import LidarModel
+
+CONFIG = PlannerConfig.preset("fast-cpu")
+LIDAR = LidarModel("small", points_per_sweep=2000)
+SHORT = FlightRules(time_limit=1.0)
+
+
+@pytest.fixture(scope="module")
+def sparse() -> World:
+    return scene("forest", seed=3, count=20)
+
+
+def rows(path):
+    with open(path, encoding="utf-8") as file:
+        return list(csv.reader(file))
+
+
+def test_flight_through_a_sparse_forest_arrives_and_reports(sparse, tmp_path):
+    result = fly(sparse, config=CONFIG, seed=1, lidar=LIDAR, trajectory=tmp_path / "t.csv")
+    assert result.arrived and result.reason == "arrived"
+    assert (result.seed, result.scene, result.config) == (1, sparse.name, "fast-cpu")
+    assert result.min_clearance and result.mean_clearance and result.plan_ms_median
+    assert 44.0 <= result.length_m < 60.0 and 0.25 <= result.min_clearance <= result.mean_clearance <= 2.5
+    assert result.mean_speed == pytest.approx(result.length_m / result.flight_time_s)
+    assert json.loads(json.dumps(result.to_dict())) == dataclasses.asdict(result)
+
+    header, *table = rows(tmp_path / "t.csv")
+    assert header == ["t", "x", "y", "z", "vx", "vy", "vz"]
+    t, p, v = np.split(np.array(table, dtype=float), [1, 4], axis=1)
+    assert t[0] == 0.0 and t[-1] == pytest.approx(result.flight_time_s)
+    np.testing.assert_array_equal(p[0], sparse.start)
+    assert np.linalg.norm(p[-1] - sparse.goal) <= 1.0 and sparse.distance(p).min() >= result.min_clearance - 1e-4
+    # The metrics follow from the file: the path through its positions, the jerk from its velocities.
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).sum() == pytest.approx(result.length_m, rel=1e-4)
+    assert np.linalg.norm(v, axis=1).max() == pytest.approx(result.max_speed, abs=1e-4)
+    mean_acceleration = np.vstack([np.zeros(3), np.diff(v, axis=0) / 0.02])
+    smoothness = np.sum(np.diff(mean_acceleration, axis=0) ** 2) / 0.02
+    assert smoothness == pytest.approx(result.smoothness, rel=1e-2)
+
+
+def test_same_seed_same_flight_bit_for_bit(sparse, tmp_path):
+    results = [
+        fly(sparse, config=CONFIG, seed=seed, lidar=LIDAR, rules=SHORT, trajectory=tmp_path / f"{i}.csv")
+        for i, seed in enumerate((7, 7, 8))
+    ]
+    first, again, other = (dataclasses.replace(result, plan_ms_median=None) for result in results)
+    assert first == again and first.reason == "timeout"
+    assert first.length_m != other.length_m
+    assert (tmp_path / "0.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()
+
+
+def test_batch_flies_as_one_by_one():
+    worlds = [
+        scene("forest", seed=1, count=30),
+        scene("inclines", seed=2, count=60),
+        scene("verticals", seed=3, count=60),
+    ]
+    together = FlightBatch(worlds, config=CONFIG, seed=10, lidar=LIDAR, rules=SHORT)
+    results = together.run()
+    for b, world in enumerate(worlds):
+        alone = FlightBatch([world], config=CONFIG, seed=10 + b, lidar=LIDAR, rules=SHORT)
+        result = alone.run()[0]
+        # Float32 on one device in the same order: equal to the last bit.
+        np.testing.assert_array_equal(
+            alone.simulator.vehicle.position.numpy()[0], together.simulator.vehicle.position.numpy()[b]
+        )
+        assert dataclasses.replace(result, plan_ms_median=None) == dataclasses.replace(results[b], plan_ms_median=None)
+
+
+def test_one_configuration_per_flight(sparse):
+    slow, fast = (CONFIG.replace({"vehicle.speed_limit": speed}) for speed in (2.0, 7.0))
+    results = FlightBatch([sparse, sparse], config=[slow, fast], lidar=LIDAR, rules=FlightRules(time_limit=2.0)).run()
+    assert results[0].max_speed < 3.0 < results[1].max_speed
+    assert [result.config for result in results] == ["custom", "fast-cpu"]
+
+
+def test_speed_replaces_the_limit(sparse):
+    result = fly(sparse, config=CONFIG, lidar=LIDAR, speed=2.0, rules=FlightRules(time_limit=2.0))
+    assert 1.0 < result.max_speed < 3.0
+
+
+def test_collision_at_the_start_plans_nothing():
+    inside = World("inside", np.zeros(3), np.array([9.0, 0, 0]), spheres=np.array([[0.0, 0.0, 0.0, 1.0]]))
+    result = fly(inside, config=CONFIG, lidar=LIDAR)
+    assert (result.reason, result.flight_time_s, result.mean_speed, result.plan_ms_median) == (
+        "collision",
+        0.0,
+        0.0,
+        None,
+    )
+
+
+def test_empty_world_has_no_clearance():
+    result = fly(World("empty", np.zeros(3), np.array([6.0, 0, 0])), config=CONFIG, lidar=LIDAR)
+    assert result.arrived and result.min_clearance is None and result.mean_clearance is None
+    json.dumps(result.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"speed": -1.0}, "speed_limit"),
+        ({"device": "cuda:99"}, "cuda:99"),
+        ({"rules": FlightRules(period=0.07)}, "tick"),
+    ],
+)
+def test_impossible_options_are_one_sentence(sparse, options, expected):
+    with pytest.raises(UserError, match=expected):
+        fly(sparse, config=CONFIG, lidar=LIDAR, **options)
+
+
+def test_trajectory_that_cannot_be_written_is_named(sparse, tmp_path):
+    with pytest.raises(UserError, match="no_folder"):
+        fly(sparse, config=CONFIG, lidar=LIDAR, trajectory=tmp_path / "no_folder" / "t.csv")
+
+
+def test_no_worlds():
+    with pytest.raises(ValueError, match="no worlds"):
+        FlightBatch([])

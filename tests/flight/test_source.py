@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from aero_planner import Planner, PlannerConfig
+
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightRules, FlightSource
+from aero_viz.scenes import World, scene
+from aero_viz.sensors import LidarModel
+from aero_viz.source import Source
+
+LIDAR = LidarModel("small", points_per_sweep=2000)
+
+
+@pytest.fixture
+def planner() -> Planner:
+    return Planner(PlannerConfig.preset("fast-cpu"), device="cpu", seed=4)
+
+
+@pytest.fixture
+def source() -> FlightSource:
+    return FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4)
+
+
+def fly(source: Source, planner: Planner, ticks: int):
+    seen = []
+    for _ in range(ticks):
+        now = source.observe()
+        source.advance(planner.plan(now.state, now.goal, now.points))
+        now = source.observe()
+        seen.append((now.time, np.asarray(now.state.position), np.asarray(now.state.quaternion), now.points))
+    return seen
+
+
+def test_first_observation(source):
+    now = source.observe()
+    assert (now.time, now.sweep_count, source.outcome, source.period) == (0.0, 10, None, 0.02)
+    np.testing.assert_array_equal(now.state.position, [0.0, 0.0, 2.0])
+    np.testing.assert_array_equal(now.goal.position, [45.0, 0.0, 2.0])
+    assert now.points.dtype == np.float32 and np.isfinite(now.points).all() and len(now.points) > 1000
+    assert np.abs(source.scenery.world.distance(now.points)).max() < 0.15  # 6 sigma of the range noise
+    assert source.closed_loop and source.times is None
+
+
+def test_observe_has_no_side_effects(source, planner):
+    fly(source, planner, 2)
+    assert source.observe() is source.observe()
+    with pytest.raises(ValueError, match="read-only"):
+        source.observe().points[0] = 0.0
+
+
+def test_a_new_sweep_replaces_the_oldest_every_tenth_of_a_second(source, planner):
+    first = source.observe().points
+    seen = fly(source, planner, 10)
+    clouds = [first, *(points for *_, points in seen)]
+    changed = [not np.array_equal(a, b) for a, b in pairwise(clouds)]
+    assert changed == [False] * 4 + [True] + [False] * 4 + [True]
+
+
+def test_flight_goes_toward_the_goal(source, planner):
+    fly(source, planner, 60)
+    assert source.observe().state.position[0] > 3.0 and source.outcome is None
+    result = source.result()
+    assert result.flight_time_s == pytest.approx(1.2) and result.length_m > 3.0
+
+
+@pytest.mark.parametrize("ticks", [10, 13])  # at the end of a sweep, and within one
+def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
+    fly(source, planner, ticks)
+    checkpoint, history = source.checkpoint(), planner.history()
+    first = fly(source, planner, 12)
+    fly(source, planner, 3)
+    source.restore(checkpoint)
+    planner.restore(history)
+    for a, b in zip(first, fly(source, planner, 12), strict=True):
+        for x, y in zip(a, b, strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+def test_checkpoints_share_their_clouds(source, planner):
+    fly(source, planner, 3)
+    first = source.checkpoint()
+    fly(source, planner, 1)
+    second = source.checkpoint()
+    assert all(a is b for a, b in zip(first.sweeps, second.sweeps, strict=True))
+
+
+def test_restore_refuses_what_is_no_checkpoint(source):
+    with pytest.raises(TypeError, match="dict is no checkpoint"):
+        source.restore({})
+
+
+def test_same_seed_same_cloud():
+    world = scene("forest", seed=2, count=40)
+    a, b, c = (FlightSource(world, lidar=LIDAR, seed=seed).observe().points for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(a, c)
+
+
+def test_goal_moves_and_returns_with_the_checkpoint(source, planner):
+    checkpoint = source.checkpoint()
+    source.set_goal([10.0, 5.0, 3.0])
+    np.testing.assert_array_equal(source.observe().goal.position, [10.0, 5.0, 3.0])
+    fly(source, planner, 1)
+    source.restore(checkpoint)
+    np.testing.assert_array_equal(source.observe().goal.position, [45.0, 0.0, 2.0])
+
+
+@pytest.mark.parametrize("goal", [[1.0, 2.0], [1.0, float("nan"), 2.0]])
+def test_impossible_goals_are_refused(source, goal):
+    with pytest.raises(UserError, match="three finite numbers"):
+        source.set_goal(goal)
+
+
+def test_arrived_flight_stays_until_the_goal_moves(planner):
+    world = World("near", np.array([0.0, 0.0, 2.0]), np.array([0.5, 0.0, 2.0]))
+    source = FlightSource(world, lidar=LIDAR)
+    assert source.outcome == "arrived"
+    plan = planner.plan(source.observe().state, source.observe().goal, source.observe().points)
+    source.advance(plan)
+    assert source.observe().time == 0.0
+    source.set_goal([9.0, 0.0, 2.0])
+    source.advance(plan)
+    assert source.outcome is None and source.observe().time == pytest.approx(0.02)
+
+
+def test_flights_have_no_time_line(source):
+    with pytest.raises(TypeError, match="restore"):
+        source.seek(1.0)
+
+
+def test_tick_that_does_not_divide_the_sweep_is_a_users_error():
+    with pytest.raises(UserError, match="no multiple of the tick"):
+        FlightSource(scene("forest", seed=0, count=1), rules=FlightRules(period=0.03))

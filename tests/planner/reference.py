@@ -1,0 +1,238 @@
+"""The paper in float64 NumPy, written from its equations: slow, short and independent of the kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from aero_planner import PlannerConfig
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+# Attitude: unit quaternions w, x, y, z, body to world.
+
+
+def quat_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product."""
+    w, x, y, z = a
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]) @ b
+
+
+def rotation(q: Array) -> Array:
+    """R(q), the matrix of a unit quaternion; also evaluated as it stands within RK4, where |q| strays from 1."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def unit(v: Array) -> Array:
+    return v / np.linalg.norm(v)
+
+
+# 2. and 3. Partition.
+
+
+def cell_indices(directions: Array, rows: int, columns: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Row and column of each direction, and its distance to the nearest border in cells."""
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0])
+    elevation = np.arcsin(np.clip(directions[..., 2] / np.linalg.norm(directions, axis=-1), -1.0, 1.0))
+    row, column = (elevation / np.pi + 0.5) * rows, (azimuth / (2 * np.pi) + 0.5) * columns
+    border = np.minimum(np.abs(row - np.round(row)), np.abs(column - np.round(column)))
+    return np.clip(row.astype(int), 0, rows - 1), column.astype(int) % columns, border
+
+
+def cell_centers(rows: int, columns: int) -> Array:
+    """Unit directions of the cells' centres, shape [rows, columns, 3]."""
+    elevation = np.radians(-90 + (np.arange(rows) + 0.5) * 180 / rows)[:, None]
+    azimuth = np.radians(-180 + (np.arange(columns) + 0.5) * 360 / columns)[None]
+    return np.stack(
+        (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth), -1
+    )
+
+
+def partition(
+    points: Array, position: Array, quaternion: Array, *, range_max: float, range_min: float, rows: int, columns: int
+) -> tuple[Array, NDArray[np.intp]]:
+    """r_ij and the index of the nearest point of each cell (-1 where empty), both of shape [rows, columns]."""
+    fine, nearest = np.full((rows, columns), range_max), np.full((rows, columns), -1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        offsets = points - position
+        ranges = np.linalg.norm(offsets, axis=1)
+        usable = np.flatnonzero(np.isfinite(points).all(axis=1) & (ranges <= range_max) & (ranges >= range_min))
+    row, column, _ = cell_indices(offsets[usable] @ rotation(unit(quaternion)), rows, columns)
+    for i, r, c in zip(usable, row, column, strict=True):
+        if nearest[r, c] < 0 or ranges[i] < fine[r, c]:
+            fine[r, c], nearest[r, c] = ranges[i], i
+    return fine, nearest
+
+
+def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Array]:
+    """Maximum range of a coarse cell and the directions, shape [n, 3], of the fine cells that share it."""
+    block = np.s_[row * pool : (row + 1) * pool, column * pool : (column + 1) * pool]
+    ranges, directions = fine[block], cell_centers(*fine.shape)[block]
+    return float(ranges.max()), directions[ranges == ranges.max()]
+
+
+# 4. Anchors.
+
+
+def lookahead(speed: float, goal_distance: float, config: PlannerConfig) -> float:
+    """l; the options tie it to the speed: min(l, l_rest + 0.6 T v), and never beyond 0.6 T v_limit or the goal."""
+    steady, a = 0.6 * config.horizon, config.anchors
+    at_speed = a.lookahead_rest + steady * speed if a.lookahead_rest < a.lookahead else np.inf
+    return min(a.lookahead, at_speed, steady * config.vehicle.speed_limit, goal_distance)
+
+
+def anchor_directions(position: Array, velocity: Array, goal: Array, config: PlannerConfig) -> Array:
+    """World directions of the initial endpoints, shape [M_h M_v, 3]; columns run fastest."""
+    a, (x, y, z) = config.anchors, goal - position
+    spacing = np.radians(a.spacing) * (a.slow_spread if np.linalg.norm(velocity) < a.slow_speed else 1.0)
+    azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing
+    elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * spacing
+    return np.array([[np.cos(e) * np.cos(h), np.cos(e) * np.sin(h), np.sin(e)] for e in elevation for h in azimuth])
+
+
+# 5. Guides.
+
+
+def quintic(p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, T: float) -> Array:
+    """Coefficients a_0 .. a_5, shape [3, 6], by solving the six boundary conditions with a1 = 0."""
+    conditions = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 2, 0, 0, 0], [T**k for k in range(6)]]
+    conditions += [[k * T ** max(k - 1, 0) for k in range(6)], [k * (k - 1) * T ** max(k - 2, 0) for k in range(6)]]
+    return np.linalg.solve(np.array(conditions, float), np.array([p0, v0, a0, p1, v1, np.zeros(3)])).T
+
+
+def sample_guide(coefficients: Array, times: Array) -> Array:
+    """Positions at `times`, shape [n, 3]."""
+    return (coefficients @ times[None, :] ** np.arange(6)[:, None]).T
+
+
+# Model.
+
+
+def derivative(x: Array, u: Array, config: PlannerConfig) -> Array:
+    """dx/dt of x = [p, q, v] under u = (F_t, omega)."""
+    q, v = x[3:7], x[7:]
+    dv = rotation(q)[:, 2] * u[0] / config.vehicle.mass - [0, 0, config.vehicle.gravity]
+    return np.concatenate((v, 0.5 * quat_multiply(q, np.concatenate(([0.0], u[1:]))), dv))
+
+
+def rk4(x: Array, u: Array, config: PlannerConfig) -> Array:
+    """One step of dt, with q renormalised."""
+    h = config.sampling.dt
+    k1 = derivative(x, u, config)
+    k2 = derivative(x + h / 2 * k1, u, config)
+    k3 = derivative(x + h / 2 * k2, u, config)
+    k4 = derivative(x + h * k3, u, config)
+    x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    x[3:7] = unit(x[3:7])
+    return x
+
+
+@dataclass
+class Rollout:
+    """States after each control: p [N, 3], q [N, 4], v [N, 3]."""
+
+    p: Array
+    q: Array
+    v: Array
+
+
+def roll_out(position: Array, quaternion: Array, velocity: Array, controls: Array, config: PlannerConfig) -> Rollout:
+    x, states = np.concatenate((position, unit(quaternion), velocity)), []
+    for u in controls.astype(np.float64):
+        x = rk4(x, u, config)
+        states.append(x)
+    x = np.array(states)
+    return Rollout(x[:, :3], x[:, 3:7], x[:, 7:])
+
+
+# Clearance and costs.
+
+
+def clearance(positions: Array, points: Array, limit: float) -> Array:
+    """Distance of each position, shape [n, 3], to the nearest point, at most `limit`."""
+    if len(points) == 0:
+        return np.full(len(positions), limit)
+    distance = np.linalg.norm(positions[:, None] - points[None].astype(np.float64), axis=2).min(axis=1)
+    return np.minimum(distance, limit)
+
+
+def J_track(p: Array, guide: Array, config: PlannerConfig) -> float:
+    return float(config.costs.q_track * np.linalg.norm(p - guide, axis=1).sum())
+
+
+def J_vnorm(v: Array, config: PlannerConfig) -> float:
+    return config.costs.q_vnorm * (v**2).sum()
+
+
+def J_ctrl(u: Array, config: PlannerConfig) -> float:
+    """Q_c |u_t|^2 over t = 0..N-2 and Q_cd |u_t - u_{t-1}|^2 over t = 1..N-2: the last control is free."""
+    change = u[1:-1] - u[:-2]
+    return config.costs.q_control * (u[:-1] ** 2).sum() + config.costs.q_control_rate * (change**2).sum()
+
+
+def J_goal(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, config: PlannerConfig) -> float:
+    c, R_goal = config.costs, rotation(unit(q_goal))
+    attitude = sum(np.linalg.norm(rotation(q) @ R_goal.T - np.eye(3)) for q in x.q)
+    position, velocity = np.linalg.norm(x.p - p_goal, axis=1).sum(), np.linalg.norm(x.v - v_goal, axis=1).sum()
+    return float(c.q_position * position + c.q_velocity * velocity + c.q_attitude * attitude)
+
+
+def J_col(d: Array, config: PlannerConfig) -> float:
+    c = config.costs
+    if c.shape == "exponential":
+        between = c.penalty * np.exp(-c.decay * (d - c.distance_min))
+    else:
+        between = c.soft_weight * ((c.distance_max - d) / (c.distance_max - c.distance_min)) ** 2
+    return float(np.where(d < c.distance_min, c.penalty, np.where(d < c.distance_max, between, 0.0)).sum())
+
+
+def J_speed(v: Array, config: PlannerConfig) -> float:
+    excess = np.maximum(np.linalg.norm(v, axis=1) - config.vehicle.speed_limit, 0.0)
+    return float(config.costs.q_speed * (excess**2).sum())
+
+
+def probes(p: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
+    """Middles of `count` pieces of the way from p toward the goal, and the length of that way."""
+    distance = float(np.linalg.norm(goal - p))
+    length = min(config.costs.blocked_range, distance)
+    fractions = (np.arange(count) + 0.5) / count * length / max(distance, 1e-6)
+    return p + fractions[:, None] * (goal - p), length
+
+
+def J_blocked(p: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
+    """Cost-to-go: q_blocked times the blocked metres from the last state toward the goal."""
+    if config.costs.q_blocked == 0.0:
+        return 0.0
+    radius = config.costs.blocked_radius
+    places, length = probes(p, goal, config)
+    return config.costs.q_blocked * length * float((clearance(places, points, 2 * radius + 1) < radius).mean())
+
+
+def S2(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig) -> float:
+    """J_goal + J_col and the options' terms."""
+    d = clearance(x.p, points, config.costs.distance_max)
+    options = J_speed(x.v, config) + J_blocked(x.p[-1], p_goal, points, config)
+    return J_goal(x, p_goal, v_goal, q_goal, config) + J_col(d, config) + options
+
+
+def S1(
+    x: Rollout, u: Array, guide: Array | None, goal: tuple[Array, Array, Array], points: Array, config: PlannerConfig
+) -> float:
+    """J_track + J_vnorm + J_ctrl + S2; no guide, no J_track."""
+    track = 0.0 if guide is None else J_track(x.p, guide, config)
+    return track + J_vnorm(x.v, config) + J_ctrl(u, config) + S2(x, *goal, points, config)
+
+
+def softmin(S: Array, temperature: float) -> Array:
+    """Weights exp(-(S - min S) / lambda) / sum along the last axis."""
+    w = np.exp(-(S - S.min(axis=-1, keepdims=True)) / temperature)
+    return w / w.sum(axis=-1, keepdims=True)

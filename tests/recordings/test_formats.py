@@ -1,0 +1,166 @@
+"""Every format gives the same sweeps, poses and report."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from aero_viz.errors import UserError
+from aero_viz.recordings import inspect, open_recording
+
+
+def test_same_recording_from_every_format(written, bags):
+    path = written([*bags.drive(), bags.text(0.95)])
+    with open_recording(path) as recording:
+        assert recording.points_topic == "/points" and recording.pose_topic == "/odom"
+        assert recording.problems == []
+        np.testing.assert_allclose(recording.sweep_times, 0.1 * np.arange(10), atol=1e-9)
+        # Backwards, so that nothing relies on the order of the file.
+        for k in reversed(range(10)):
+            sweep = recording.sweep(k)
+            np.testing.assert_array_equal(sweep.points, (bags.wall(seed=k) - [0.2 * k, 0, 0]).astype(np.float32))
+            assert sweep.time == recording.sweep_times[k] and sweep.dropped == 0 and sweep.point_times is None
+        assert recording.poses is not None
+        np.testing.assert_array_equal(recording.poses.offset, [100, 50, 2])
+        np.testing.assert_allclose(recording.poses.at(0.45).position, [0.9, 0, 0], atol=1e-6)
+        np.testing.assert_allclose(recording.poses.velocities, np.tile([2.0, 0, 0], (37, 1)))
+
+
+def test_report_of_every_format(written, bags):
+    info = inspect(written([*bags.drive(), bags.text(0.95)]))
+    assert info.sweeps == 10 and info.poses == 37 and info.problems == ()
+    assert info.duration_s == pytest.approx(0.95)
+    assert [topic._asdict() for topic in info.topics] == [
+        {"name": "/note", "type": "std_msgs/msg/String", "count": 1},
+        {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 37},
+        {"name": "/points", "type": "sensor_msgs/msg/PointCloud2", "count": 10},
+    ]
+    assert info.points_per_sweep is not None and info.points_per_sweep.median == 200
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("mcap-zstd", "mcap"),
+        ("rosbag2-mcap", "rosbag2-mcap"),
+        ("rosbag2-sqlite3", "rosbag2-sqlite3"),
+        ("db3", "rosbag2-sqlite3"),
+        ("rosbag1-lz4", "rosbag1"),
+    ],
+)
+def test_name_of_the_format(bags, tmp_path, name, expected):
+    assert inspect(bags.FORMATS[name](tmp_path, bags.drive())).format == expected
+
+
+def test_content_decides_the_format_and_not_the_suffix(bags, tmp_path):
+    path = bags.write_ros1(tmp_path / "a.bag", bags.drive())
+    assert inspect(path.rename(tmp_path / "flight.bag.active")).format == "rosbag1"
+
+
+@pytest.mark.parametrize("compression", ["NONE", "ZSTD", "LZ4"])
+def test_truncated_mcap_plays_what_is_whole(bags, tmp_path, compression):
+    whole = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=bags.CompressionType[compression])
+    whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    info = inspect(whole)
+    assert 2 <= info.sweeps < 10
+    assert any("a.mcap is truncated" in problem for problem in info.problems)
+    with open_recording(whole) as recording:
+        assert all(len(recording.sweep(k).points) == 200 for k in range(info.sweeps))
+
+
+@pytest.mark.parametrize("compression", [None, "lz4"])
+def test_truncated_ros1_bag_plays_what_is_whole(bags, tmp_path, compression):
+    # rosbags starts a chunk per MiB: enough sweeps for several.
+    points = np.tile(bags.wall(20_000), (1, 1))
+    items = [bags.cloud(0.1 * k, bags.xyz(points)) for k in range(20)]
+    path = bags.write_ros1(tmp_path / "a.bag", items, compression)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    info = inspect(path)
+    assert 4 <= info.sweeps < 20
+    assert any("a.bag is truncated" in problem for problem in info.problems)
+
+
+def test_unindexed_ros1_bag_plays_and_says_how_to_repair_it(bags, tmp_path):
+    path = bags.write_ros1(tmp_path / "a.bag", bags.drive())
+    raw = bytearray(path.read_bytes())
+    at = raw.index(b"index_pos=") + len(b"index_pos=")
+    raw[at : at + 8] = bytes(8)
+    path.write_bytes(raw)
+    info = inspect(path)
+    assert info.sweeps == 10
+    assert any("rosbag reindex" in problem for problem in info.problems)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_damaged_chunk_costs_its_messages_only(bags, tmp_path, which):
+    path = bags.write_mcap(tmp_path / "a.mcap", bags.drive())
+    raw = bytearray(path.read_bytes())
+    at = [match.end() for match in re.finditer(b"zstd", raw)][which] + 100
+    raw[at : at + 50] = bytes(50)
+    path.write_bytes(raw)
+    info = inspect(path)
+    assert 5 <= info.sweeps < 10
+    assert "1 damaged records or blocks of a.mcap are left out" in info.problems
+
+
+@pytest.mark.parametrize(("compression", "sweeps"), [("NONE", {10}), ("ZSTD", {5, 6, 7, 8, 9})])
+def test_wrong_length_of_a_chunk_costs_at_most_that_chunk(bags, tmp_path, compression, sweeps):
+    path = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=bags.CompressionType[compression])
+    with path.open("rb") as file:
+        chunks = bags.make_reader(file).get_summary().chunk_indexes
+    raw = bytearray(path.read_bytes())
+    raw[chunks[0].chunk_start_offset + 8] = 255  # the length's most significant byte
+    path.write_bytes(raw)
+    info = inspect(path)
+    assert len(chunks) > 1 and info.sweeps in sweeps
+    assert any("up to the next chunk" in problem for problem in info.problems)
+
+
+def test_damaged_message_in_the_middle_is_counted(bags, mcap_of):
+    broken = bags.cloud(0.45, bags.xyz(bags.wall()))
+    build = broken.build
+    broken.build = lambda store, ros1: _shortened(build(store, ros1))
+    info = inspect(mcap_of([*bags.drive(), broken]))
+    assert info.sweeps == 10
+    assert any(problem.startswith("1 of 11 messages on /points are left out") for problem in info.problems)
+
+
+def _shortened(message):
+    message.data = message.data[:100]
+    return message
+
+
+def test_folder_without_metadata_plays(bags, tmp_path):
+    path = bags.write_ros2(tmp_path / "bag", bags.drive(), "sqlite3")
+    (path / "metadata.yaml").unlink()
+    info = inspect(path)
+    assert info.sweeps == 10 and info.format == "rosbag2-sqlite3"
+    assert any("metadata.yaml" in problem for problem in info.problems)
+
+
+def test_folder_of_several_files_is_one_recording(bags, tmp_path):
+    items = bags.drive()
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for part in range(3):
+        bags.write_mcap(folder / f"bag_{part}.mcap", items[part::3])
+    names = "".join(f"    - bag_{part}.mcap\n" for part in range(3))
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{names}")
+    assert inspect(folder).sweeps == 10
+
+
+def test_topics_are_reported_where_nothing_can_be_decoded(bags, tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = bags.McapWriter(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.PointCloud", "protobuf", b"")
+        channel = writer.register_channel("/cloud", "protobuf", schema)
+        writer.add_message(channel, 0, b"abc", 0)
+        writer.finish()
+    info = inspect(path)
+    assert [topic.type for topic in info.topics] == ["foxglove.PointCloud"] and info.sweeps == 0
+    with pytest.raises(UserError, match=r"/cloud \(foxglove.PointCloud\)"):
+        open_recording(path)

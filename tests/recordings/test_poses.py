@@ -1,0 +1,160 @@
+"""Pose tracks, TF chains and the choice between pose topics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.errors import UserError
+from aero_viz.recordings import PoseTrack, inspect, open_recording
+
+LEVEL = np.array([1.0, 0, 0, 0])
+YAW_90 = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+
+
+def track(times, positions, quaternions=None, velocities=None):
+    return PoseTrack.build(times, positions, np.tile(LEVEL, (len(times), 1)) if quaternions is None else quaternions,
+                           velocities)  # fmt: skip
+
+
+def test_interpolation_between_two_poses():
+    two = track([0.0, 1.0], [[10, 0, 0], [12, 4, 0]], [LEVEL, YAW_90])
+    pose = two.at([0.0, 0.25, 1.0])
+    np.testing.assert_allclose(pose.position, [[0, 0, 0], [0.5, 1, 0], [2, 4, 0]])
+    quarter = np.pi / 16  # half of a quarter of 90 degrees
+    np.testing.assert_allclose(pose.quaternion[1], [np.cos(quarter * 1.0), 0, 0, np.sin(quarter)], atol=1e-12)
+
+
+def test_slerp_takes_the_short_way():
+    two = track([0.0, 1.0], np.zeros((2, 3)), [LEVEL, -YAW_90])
+    half = two.at(0.5).quaternion
+    np.testing.assert_allclose(np.abs(half), [np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)], atol=1e-12)
+
+
+def test_positions_are_rebased_and_keep_millimetres_in_float32():
+    far = track([0.0, 1.0], [[4.5e6, 5e5, 0], [4.5e6 + 0.001, 5e5, 0]])
+    assert far.positions.astype(np.float32)[1, 0] == pytest.approx(0.001, rel=1e-3)
+    np.testing.assert_array_equal(far.offset, [4.5e6, 5e5, 0])
+
+
+def test_twist_is_rotated_from_the_body_to_the_world():
+    turned = track([0.0, 1.0], np.zeros((2, 3)), [YAW_90, YAW_90], [[3, 0, 1], [3, 0, 1]])
+    assert turned.measured_velocity
+    np.testing.assert_allclose(turned.velocities, [[0, 3, 1], [0, 3, 1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("twist", [None, np.zeros((21, 3)), np.full((21, 3), np.nan)])
+def test_velocity_from_positions_without_a_twist(twist):
+    t = np.linspace(0, 2, 21)
+    derived = track(t, np.stack([t**2, 3 * t, 0 * t], axis=1), None, twist)
+    assert not derived.measured_velocity
+    np.testing.assert_allclose(derived.velocities[1:-1], np.stack([2 * t, 3 + 0 * t, 0 * t], 1)[1:-1], atol=1e-9)
+
+
+def test_order_and_repetition_of_poses_do_not_matter():
+    shuffled = track([0.2, 0.0, 0.1, 0.1], [[2, 0, 0], [0, 0, 0], [9, 9, 9], [1, 0, 0]])
+    np.testing.assert_array_equal(shuffled.times, [0.0, 0.1, 0.2])
+    np.testing.assert_array_equal(shuffled.positions[:, 0], [0, 1, 2])
+
+
+def test_extrapolation_ends_at_the_tolerance():
+    two = track([0.0, 0.5], [[0, 0, 0], [1, 0, 0]])
+    np.testing.assert_allclose(two.at(0.59).position, [1.18, 0, 0])
+    np.testing.assert_array_equal(two.covers([-0.11, -0.09, 0.3, 0.59, 0.61]), [False, True, True, True, False])
+    with pytest.raises(ValueError, match="no recorded pose"):
+        two.at(0.61)
+
+
+def test_long_gaps_are_not_bridged():
+    gap = track([0.0, 0.1, 0.2, 5.0, 5.1], np.zeros((5, 3)))
+    np.testing.assert_array_equal(gap.covers([0.15, 0.25, 2.0, 4.95, 5.05]), [True, True, False, True, True])
+
+
+def test_pose_stamped_only(written, bags):
+    items = [bags.pose_stamped(0.1 * k, [0.5 * k, 0, 1]) for k in range(5)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(5)]
+    with open_recording(written(sorted(items, key=lambda item: item.time))) as recording:
+        assert recording.pose_topic == "/pose" and recording.poses is not None
+        assert not recording.poses.measured_velocity
+        np.testing.assert_allclose(recording.poses.velocities, np.tile([5.0, 0, 0], (5, 1)), atol=1e-6)
+
+
+def test_tf_chain_with_a_static_extrinsic(written, bags):
+    items = [
+        bags.transform(0, "base_link", "lidar", [0.1, 0, 0.2], YAW_90, topic="/tf_static"),
+        bags.transform(0, "map", "odom", [10, 0, 0], YAW_90),
+        *(bags.transform(0.05 * k, "odom", "base_link", [0.1 * k, 0, 0]) for k in range(21)),
+        *(bags.cloud(0.1 * k, bags.xyz([[1.0, 0, 0]])) for k in range(11)),
+    ]
+    with open_recording(written(sorted(items, key=lambda item: item.time))) as recording:
+        assert recording.pose_topic == "/tf" and recording.poses is not None and recording.problems == []
+        # The lidar looks to the left of the body; the cloud comes back in the body's frame.
+        np.testing.assert_allclose(recording.sweep(0).points, [[0.1, 1.0, 0.2]], atol=1e-6)
+        np.testing.assert_allclose(recording.poses.offset, [10, 0, 0], atol=1e-9)
+        pose = recording.poses.at(0.5)
+        np.testing.assert_allclose(pose.position, [0, 1, 0], atol=1e-6)
+        np.testing.assert_allclose(pose.quaternion, YAW_90, atol=1e-9)
+        np.testing.assert_allclose(pose.velocity, [0, 2, 0], atol=1e-6)
+
+
+def test_odometry_of_another_frame_uses_the_static_transform(bags, mcap_of):
+    static = [
+        bags.transform(0, "base", "mast", [0, 0, 1], topic="/tf_static"),
+        bags.transform(0, "mast", "lidar", [0, 0, 0.5], YAW_90, topic="/tf_static"),
+    ]
+    with open_recording(mcap_of([*static, *bags.drive(child="base")])) as recording:
+        expected = bags.wall()[:, [1, 0, 2]] * [-1, 1, 1] + [0, 0, 1.5]
+        np.testing.assert_allclose(recording.sweep(0).points, expected, atol=1e-5)
+        assert recording.problems == []
+
+
+def test_unknown_extrinsic_is_said(bags, mcap_of):
+    problems = inspect(mcap_of(bags.drive(child="base_link"))).problems
+    assert any("'base_link'" in problem and "'lidar'" in problem for problem in problems)
+
+
+def test_odometry_comes_before_pose_stamped_and_can_be_overruled(bags, mcap_of):
+    path = mcap_of([*bags.drive(), *(bags.pose_stamped(0.01 * k, [0, k, 0]) for k in range(100))])
+    assert inspect(path).pose_topic == "/odom"
+    info = inspect(path, pose_topic="/pose")
+    assert info.pose_topic == "/pose" and info.poses == 100
+
+
+def test_a_topic_of_goals_is_not_taken_for_the_poses(bags, mcap_of):
+    items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
+    items += [bags.odometry(60.0, [0, 0, 0], topic="/odom_of_another_day")]
+    items += [bags.pose_stamped(0.1 * k, [k, 0, 0]) for k in range(10)]
+    assert inspect(mcap_of(items)).pose_topic == "/pose"
+
+
+def test_uncovered_sweeps_are_left_out_and_named(bags, mcap_of):
+    items = [item for item in bags.drive() if item.topic == "/points" or item.time >= bags.START + 0.4e9]
+    path = mcap_of(items)
+    info = inspect(path)
+    # The first pose comes at 0.4 s and answers from 0.3 s on.
+    assert info.sweeps == 7 and "no pose covers sweeps 0..2 of 10" in info.problems
+    with open_recording(path) as recording:
+        assert recording.sweep_times[0] == 0.0 and recording.poses is not None
+        assert recording.poses.times[0] == pytest.approx(0.1)
+
+
+def test_different_clocks_fall_back_to_the_time_of_recording(bags, mcap_of):
+    items = [bags.cloud(0.1 * k, bags.xyz(bags.wall()), late=1000.0) for k in range(10)]
+    items += [bags.odometry(1000 + 0.1 * k, [k, 0, 0]) for k in range(10)]
+    info = inspect(mcap_of(items))
+    assert info.sweeps == 10 and any("different clocks" in problem for problem in info.problems)
+
+
+def test_poses_of_another_time_are_an_error(bags, mcap_of):
+    items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(3)]
+    path = mcap_of([*items, bags.odometry(60, [0, 0, 0]), bags.odometry(61, [0, 0, 0])])
+    with pytest.raises(UserError, match=r"/odom .* do not overlap the sweeps"):
+        open_recording(path)
+    assert inspect(path).sweeps == 0
+
+
+def test_unset_quaternions_are_left_out(bags, mcap_of):
+    items = [*bags.drive(), bags.odometry(0.512, [0, 0, 0], wxyz=(0, 0, 0, 0))]
+    info = inspect(mcap_of(items))
+    assert info.poses == 37
+    assert any("1 of 38 messages on /odom" in problem for problem in info.problems)

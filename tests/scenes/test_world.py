@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from aero_viz.errors import UserError
+from aero_viz.scenes import World
+
+
+@pytest.fixture
+def world() -> World:
+    s = np.sqrt(0.5)
+    return World(
+        "mixed",
+        np.array([0.0, 0.0, 2.0]),
+        np.array([10.0, 0.0, 2.0]),
+        cylinders=np.array([[4.0, 0.0, 0.0, 0.0, s, s, 0.3, 5.0], [6.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.5, 3.0]]),
+        boxes=np.array([[8.0, -1.0, 1.0, 2.0, 1.0, 2.0, 0.6], [5.0, 0.0, -0.5, 40.0, 40.0, 1.0, 0.0]]),
+        spheres=np.array([[2.0, 3.0, 4.0, 1.0]]),
+    )
+
+
+def write(path, **changes):
+    content = {"name": "w", "start": [0, 0, 2], "goal": [5, 0, 2], **changes}
+    path.write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+    return path
+
+
+def test_distance_to_cylinder():
+    tower = World("", np.zeros(3), np.ones(3), cylinders=np.array([[1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.5, 3.0]]))
+    points = [[3.0, 2.0, 1.0], [1.0, 2.0, 5.0], [1.9, 2.0, 3.3], [1.0, 2.0, 1.5], [1.4, 2.0, 1.5], [1.0, 2.0, 2.9]]
+    np.testing.assert_allclose(tower.distance(points), [1.5, 2.0, 0.5, -0.5, -0.1, -0.1], atol=1e-12)
+
+
+def test_distance_to_box_with_yaw():
+    box = World("", np.zeros(3), np.ones(3), boxes=np.array([[0.0, 0.0, 0.0, 4.0, 2.0, 2.0, np.pi / 2]]))
+    points = [[0.0, 3.0, 0.0], [3.0, 0.0, 0.0], [4.0, 6.0, 0.0], [0.0, 0.0, 0.9]]
+    np.testing.assert_allclose(box.distance(points), [1.0, 2.0, 5.0, -0.1], atol=1e-12)
+
+
+def test_distance_is_the_nearest_sampled_surface_point(world):
+    # Outside, the distance is the smallest one to any point of the surface, here sampled densely from its definition.
+    rng = np.random.default_rng(0)
+    base, axis, radius, height = world.cylinders[0, :3], world.cylinders[0, 3:6], 0.3, 5.0
+    u, v = np.array([1.0, 0.0, 0.0]), np.cross(axis, [1.0, 0.0, 0.0])
+    angle, along, share = (
+        rng.uniform(0, 2 * np.pi, 200_000),
+        rng.uniform(0, height, 200_000),
+        rng.uniform(0, 1, 200_000),
+    )
+    ring = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
+    mantle = base + along[:, None] * axis + radius * ring
+    disc = base + height * axis + radius * np.sqrt(share)[:, None] * ring
+    surface = np.vstack([mantle, disc])
+    inclined = World("", world.start, world.goal, cylinders=world.cylinders[:1])
+    for point in ([4.0, 1.0, 3.0], [4.5, 5.0, 6.0], [2.0, 3.0, 5.0]):
+        expected = np.linalg.norm(surface - point, axis=1).min()
+        assert inclined.distance([point])[0] == pytest.approx(expected, abs=2e-2)
+
+
+def test_distance_of_an_empty_world_is_infinite():
+    assert World("", np.zeros(3), np.ones(3)).distance([[0.0, 0.0, 0.0]])[0] == np.inf
+
+
+def test_save_and_load_change_nothing(world, tmp_path):
+    world.save(tmp_path / "w.json")
+    loaded = World.load(tmp_path / "w.json")
+    for key in ("start", "goal", "cylinders", "boxes", "spheres", "bounds"):
+        np.testing.assert_array_equal(getattr(loaded, key), getattr(world, key))
+    assert loaded.name == "mixed"
+    assert "bounds" not in json.loads((tmp_path / "w.json").read_text())
+
+
+def test_explicit_bounds_are_kept(tmp_path):
+    World.load(write(tmp_path / "a.json", bounds=[[-1, -2, -3], [9, 8, 7]])).save(tmp_path / "b.json")
+    np.testing.assert_array_equal(World.load(tmp_path / "b.json").bounds, [[-1, -2, -3], [9, 8, 7]])
+
+
+def test_optional_keys_default_to_empty_and_bounds_are_generous(tmp_path):
+    world = World.load(write(tmp_path / "w.json"))
+    assert (len(world.cylinders), len(world.boxes), len(world.spheres)) == (0, 0, 0)
+    np.testing.assert_array_equal(world.bounds, [[-10.0, -10.0, -8.0], [15.0, 10.0, 12.0]])
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"goal": None}, '"goal" is missing'),
+        ({"start": [0, 0]}, '"start" has 2 values'),
+        ({"start": [0, "x", 0]}, "y = 'x'"),
+        ({"cylinders": [[0, 0, 0, 0, 0, 1, 1, 1], [0, 0, 0, 0, 0, 1, 1]]}, '"cylinders" row 1 has 7 values'),
+        ({"cylinders": [[0, 0, 0, 0, 0, 1, -1, 1]]}, '"cylinders" row 0 has radius = -1'),
+        ({"cylinders": [[0, 0, 0, 0, 1, 1, 1, 1]]}, '"cylinders" row 0 has an axis of length 1.41'),
+        ({"boxes": [[0, 0, 0, 1, 1, 0, 0]]}, '"boxes" row 0 has sz = 0'),
+        ({"boxes": {"a": 1}}, '"boxes" is'),
+        ({"spheres": [[0, 0, None, 1]]}, '"spheres" row 0 has z = None'),
+        ({"bounds": [[0, 0, 0]]}, '"bounds" has 1 rows'),
+        ({"bounds": [[0, 0, 5], [1, 1, 1]]}, '"bounds" row 0 must be less'),
+        ({"name": 3}, '"name" is 3'),
+        ({"spheers": []}, 'unknown key "spheers"'),
+    ],
+)
+def test_malformed_world_names_file_key_and_row(tmp_path, changes, expected):
+    path = write(tmp_path / "bad.json", **changes)
+    with pytest.raises(UserError) as caught:
+        World.load(path)
+    assert str(path) in str(caught.value) and expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_not_finite_numbers_are_refused(tmp_path):
+    path = tmp_path / "w.json"
+    path.write_text('{"name": "w", "start": [0, 0, NaN], "goal": [1, 1, 1]}')
+    with pytest.raises(UserError, match="z = nan"):
+        World.load(path)
+
+
+@pytest.mark.parametrize("content", [b"{", b"[1, 2]", b"\xff\xfe\x00", b"[" * 100_000])
+def test_file_that_is_no_world(tmp_path, content):
+    path = tmp_path / "w.json"
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=r"w\.json"):
+        World.load(path)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere\.json"):
+        World.load(tmp_path / "nowhere.json")
+
+
+def test_arrays_are_read_only(world):
+    with pytest.raises(ValueError, match="read-only"):
+        world.cylinders[0, 0] = 1.0
+
+
+def test_ground_is_the_box_under_start_and_goal(world):
+    assert world.ground.tolist() == [False, True]
+
+
+def test_meshes_lie_on_the_surfaces(world):
+    meshes = world.to_meshes()
+    assert set(meshes) == {"cylinders", "boxes", "ground", "spheres"}
+    for mesh in meshes.values():
+        assert mesh.faces.max() < len(mesh.vertices)
+    tables = {"cylinders": {"cylinders": world.cylinders}, "spheres": {"spheres": world.spheres}}
+    tables |= {"boxes": {"boxes": world.boxes[:1]}, "ground": {"boxes": world.boxes[1:]}}
+    for kind, table in tables.items():
+        alone = World("", world.start, world.goal, **table)
+        np.testing.assert_allclose(alone.distance(meshes[kind].vertices), 0.0, atol=1e-5)
+
+
+def test_mesh_faces_point_outward(world):
+    # The signed volume of a closed mesh with outward faces is positive and near that of the solid.
+    box = world.to_meshes()["boxes"]
+    a, b, c = (box.vertices[box.faces[:, i]].astype(float) for i in range(3))
+    assert np.sum(np.cross(a, b) * c) / 6.0 == pytest.approx(4.0, rel=1e-5)
+    for kind, volume in (("spheres", 4 / 3 * np.pi), ("cylinders", np.pi * (0.09 * 5.0 + 0.25 * 3.0))):
+        mesh = world.to_meshes()[kind]
+        a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(float) for i in range(3))
+        assert 0.8 * volume < np.sum(np.cross(a, b) * c) / 6.0 < volume

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import warp as wp
+
+from aero_viz.errors import UserError
+from aero_viz.scenes import World
+from aero_viz.sensors import LIDARS, DeviceWorlds, Lidar, LidarModel, full_sphere, lidar_model, livox_mid360, spinning64
+
+RADIUS = 10.0
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def shell() -> World:
+    """Six walls 10 m from the origin: every ray has a return."""
+    faces = [[s * 15.0 * (k == i) for k in range(3)] for i in range(3) for s in (-1, 1)]
+    return World(
+        "", np.zeros(3), np.ones(3), boxes=np.array([[*c, *[10.0 if v else 60.0 for v in c], 0.0] for c in faces])
+    )
+
+
+def sweep(model, world, *, number=0, seeds=(0,), position=(0, 0, 0), before=None, quaternion=LEVEL):
+    worlds = DeviceWorlds([world] * len(seeds))
+    lidar = Lidar(model, worlds, seeds=seeds)
+    count = len(seeds)
+    poses = wp.array([position] * count, dtype=wp.vec3), wp.array([quaternion] * count, dtype=wp.vec4)
+    earlier = wp.array([before or position] * count, dtype=wp.vec3), poses[1]
+    finished = wp.zeros(count, dtype=int)
+    lidar.scan(number, 0, model.points_per_sweep, poses=poses, poses_before=earlier, finished=finished)
+    return lidar.points.numpy()
+
+
+def exact(model, **changes):
+    return dataclasses.replace(model, range_noise=0.0, dropout=0.0, **changes)
+
+
+def directions(points):
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def coverage(points):
+    """Share of the 3 deg cells of the Mid-360's field of view that hold a point."""
+    d = directions(points)
+    elevation = np.degrees(np.arcsin(np.clip(d[:, 2], -1.0, 1.0)))
+    azimuth = np.degrees(np.arctan2(d[:, 1], d[:, 0])) + 180.0
+    cells = np.floor(azimuth / 3.0).astype(int) % 120 * 60 + np.floor((elevation + 7.0) / 3.0).astype(int)
+    return len(np.unique(cells[(elevation > -7.0) & (elevation < 50.0)])) / (120 * 19)
+
+
+def test_mid360_field_of_view_and_rate(shell):
+    model = livox_mid360()
+    assert model.points_per_sweep * model.sweep_rate == 200_000
+    elevation = np.degrees(np.arcsin(directions(sweep(exact(model), shell)[0])[:, 2]))
+    assert elevation.min() >= -7.01 and elevation.max() <= 52.01
+    assert elevation.min() < -6.9 and elevation.max() > 51.9
+
+
+def test_full_sphere_is_uniform(shell):
+    d = directions(sweep(exact(full_sphere()), shell)[0])
+    np.testing.assert_allclose(d.mean(axis=0), 0.0, atol=2e-3)
+    np.testing.assert_allclose(d.T @ d / len(d), np.eye(3) / 3.0, atol=2e-3)
+
+
+def test_spinning64_has_64_rings(shell):
+    d = directions(sweep(exact(spinning64()), shell)[0]).astype(float)
+    rings = np.unique(np.round(np.degrees(np.arcsin(d[:, 2])), 2))
+    assert len(rings) == 64 and rings[0] == -22.5 and rings[-1] == 22.5
+
+
+def test_coverage_grows_from_sweep_to_sweep(shell):
+    model = exact(livox_mid360(), points_per_sweep=1000)
+    clouds = [sweep(model, shell, number=number)[0] for number in range(10)]
+    shares = [coverage(np.concatenate(clouds[:n])) for n in (1, 2, 5, 10)]
+    assert shares[0] < 0.5 and shares[-1] > 0.99
+    assert all(b > a for a, b in pairwise(shares))
+    repeated = exact(spinning64(), points_per_sweep=1024)
+    np.testing.assert_allclose(sweep(repeated, shell, number=0), sweep(repeated, shell, number=7), atol=1e-5)
+
+
+def test_range_noise_statistics():
+    model = dataclasses.replace(full_sphere(), range_noise=0.05, dropout=0.0)
+    # The sensor is in a corner of nothing but one sphere, straight above: all rays that hit it come back radially.
+    ball = World("", np.zeros(3), np.ones(3), spheres=np.array([[0.0, 0.0, 30.0, 25.0]]))
+    noisy, clean = sweep(model, ball)[0], sweep(exact(model), ball)[0]
+    hit = ~np.isnan(clean[:, 0])
+    error = np.linalg.norm(noisy[hit], axis=1) - np.linalg.norm(clean[hit], axis=1)
+    count = hit.sum()
+    assert count > 4000
+    assert abs(error.mean()) < 4 * 0.05 / np.sqrt(count)
+    assert error.std() == pytest.approx(0.05, rel=4 / np.sqrt(2 * count))
+    assert abs(np.mean(error**3)) / 0.05**3 < 4 * np.sqrt(15 / count)  # symmetric
+    np.testing.assert_allclose(directions(noisy[hit]), directions(clean[hit]), atol=1e-5)  # along the ray only
+
+
+def test_dropout_loses_its_share(shell):
+    lost = np.isnan(sweep(dataclasses.replace(full_sphere(), dropout=0.25), shell)[0, :, 0]).mean()
+    assert lost == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 20_000))
+
+
+def test_range_limits_leave_nan():
+    world = World("", np.zeros(3), np.ones(3), spheres=np.array([[3.0, 0, 0, 1.0]]))
+    assert np.isfinite(sweep(exact(full_sphere()), world)).any()
+    assert np.isnan(sweep(exact(full_sphere(), range_max=1.9), world)).all()
+    assert np.isnan(sweep(exact(full_sphere(), range_min=3.0, range_max=9.0), world)).all()
+
+
+def test_motion_within_a_sweep(shell):
+    # The points lie on the walls, seen from a sensor that moves 1 m while it measures: no skew in the world frame.
+    model = exact(full_sphere())
+    points = sweep(model, shell, position=(1.0, 0.0, 0.0), before=(0.0, 0.0, 0.0))[0].astype(float)
+    np.testing.assert_allclose(np.abs(points).max(axis=1), RADIUS, atol=1e-4)
+    origin = (np.arange(model.points_per_sweep)[:, None] + 0.5) / model.points_per_sweep * [1.0, 0.0, 0.0]
+    still = sweep(model, shell)[0].astype(float)
+    np.testing.assert_allclose(directions(points - origin), directions(still), atol=1e-5)
+
+
+def test_attitude_turns_the_pattern(shell):
+    # Yaw of 90 degrees: body x looks along world y.
+    half = np.sqrt(0.5)
+    model = exact(livox_mid360())
+    level = directions(sweep(model, shell)[0])
+    turned = directions(sweep(model, shell, quaternion=(half, 0.0, 0.0, half))[0])
+    np.testing.assert_allclose(turned, np.column_stack([-level[:, 1], level[:, 0], level[:, 2]]), atol=1e-5)
+
+
+def test_seed_decides_and_the_batch_does_not(shell):
+    model = livox_mid360()
+    together = sweep(model, shell, seeds=(5, 6))
+    np.testing.assert_array_equal(together[0], sweep(model, shell, seeds=(5,))[0])
+    np.testing.assert_array_equal(together[1], sweep(model, shell, seeds=(6,))[0])
+    assert not np.array_equal(together[0], together[1], equal_nan=True)
+
+
+def test_finished_sensors_measure_nothing(shell):
+    lidar = Lidar(livox_mid360(), DeviceWorlds([shell]), seeds=[0])
+    poses = wp.zeros(1, dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
+    lidar.scan(0, 0, 100, poses=poses, poses_before=poses, finished=wp.ones(1, dtype=int))
+    assert np.isnan(lidar.points.numpy()).all()
+
+
+def test_point_times_span_the_sweep():
+    times = livox_mid360().point_times()
+    assert times.shape == (20_000,) and times[0] > 0.0 and times[-1] < 0.1
+    np.testing.assert_allclose(np.diff(times), 5e-6)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"points_per_sweep": 0}, {"rings": 3}, {"range_max": 0.05}, {"dropout": 1.5}, {"elevation_min": 60.0}]
+)
+def test_impossible_models_are_refused(changes):
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        LidarModel("odd", **changes)
+
+
+def test_models_by_name():
+    assert all(lidar_model(name).name == name for name in LIDARS)
+    with pytest.raises(UserError, match="Did you mean 'mid360'"):
+        lidar_model("mid36")
