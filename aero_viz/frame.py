@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from aero_planner import Plan, PlannerConfig
 from numpy.typing import NDArray
 
+from aero_planner import Plan, PlannerConfig
 from aero_viz.source import Observation
 
 __all__ = ["Frame", "Notice"]

@@ -13,8 +13,8 @@ from concurrent.futures import Future
 from typing import Any, Literal
 
 import numpy as np
-from aero_planner import Planner, PlannerConfig
 
+from aero_planner import Planner, PlannerConfig
 from aero_viz.config_history import ConfigHistory
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame, Notice

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from aero_planner import Goal, Plan, VehicleState
 from numpy.typing import NDArray
+
+from aero_planner import Goal, Plan, VehicleState
 
 if TYPE_CHECKING:
     from aero_viz.scenes import World
@@ -50,17 +51,35 @@ class Scenery:
 class Source(Protocol):
     """Sweeps and states over time. Called from one thread."""
 
-    name: str
-    """Short name for the user."""
-    closed_loop: bool
-    """True when the plan is flown, False when a recording is replayed."""
-    period: float
-    """Nominal time between two ticks [s]."""
-    times: NDArray[np.float64] | None
-    """Tick times of a recording [s], shape [n]; None for a flight, which ends when it ends."""
-    scenery: Scenery
-    outcome: str | None
-    """None while running, then "arrived", "collision", "stall", "out_of_bounds", "timeout" or "end"."""
+    @property
+    def name(self) -> str:
+        """Short name for the user."""
+        ...
+
+    @property
+    def closed_loop(self) -> bool:
+        """True when the plan is flown, False when a recording is replayed."""
+        ...
+
+    @property
+    def period(self) -> float:
+        """Nominal time between two ticks [s]."""
+        ...
+
+    @property
+    def times(self) -> NDArray[np.float64] | None:
+        """Tick times of a recording [s], shape [n]; None for a flight, which ends when it ends."""
+        ...
+
+    @property
+    def scenery(self) -> Scenery:
+        """What stands still and can be drawn once."""
+        ...
+
+    @property
+    def outcome(self) -> str | None:
+        """None while running, then "arrived", "collision", "stall", "out_of_bounds", "timeout" or "end"."""
+        ...
 
     def observe(self) -> Observation:
         """Return the current tick's observation; without side effects."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from aero_planner.planner import History
 from numpy.typing import ArrayLike, NDArray
+
+from aero_planner.planner import History
 
 __all__ = ["Mark", "Timeline"]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
-from aero_planner import Planner, PlannerConfig
 
+from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.simulator import FlightRules, Record, Simulator
@@ -163,10 +163,11 @@ class FlightBatch:
 
     def _plan(self) -> None:
         if self.simulator.device.is_cuda:
+            stream = self.simulator.device.stream
             started, ended = (wp.Event(self.simulator.device, enable_timing=True) for _ in range(2))
-            wp.record_event(started)
+            stream.record_event(started)
             self.planner.launch()
-            wp.record_event(ended)
+            stream.record_event(ended)
             self._pending.append((started, ended))
         else:
             started = time.perf_counter()
@@ -176,14 +177,15 @@ class FlightBatch:
     def _collect_times(self) -> None:
         if self._pending:
             wp.synchronize_event(self._pending[-1][1])
-            self._plan_ms += [wp.get_event_elapsed_time(*pair) for pair in self._pending]
+            self._plan_ms += [wp.get_event_elapsed_time(*pair, synchronize=False) for pair in self._pending]
             self._pending.clear()
 
     def _publish(self, sweep: int) -> None:
         """Let the planner see a whole sweep, in the place of the oldest."""
         size = self.simulator.lidar.model.points_per_sweep
         first = sweep % SWEEPS * size
-        wp.copy(self.planner.points[:, first : first + size], self.simulator.lidar.points)
+        place: Any = self.planner.points[:, first : first + size]
+        wp.copy(place, self.simulator.lidar.points)
 
 
 def fly(

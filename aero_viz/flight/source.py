@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS
 from aero_viz.flight.metrics import FlightResult, flight_results
@@ -177,7 +177,8 @@ class FlightSource:
         )
 
     def _new_points(self, first: int, end: int | None) -> Cloud:
-        return self._simulator.lidar.points.numpy()[0, first:end].copy()
+        points: Any = self._simulator.lidar.points.numpy()
+        return points[0, first:end].copy()
 
     def _show(self, sweeps: tuple[Cloud, ...]) -> None:
         self._sweeps = sweeps
@@ -185,7 +186,7 @@ class FlightSource:
         self._points.flags.writeable = False
 
 
-def _returns(parts: Sequence[Cloud]) -> Any:
+def _returns(parts: Sequence[Cloud]) -> Cloud:
     """Join the parts of a sweep and leave out the rays without return."""
-    points = np.concatenate(parts)
+    points: Any = np.concatenate(parts)
     return points[~np.isnan(points[:, 0])]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
+
 from aero_planner import PlannerConfig
 
 __all__ = ["Vehicle", "VehicleModel"]

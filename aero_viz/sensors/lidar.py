@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -67,7 +68,7 @@ class LidarModel:
             if not holds:
                 raise ValueError(f"{what} of the LiDAR {self.name!r} cannot be used; got {self}.")
 
-    def point_times(self) -> NDArray[np.float64]:
+    def point_times(self) -> NDArray[Any]:
         """Return when each point of a sweep is measured, from the start of the sweep [s], shape [points_per_sweep]."""
         return (np.arange(self.points_per_sweep) + 0.5) / (self.points_per_sweep * self.sweep_rate)
 
@@ -111,10 +112,14 @@ def lidar_model(name: str) -> LidarModel:
 
 @wp.struct
 class Beams:
-    """`LidarModel` for kernels; angles in radians."""
+    """`LidarModel` for kernels."""
 
     elevation_min: float
+    """[rad]"""
     elevation_max: float
+    height_min: float
+    """Sine of elevation_min; even steps of it are even steps of solid angle."""
+    height_max: float
     points_per_sweep: int
     range_min: float
     range_max: float
@@ -132,8 +137,8 @@ def fraction(index: wp.uint32, step: wp.uint32):
 @wp.func
 def beam_direction(beams: Beams, index: int, phase: wp.uint32):
     """Unit direction in the sensor frame of the ray `index`, counted through all sweeps."""
-    azimuth = float(0.0)  # noqa: UP018
-    height = float(0.0)  # noqa: UP018
+    azimuth = float(0.0)
+    height = float(0.0)
     if beams.rings > 0:
         i = (index % beams.points_per_sweep + beams.points_per_sweep) % beams.points_per_sweep
         ring = i % beams.rings
@@ -143,16 +148,17 @@ def beam_direction(beams: Beams, index: int, phase: wp.uint32):
     else:
         k = wp.uint32(index) + phase
         azimuth = fraction(k, STEP_AZIMUTH)
-        low = wp.sin(beams.elevation_min)
-        height = low + fraction(k, STEP_ELEVATION) * (wp.sin(beams.elevation_max) - low)
+        height = beams.height_min + fraction(k, STEP_ELEVATION) * (beams.height_max - beams.height_min)
     flat = wp.sqrt(wp.max(1.0 - height * height, 0.0))
     angle = 2.0 * wp.pi * azimuth
     return wp.vec3(flat * wp.cos(angle), flat * wp.sin(angle), height)
 
 
 @wp.func
-def to_quat(q: wp.vec4):
-    """Warp's x, y, z, w from w, x, y, z."""
+def attitude_between(before: wp.vec4, after: wp.vec4, share: float):
+    """Attitude between two that differ little, as Warp's x, y, z, w."""
+    sign = wp.where(wp.dot(before, after) < 0.0, -1.0, 1.0)
+    q = wp.normalize((1.0 - share) * before + (share * sign) * after)
     return wp.quat(q[1], q[2], q[3], q[0])
 
 
@@ -178,7 +184,7 @@ def scan_kernel(
     index = sweep * beams.points_per_sweep + first + i
     share = (float(i) + 0.5) / float(count)
     origin = wp.lerp(position_before[b], position[b], share)
-    attitude = wp.quat_slerp(to_quat(quaternion_before[b]), to_quat(quaternion[b]), share)
+    attitude = attitude_between(quaternion_before[b], quaternion[b], share)
     direction = wp.quat_rotate(attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
     distance = ray_range(geometry, world[b], origin, direction, beams.range_max)
     point = wp.vec3(wp.nan, wp.nan, wp.nan)
@@ -208,11 +214,12 @@ class Lidar:
         beams = Beams()
         beams.elevation_min = math.radians(model.elevation_min)
         beams.elevation_max = math.radians(model.elevation_max)
+        beams.height_min, beams.height_max = math.sin(beams.elevation_min), math.sin(beams.elevation_max)
         for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout", "rings"):
             setattr(beams, name, getattr(model, name))
         self._beams = beams
         with wp.ScopedDevice(worlds.device):
-            self._seeds = wp.array(list(seeds), dtype=int)
+            self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds], dtype=int)
             self.points = wp.full((len(seeds), model.points_per_sweep), wp.vec3(math.nan), dtype=wp.vec3)
 
     def scan(

@@ -119,7 +119,7 @@ def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec
         nearest = wp.min(nearest, primitive_range(geometry.primitives[geometry.large[i]], origin, direction))
 
     # The part of the ray inside the grid.
-    enter = float(0.0)  # noqa: UP018
+    enter = float(0.0)
     leave = wp.min(range_max, nearest)
     for i in range(3):
         if wp.abs(direction[i]) > 1.0e-9:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.dynamics import quat_inverse_rotate, quat_rotate
+from aero_planner.guides import heading
 from aero_planner.params import Params
 from aero_planner.partition import cell_of_direction, safest_fine_cell
 
-__all__ = ["lookahead", "place_anchors", "refine_anchors"]
+__all__ = ["lookahead", "place_anchors", "prepare", "refine_anchors"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,6 +25,34 @@ def lookahead(speed: float, goal_distance: float, horizon: float, params: Params
     if params.lookahead_rest < params.lookahead:
         length = wp.min(length, params.lookahead_rest + steady * speed)
     return wp.min(length, goal_distance)
+
+
+@wp.kernel
+def prepare(
+    position: wp.array(dtype=wp.vec3),
+    quaternion_in: wp.array(dtype=wp.vec4),
+    goal_position: wp.array(dtype=wp.vec3),
+    goal_velocity_in: wp.array(dtype=wp.vec3),
+    goal_quaternion_in: wp.array(dtype=wp.vec4),
+    quaternion: wp.array(dtype=wp.vec4),
+    goal_velocity: wp.array(dtype=wp.vec3),
+    goal_quaternion: wp.array(dtype=wp.vec4),
+):
+    """Normalise the attitudes and derive what the goal leaves open; see `Goal`. Launched over [B]."""
+    b = wp.tid()
+    quaternion[b] = wp.normalize(quaternion_in[b])
+    v = goal_velocity_in[b]
+    if wp.isnan(v[0]):
+        v = wp.vec3(0.0, 0.0, 0.0)
+    goal_velocity[b] = v
+    q = goal_quaternion_in[b]
+    if wp.isnan(q[0]):
+        to_goal = goal_position[b] - position[b]
+        yaw = heading(quaternion[b])
+        if to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1] > 0.25:
+            yaw = wp.atan2(to_goal[1], to_goal[0])
+        q = wp.vec4(wp.cos(0.5 * yaw), 0.0, 0.0, wp.sin(0.5 * yaw))
+    goal_quaternion[b] = wp.normalize(q)
 
 
 @wp.kernel

@@ -41,7 +41,7 @@ class Block:
             size += scalar.itemsize * int(np.prod((*shape, *tail)))
         self.memory = wp.zeros(max(size, 1), dtype=wp.uint8, device=device)
         for (name, (dtype, shape)), (offset, _, _) in zip(spec.items(), self._layout.values(), strict=True):
-            view = wp.array(ptr=self.memory.ptr + offset, dtype=dtype, shape=shape, device=device)
+            view = wp.array(ptr=int(self.memory.ptr or 0) + offset, dtype=dtype, shape=shape, device=device)
             setattr(self.arrays, name, view)
         # On the CPU the host's bytes are the device's own.
         self._host = self.memory if device.is_cpu else wp.zeros(max(size, 1), dtype=wp.uint8, device="cpu", pinned=True)

@@ -122,7 +122,7 @@ def clearance_at(
     cz = int(wp.floor(c[2]))
     if cx < -1 or cy < -1 or cz < -1 or cx > GRID or cy > GRID or cz > GRID:
         return limit
-    if cx >= 0 and cy >= 0 and cz >= 0 and cx < GRID and cy < GRID and cz < GRID:
+    if cx >= 0 and cy >= 0 and cz >= 0 and cx < GRID and cy < GRID and cz < GRID:  # noqa: SIM102, `and` reads both
         if near[b, (cz * GRID + cy) * GRID + cx] == wp.uint8(0):
             return limit
     best = limit * limit

@@ -33,7 +33,7 @@ __all__ = ["config_from_name", "format_config", "load_config", "save_config"]
 _KEY = re.compile(r"(?P<indent> *)(?P<key>[A-Za-z_][A-Za-z0-9_-]*):(?:\s+(?P<rest>.*))?")
 _QUOTED = re.compile(r"""(?:"(?P<double>[^"\\]*)"|'(?P<single>(?:[^']|'')*)')(?:\s+#.*)?""")
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)")
-_FLOAT = re.compile(r"[-+]?(0|[1-9][0-9]*)?\.?[0-9]*([eE][-+]?[0-9]+)?")
+_FLOAT = re.compile(r"[-+]?((0|[1-9][0-9]*)(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
 
 
@@ -83,7 +83,9 @@ def format_config(config: PlannerConfig) -> str:
         for info in parameters():
             if info.section == section:
                 note = f"{info.help} [{_range(info)}]"
-                lines += textwrap.wrap(note, 100, initial_indent="  # ", subsequent_indent="  #   ")
+                lines += textwrap.wrap(
+                    note, 100, initial_indent="  # ", subsequent_indent="  #   ", break_on_hyphens=False
+                )
                 lines.append(f"  {info.name}: {_format_value(config.get(info.path))}")
     return "\n".join(lines) + "\n"
 
@@ -194,6 +196,6 @@ def _parse_scalar(text: str) -> Any:
         return _BOOLEANS[text]
     if _INTEGER.fullmatch(text):
         return int(text)
-    if _FLOAT.fullmatch(text) and re.search(r"[0-9]", text.lower().partition("e")[0]):
+    if _FLOAT.fullmatch(text):
         return float(text)
     return text

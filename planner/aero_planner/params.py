@@ -25,9 +25,9 @@ Params: Any = wp.struct(
 )
 
 
-def pack(config: PlannerConfig) -> np.ndarray:
+def pack(config: PlannerConfig) -> Any:
     """Return the live parameters of `config` as one record, shape [], of `Params.numpy_dtype()`."""
-    record = np.zeros((), dtype=Params.numpy_dtype())
+    record: Any = np.zeros((), dtype=Params.numpy_dtype())
     for info in _LIVE:
         value = config.get(info.path)
         record[info.name] = info.choices.index(str(value)) if info.choices else value

@@ -18,39 +18,8 @@ import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
 from aero_planner.config import PlannerConfig
-from aero_planner.guides import heading
 
 __all__ = ["Pipeline"]
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def prepare(
-    position: wp.array(dtype=wp.vec3),
-    quaternion_in: wp.array(dtype=wp.vec4),
-    goal_position: wp.array(dtype=wp.vec3),
-    goal_velocity_in: wp.array(dtype=wp.vec3),
-    goal_quaternion_in: wp.array(dtype=wp.vec4),
-    quaternion: wp.array(dtype=wp.vec4),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
-):
-    """Normalise the attitudes and derive what the goal leaves open; see `Goal`. Launched over [B]."""
-    b = wp.tid()
-    quaternion[b] = wp.normalize(quaternion_in[b])
-    v = goal_velocity_in[b]
-    if wp.isnan(v[0]):
-        v = wp.vec3(0.0, 0.0, 0.0)
-    goal_velocity[b] = v
-    q = goal_quaternion_in[b]
-    if wp.isnan(q[0]):
-        to_goal = goal_position[b] - position[b]
-        yaw = heading(quaternion[b])
-        if to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1] > 0.25:
-            yaw = wp.atan2(to_goal[1], to_goal[0])
-        q = wp.vec4(wp.cos(0.5 * yaw), 0.0, 0.0, wp.sin(0.5 * yaw))
-    goal_quaternion[b] = wp.normalize(q)
 
 
 @dataclass
@@ -85,7 +54,7 @@ class Pipeline:
         points: wp.array,
         params: wp.array,
     ) -> None:
-        self._device = points.device
+        self._device: wp.Device = wp.get_device(str(points.device))
         self._lanes = lanes
         self._points = points
         self._batch = batch
@@ -125,8 +94,8 @@ class Pipeline:
         directions = serial(
             "anchors",
             launch(
-                prepare, B, i.position, i.quaternion, i.goal_position, i.goal_velocity, i.goal_quaternion, w.quaternion,
-                w.goal_velocity, w.goal_quaternion,
+                anchors.prepare, B, i.position, i.quaternion, i.goal_position, i.goal_velocity, i.goal_quaternion,
+                w.quaternion, w.goal_velocity, w.goal_quaternion,
             ),
             launch(
                 anchors.place_anchors, (B, anchor_count), *state, i.goal_position, params, config.anchors.columns,
@@ -144,7 +113,9 @@ class Pipeline:
             self._scatter.append(command)
         coarse_cells = serial(
             "partition",
-            launch(partition.finish_fine, (B, fine), w.keys, self._points, params, o.fine_range, o.occupied, o.filtered),
+            launch(
+                partition.finish_fine, (B, fine), w.keys, self._points, params, o.fine_range, o.occupied, o.filtered,
+            ),
             launch(
                 partition.pool_coarse, (B, coarse), o.fine_range, w.initial_direction, anchor_count, *pool,
                 o.safe_range, o.safe_direction,

@@ -214,7 +214,7 @@ class Planner:
         Args:
             state: of the drone, world frame.
             goal: where to fly, world frame.
-            points: cloud [m], shape [P, 3], world frame; NumPy or Warp array. With a batch, shape [B, P, 3] or B arrays.
+            points: cloud [m], shape [P, 3], world frame; NumPy or Warp array; a batch takes [B, P, 3] or B arrays.
                 Points that are not finite are dropped and counted.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
             samples: also return the Stage I rollouts.
@@ -267,15 +267,16 @@ class Planner:
             # Room to grow, so that a cloud that gains a few points each sweep does not rebuild the graph each time.
             self.reserve(max(counts) * 5 // 4)
         for b, cloud in enumerate(clouds):
+            row: Any = self.points[b]
             if isinstance(cloud, wp.array):
-                wp.copy(self.points[b], cloud, count=counts[b])
+                wp.copy(row, cloud, count=counts[b])
             elif self._device.is_cpu:
                 self.points.numpy()[b, : counts[b]] = cloud
             else:
                 source = wp.array(
                     np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False
                 )
-                wp.copy(self.points[b], source, count=counts[b])
+                wp.copy(row, source, count=counts[b])
         self._inputs.host()["point_count"][:] = counts
         self._pipeline.limit_points(max(counts))
 

@@ -8,8 +8,8 @@ import json
 
 import numpy as np
 import pytest
-from aero_planner import PlannerConfig
 
+from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightBatch, FlightRules, fly
 from aero_viz.scenes import World, scene

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from aero_planner import PlannerConfig
 
+from aero_planner import PlannerConfig
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 
 G = 9.81

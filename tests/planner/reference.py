@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from aero_planner import PlannerConfig
 from numpy.typing import NDArray
+
+from aero_planner import PlannerConfig
 
 Array = NDArray[np.float64]
 
@@ -106,7 +107,8 @@ def quintic(p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, T: float) -> 
     """Coefficients a_0 .. a_5, shape [3, 6], by solving the six boundary conditions with a1 = 0."""
     conditions = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 2, 0, 0, 0], [T**k for k in range(6)]]
     conditions += [[k * T ** max(k - 1, 0) for k in range(6)], [k * (k - 1) * T ** max(k - 2, 0) for k in range(6)]]
-    return np.linalg.solve(np.array(conditions, float), np.array([p0, v0, a0, p1, v1, np.zeros(3)])).T
+    boundary = np.array([p0, v0, a0, p1, v1, np.zeros(3)])
+    return np.asarray(np.linalg.solve(np.array(conditions, float), boundary).T, dtype=np.float64)
 
 
 def sample_guide(coefficients: Array, times: Array) -> Array:

@@ -153,7 +153,11 @@ def test_every_flight_sees_its_own_world():
 
 
 @wp.kernel
-def distance_kernel(geometry: Geometry, points: wp.array(dtype=wp.vec3), found: wp.array(dtype=float)):
+def distance_kernel(
+    geometry: Geometry,  # pyright: ignore[reportGeneralTypeIssues]
+    points: wp.array(dtype=wp.vec3),
+    found: wp.array(dtype=float),
+):
     i = wp.tid()
     found[i] = world_distance(geometry, 0, points[i], 0, 1)
 

@@ -1,0 +1,77 @@
+"""From what a user names, a scene, a world file or a recording, to a source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from aero_viz.errors import UserError
+from aero_viz.source import Source
+
+__all__ = ["load_world", "open_source", "source_choices"]
+
+
+def source_choices() -> dict[str, str]:
+    """Return what can be opened without a file: label by name."""
+    from aero_viz.scenes import SCENES
+
+    return {name: kind.description for name, kind in SCENES.items()}
+
+
+def load_world(spec: str, *, seed: int = 0, count: int | None = None):
+    """Return the `World` of a scene's name or of a JSON file.
+
+    Raises:
+        UserError: there is no such scene or file, or the file is malformed.
+    """
+    from aero_viz.scenes import World, scene
+
+    if spec.endswith(".json") or "/" in spec:
+        if count is not None:
+            raise UserError(f"--count belongs to a scene's generator, and {spec} is a file; leave it out.")
+        return World.load(spec)
+    return scene(spec, seed=seed, count=count)
+
+
+def open_source(
+    spec: str,
+    *,
+    seed: int = 0,
+    device: str = "cpu",
+    count: int | None = None,
+    lidar: str = "mid360",
+    points_topic: str | None = None,
+    pose_topic: str | None = None,
+    goal_ahead: float = 15.0,
+) -> Source:
+    """Open a scene's name, a world's JSON file, or a recording.
+
+    Args:
+        spec: name or path.
+        seed: of the scene, the LiDAR and its noise.
+        device: Warp device of the simulation.
+        count: number of obstacles of a scene; None is the scene's own.
+        lidar: model of a flight, see `aero_viz.sensors.lidar.lidar_model`.
+        points_topic, pose_topic: of a recording; None finds them by type.
+        goal_ahead: of a recording [m].
+
+    Raises:
+        UserError: what is named does not exist or cannot be used.
+    """
+    from aero_viz.scenes import SCENES
+
+    is_path = "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
+    if spec in SCENES or spec.endswith(".json") or not is_path:
+        from aero_viz.flight import FlightSource
+        from aero_viz.sensors import lidar_model
+
+        return FlightSource(
+            load_world(spec, seed=seed, count=count), lidar=lidar_model(lidar), seed=seed, device=device
+        )
+    from aero_viz.recordings import RecordingSource, open_recording
+
+    recording = open_recording(spec, points_topic=points_topic, pose_topic=pose_topic)
+    try:
+        return RecordingSource(recording, goal_ahead=goal_ahead)
+    except Exception:
+        recording.close()
+        raise

@@ -1,0 +1,111 @@
+"""The dashboard: draws the newest frame on the page, at most 30 times per second."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+
+from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
+from aero_viz.dashboard.panels import Page
+from aero_viz.dashboard.panels.layout import build
+from aero_viz.dashboard.server import LocalServer, notify
+from aero_viz.session import Frame, Notice, Session
+from aero_viz.source import Source
+
+__all__ = ["Dashboard"]
+
+_PERIOD = 1.0 / 30.0
+_PANEL_PERIOD = 0.2
+
+
+class Dashboard:
+    """Shows a session on a web page and lets the page steer it. The session is the caller's: start and close it.
+
+    Args:
+        session: what to show; may be running, paused or ticked by hand.
+        host: address to listen on. Everyone who reaches it can steer the session: there is no password.
+        port: port to listen on; 0 takes any free one.
+        open_source: makes a source from a path or a scene's name; None hides the choice of the source.
+        choices: (label, what `open_source` gets) of the sources on offer.
+
+    Raises:
+        UserError: the port is taken.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        open_source: Callable[[str], Source] | None = None,
+        choices: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        self.server = LocalServer(host=host, port=port)
+        self.layers: dict[str, Layer] = {layer.name: layer(self.server) for layer in LAYERS}
+        """The layers by name."""
+        self.update_ms: deque[float] = deque(maxlen=300)
+        """Time that the last updates took [ms]."""
+        self._session = session
+        self._source: Source | None = None
+        self._panels_due = 0.0
+        page = Page(self.server, session, self.layers, self.refresh)
+        self._camera, self._panels = build(page, open_source=open_source, choices=choices)
+        self._sink = session.subscribe(self._show, name="dashboard")
+        self._notices = session.subscribe_notices(self._notify)
+        self.server.on_client_connect(lambda client: self.refresh())
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return self.server.url
+
+    def refresh(self) -> None:
+        """Show the newest frame again."""
+        frame = self._session.frame
+        if frame is not None and hasattr(self, "_sink"):
+            self._panels_due = 0.0
+            self._sink.put(frame)
+
+    def close(self) -> None:
+        """Close the page; the session goes on."""
+        self._session.unsubscribe(self._sink)
+        self._session.unsubscribe(self._notices)
+        self.server.stop()
+
+    def _show(self, frame: Frame) -> None:
+        """Runs in the sink's thread: what waits meanwhile is the newest frame, so nothing old is ever shown."""
+        started = time.perf_counter()
+        changes = self._changes(frame)
+        with self.server.atomic():
+            apply(changes)
+        self.server.flush()
+        for client in self.server.get_clients().values():
+            client.flush()
+        took = time.perf_counter() - started
+        self.update_ms.append(1e3 * took)
+        time.sleep(max(0.0, _PERIOD - took))
+
+    def _changes(self, frame: Frame) -> list[Change]:
+        """Compute everything before the first message is queued."""
+        changes: list[Change] = []
+        if self._session.source is not self._source:
+            self._source = self._session.source
+            for part in (*self.layers.values(), *self._panels):
+                changes += part.enter(self._source)
+        for layer in self.layers.values():
+            if layer.visible:
+                changes += layer.update(frame)
+        changes += self._camera.follow(frame)
+        now = time.monotonic()
+        if now >= self._panels_due:
+            self._panels_due = now + _PANEL_PERIOD
+            for panel in self._panels:
+                changes += panel.update(frame)
+        return changes
+
+    def _notify(self, notice: Notice) -> None:
+        notify(self.server, notice.text, level=notice.level)
+        self.refresh()

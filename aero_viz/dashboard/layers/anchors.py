@@ -1,0 +1,52 @@
+"""Anchors and guides: where the instances are led."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
+from aero_viz.session import Frame
+
+__all__ = ["AnchorLayer", "GuideLayer"]
+
+
+class AnchorLayer(Layer):
+    """Initial endpoints, refined anchors, and a line from one to the other."""
+
+    name, title = "anchors", "Endpoints and anchors"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        nothing = np.zeros((1, 3), np.float32)
+        self._initial = scene.add_point_cloud(
+            "/anchors/initial", nothing, palette.ENDPOINT, point_size=0.05, point_shape="circle", precision="float32",
+            point_shading="flat",
+        )  # fmt: skip
+        self._refined = scene.add_point_cloud(
+            "/anchors/refined", nothing, palette.ANCHOR, point_size=0.08, point_shape="circle", precision="float32",
+            point_shading="flat",
+        )  # fmt: skip
+        self._moves = Lines(scene, "/anchors/moves", thickness=0.016)
+
+    def update(self, frame: Frame) -> list[Change]:
+        count = frame.config.anchor_count
+        initial, refined = frame.plan.initial_endpoints[:count], frame.plan.anchors[:count]
+        ramp = np.array([palette.ENDPOINT, palette.ANCHOR], dtype=np.uint8)
+        return [
+            (self._initial, "points", initial),
+            (self._refined, "points", refined),
+            *self._moves.show(np.stack((initial, refined), axis=1), ramp),
+        ]
+
+
+class GuideLayer(Layer):
+    """The quintic guides of the anchors."""
+
+    name, title = "guides", "Guides"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._lines = Lines(scene, "/guides/lines", thickness=0.012, capacity=512)
+
+    def update(self, frame: Frame) -> list[Change]:
+        return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), palette.GUIDE)

@@ -1,0 +1,114 @@
+"""The spherical partition: occupied fine cells, and the coarse cells with their safe directions."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.base import Change, Layer, Lines
+from aero_viz.session import Frame
+
+__all__ = ["CoarseCellLayer", "FineCellLayer"]
+
+_SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
+_SPHERE = 2.0  # radius at which the coarse cells are drawn [m]
+
+
+class FineCellLayer(Layer):
+    """A patch at its range for every occupied fine cell, coloured by range: near is red."""
+
+    name, title, on = "fine_cells", "Occupied cells", False
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._pose = scene.add_frame("/fine_cells/body", show_axes=False)
+        self._shape: tuple[int, ...] = ()
+        self._node = scene.add_batched_meshes_simple(
+            "/fine_cells/body/patches", _SQUARE, np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+            np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), batched_scales=np.zeros((1, 3), np.float32),
+            batched_colors=np.zeros((1, 3), np.uint8), side="double", lod="off", opacity=0.85, flat_shading=True,
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def update(self, frame: Frame) -> list[Change]:
+        ranges = frame.plan.fine_range
+        changes = _pose(self._pose, frame)
+        if ranges.shape != self._shape:
+            self._shape = ranges.shape
+            azimuth, elevation = _centers(ranges.shape)
+            self._direction = _direction(azimuth, elevation)
+            step = np.radians(180.0 / ranges.shape[0])
+            self._size = 1.84 * np.tan(0.5 * step) * np.stack(
+                (np.ones_like(azimuth), np.cos(elevation), np.ones_like(azimuth)), axis=1
+            )  # fmt: skip
+            changes.append((self._node, "batched_wxyzs", _facing(azimuth, elevation)))
+        reach = frame.config.partition.range_max
+        flat = ranges.reshape(-1, 1)
+        occupied = flat < reach - 1e-4
+        return [
+            *changes,
+            (self._node, "batched_positions", (self._direction * flat).astype(np.float32)),
+            (self._node, "batched_scales", np.where(occupied, self._size * flat, 0.0).astype(np.float32)),
+            (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, palette.TURBO[::-1])),
+        ]
+
+
+class CoarseCellLayer(Layer):
+    """The coarse cells on a sphere of 2 m, and a line along each safe direction, longer the farther it is free."""
+
+    name, title, on = "coarse_cells", "Coarse cells and safe directions", False
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._pose = scene.add_frame("/coarse_cells/body", show_axes=False)
+        self._shape: tuple[int, ...] = ()
+        self._borders = Lines(scene, "/coarse_cells/body/borders", thickness=0.006)
+        self._directions = Lines(scene, "/coarse_cells/body/directions", thickness=0.02, capacity=256)
+
+    def update(self, frame: Frame) -> list[Change]:
+        ranges, directions = frame.plan.safe_range, frame.plan.safe_direction
+        changes = _pose(self._pose, frame)
+        if ranges.shape != self._shape:
+            self._shape = ranges.shape
+            changes += self._borders.show(_SPHERE * _borders(ranges.shape), palette.GRID_SECTION)
+        reach = frame.config.partition.range_max
+        start = _SPHERE * directions.reshape(-1, 3)
+        share = ranges.reshape(-1, 1) / reach
+        paint = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, palette.TURBO[::-1])
+        return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), paint)]
+
+
+def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:
+    state = frame.observation.state
+    return [(node, "position", np.asarray(state.position)), (node, "wxyz", np.asarray(state.quaternion))]
+
+
+def _centers(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return azimuth and elevation of every cell [rad], row by row."""
+    rows, columns = shape
+    elevation = np.radians(-90.0 + 180.0 * (np.arange(rows) + 0.5) / rows)
+    azimuth = np.radians(-180.0 + 360.0 * (np.arange(columns) + 0.5) / columns)
+    return np.tile(azimuth, rows), np.repeat(elevation, columns)
+
+
+def _direction(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float64]:
+    flat = np.cos(elevation)
+    return np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)), axis=-1)
+
+
+def _facing(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the rotations, w x y z, that turn +x to each direction: yaw by the azimuth after pitch by minus the elevation."""
+    cy, sy, cp, sp = np.cos(azimuth / 2), np.sin(azimuth / 2), np.cos(-elevation / 2), np.sin(-elevation / 2)
+    return np.stack((cy * cp, -sy * sp, cy * sp, sy * cp), axis=-1).astype(np.float32)
+
+
+def _borders(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the cells' borders on the unit sphere as segments, shape [n, 2, 3]; curved ones in steps of 6 deg."""
+    rows, columns = shape
+    fine = np.radians(np.arange(-180.0, 180.1, 6.0))
+    parallels = np.radians(np.linspace(-90.0, 90.0, rows + 1)[1:-1])
+    meridians = np.radians(np.linspace(-180.0, 180.0, columns, endpoint=False))
+    span = np.radians(np.linspace(-90.0 + 180.0 / rows, 90.0 - 180.0 / rows, 25))
+    around = _direction(*np.broadcast_arrays(fine[None], parallels[:, None]))
+    upward = _direction(*np.broadcast_arrays(meridians[:, None], span[None]))
+    return np.concatenate([np.stack((arc[:, :-1], arc[:, 1:]), axis=2).reshape(-1, 2, 3) for arc in (around, upward)])

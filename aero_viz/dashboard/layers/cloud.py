@@ -1,0 +1,65 @@
+"""The accumulated cloud, as the planner sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.base import Change, Layer
+from aero_viz.session import Frame
+
+__all__ = ["CloudLayer"]
+
+_MOST_POINTS = 60_000
+_STEP = 4096  # the buffer's size is a multiple, so that it seldom changes
+
+
+class CloudLayer(Layer):
+    """Points coloured by height or range; thinned to 60 000 and sent only when the cloud is another one."""
+
+    name, title = "cloud", "LiDAR cloud"
+    colors = ("height", "range")
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self.color_by = self.colors[0]
+        self.scale: tuple[str, str, str, palette.Table] | None = None
+        """Legend: what is coloured, what the ends are, the colormap."""
+        self._shown: tuple[object, str] | None = None
+        self._node = scene.add_point_cloud(
+            "/cloud/points", np.zeros((_STEP, 3), np.float32), np.zeros((_STEP, 3), np.uint8),
+            point_size=0.02, point_shape="circle", point_shading="flat", precision="float32", visible=False,
+        )  # fmt: skip
+
+    def update(self, frame: Frame) -> list[Change]:
+        cloud = frame.observation.points
+        if self._shown is not None and self._shown[0] is cloud and self._shown[1] == self.color_by:
+            return []
+        self._shown = (cloud, self.color_by)
+        points = _thinned(cloud)
+        if not len(points):
+            return [(self._node, "visible", False)]
+        if self.color_by == "range":
+            origin = np.asarray(frame.observation.state.position, dtype=np.float32)
+            ranges = np.linalg.norm(points - origin, axis=1)
+            reach = frame.config.partition.range_max
+            paint = palette.colorize(ranges, 0.0, reach, palette.TURBO[::-1])
+            self.scale = ("cloud: range", "0 m", f"{reach:g} m and more", palette.TURBO[::-1])
+        else:
+            low, high = np.percentile(points[::16, 2], (2.0, 98.0))
+            high = max(high, low + 2.0)
+            paint = palette.colorize(points[:, 2], low, high, palette.VIRIDIS[20:])
+            self.scale = ("cloud: height", f"{low + 0.05:.1f} m", f"{high:.1f} m", palette.VIRIDIS[20:])
+        return [(self._node, "points", points), (self._node, "colors", paint), (self._node, "visible", True)]
+
+
+def _thinned(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return at most 60 000 finite points, spread evenly over the cloud, the last one repeated up to a multiple of 4096."""
+    step = -(-len(cloud) // _MOST_POINTS)
+    points = cloud[:: max(step, 1)]
+    finite = np.isfinite(points[:, 0])
+    if not finite.all():
+        points = points[finite]
+    missing = -len(points) % _STEP if len(points) else 0
+    return np.concatenate((points, np.repeat(points[-1:], missing, axis=0))) if missing else points

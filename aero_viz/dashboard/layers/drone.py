@@ -1,0 +1,53 @@
+"""The drone and where it has been."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
+from aero_viz.dashboard.quadrotor import quadrotor
+from aero_viz.session import Frame
+
+__all__ = ["DroneLayer", "TrailLayer"]
+
+_TRAIL_SEGMENTS = 512
+
+
+class DroneLayer(Layer):
+    """A quadrotor at the true pose, or at the recorded one."""
+
+    name, title = "drone", "Drone"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._pose = scene.add_frame("/drone/body", show_axes=False)
+        for name, (mesh, color, opacity) in quadrotor().items():
+            scene.add_mesh_simple(
+                f"/drone/body/{name}", mesh.vertices, mesh.faces, color=color, opacity=opacity, flat_shading=True, side="double"
+            )
+
+    def update(self, frame: Frame) -> list[Change]:
+        state = frame.observation.true_state or frame.observation.state
+        return [
+            (self._pose, "position", np.asarray(state.position, dtype=np.float64)),
+            (self._pose, "wxyz", np.asarray(state.quaternion, dtype=np.float64)),
+        ]
+
+
+class TrailLayer(Layer):
+    """The path flown so far, thinned to 512 segments."""
+
+    name, title = "trail", "Flown trail"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._lines = Lines(scene, "/trail/line", thickness=0.035, capacity=_TRAIL_SEGMENTS)
+
+    def update(self, frame: Frame) -> list[Change]:
+        trail = frame.trail
+        # Multiples of a power of two: vertices stay where they are while the trail grows.
+        step = 1
+        while len(trail) > (_TRAIL_SEGMENTS - 1) * step:
+            step *= 2
+        vertices = np.concatenate((trail[::step], trail[-1:]))
+        return self._lines.show(polylines(vertices), palette.TRAIL)

@@ -1,0 +1,30 @@
+"""Where to fly."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply
+from aero_viz.session import Frame
+
+__all__ = ["GoalLayer"]
+
+
+class GoalLayer(Layer):
+    """A ball in a ring on a pole."""
+
+    name, title = "goal", "Goal"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._pose = scene.add_frame("/goal/pose", show_axes=False)
+        scene.add_icosphere("/goal/pose/ball", radius=0.3, color=palette.GOAL, subdivisions=3)
+        angle = 2.0 * np.pi * np.arange(49) / 48
+        ring = 0.8 * np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
+        pole = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -50.0]]])
+        segments = np.concatenate((np.stack((ring[:-1], ring[1:]), axis=1), pole))
+        apply(Lines(scene, "/goal/pose/ring", thickness=0.05).show(segments, palette.GOAL))
+
+    def update(self, frame: Frame) -> list[Change]:
+        return [(self._pose, "position", np.asarray(frame.observation.goal.position, dtype=np.float64))]

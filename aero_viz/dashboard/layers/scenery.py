@@ -1,0 +1,90 @@
+"""What stands still: obstacles, ground, the recorded path."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
+from aero_viz.session import Frame
+from aero_viz.source import Source
+
+__all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer"]
+
+_SHAPES = ("cylinders", "boxes", "spheres")
+_MOST_PATH_SEGMENTS = 2048
+
+
+class ObstacleLayer(Layer):
+    """Obstacles of a synthetic world, which the planner does not know."""
+
+    name, title = "obstacles", "Obstacles (ground truth)"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        empty, face = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
+        self._nodes = {
+            shape: scene.add_mesh_simple(
+                f"/obstacles/{shape}", empty, face, color=palette.OBSTACLE, side="double", visible=False
+            )
+            for shape in _SHAPES
+        }
+
+    def enter(self, source: Source) -> list[Change]:
+        world = source.scenery.world
+        self.available = world is not None
+        meshes = world.to_meshes() if world is not None else {}
+        changes: list[Change] = []
+        for shape, node in self._nodes.items():
+            mesh = meshes.get(shape)
+            if mesh is not None:
+                changes += [(node, "vertices", mesh.vertices), (node, "faces", mesh.faces.astype(np.uint32))]
+            changes.append((node, "visible", mesh is not None))
+        return changes
+
+
+class GroundLayer(Layer):
+    """A grid of 1 m and 5 m at the height of the ground."""
+
+    name, title = "ground", "Ground grid"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._height: float | None = None
+        self._grid = scene.add_grid(
+            "/ground/grid", infinite_grid=True, cell_size=1.0, section_size=5.0, cell_thickness=0.7, section_thickness=1.0,
+            cell_color=palette.GRID_CELL, section_color=palette.GRID_SECTION, fade_distance=90.0, fade_strength=1.5,
+            plane_color=palette.GROUND, plane_opacity=1.0, shadow_opacity=0.0,
+        )  # fmt: skip
+
+    def enter(self, source: Source) -> list[Change]:
+        self._height = 0.0 if source.scenery.world is not None else None
+        return [] if self._height is None else [(self._grid, "position", (0.0, 0.0, self._height))]
+
+    def update(self, frame: Frame) -> list[Change]:
+        if self._height is not None:
+            return []
+        # A recording does not say where its ground is: below nearly all points of its first cloud.
+        heights = frame.observation.points[::8, 2]
+        heights = heights[np.isfinite(heights)]
+        if not len(heights):
+            return []
+        self._height = float(np.percentile(heights, 1.0)) - 0.05
+        return [(self._grid, "position", (0.0, 0.0, self._height))]
+
+
+class RecordedPathLayer(Layer):
+    """The recorded positions."""
+
+    name, title = "recorded_path", "Recorded path"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._lines = Lines(scene, "/recorded_path/line", thickness=0.03)
+
+    def enter(self, source: Source) -> list[Change]:
+        path = source.scenery.recorded_path
+        self.available = path is not None and len(path) > 1
+        if path is None or len(path) < 2:
+            return self._lines.show(np.zeros((0, 2, 3)), palette.RECORDED)
+        step = -(-len(path) // _MOST_PATH_SEGMENTS)
+        vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
+        return self._lines.show(polylines(vertices), palette.RECORDED)

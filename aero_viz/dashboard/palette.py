@@ -1,0 +1,100 @@
+"""Every colour of the page, and the two perceptual colormaps.
+
+One hue belongs to one layer, in the scene, in the legend and in the status panel alike:
+
+    rollouts   PLASMA by Stage II cost, bright is good        chosen     green
+    cloud      VIRIDIS by height, or TURBO by range           guides     blue
+    endpoints  grey before the refinement, yellow after       goal       rose
+    drone      white with an orange nose, orange trail        recording  violet
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["PLASMA", "TURBO", "VIRIDIS", "Rgb", "colorize", "css", "gradient", "unmapped"]
+
+Rgb = tuple[int, int, int]
+Table = NDArray[np.uint8]
+
+SKY_TOP: Rgb = (9, 12, 18)
+SKY_HORIZON: Rgb = (24, 30, 41)
+FOG: Rgb = (18, 23, 32)
+GROUND: Rgb = (19, 24, 33)
+GRID_CELL: Rgb = (34, 42, 55)
+GRID_SECTION: Rgb = (48, 59, 77)
+OBSTACLE: Rgb = (74, 86, 106)
+BRAND: Rgb = (58, 134, 255)
+
+DRONE: Rgb = (236, 240, 246)
+DRONE_DARK: Rgb = (44, 50, 60)
+ROTOR: Rgb = (150, 200, 255)
+TRAIL: Rgb = (255, 159, 67)
+CHOSEN: Rgb = (64, 255, 140)
+GUIDE: Rgb = (72, 149, 255)
+ENDPOINT: Rgb = (138, 150, 168)
+ANCHOR: Rgb = (255, 209, 60)
+GOAL: Rgb = (255, 66, 120)
+RECORDED: Rgb = (178, 132, 255)
+SAMPLE: Rgb = (190, 204, 224)
+
+GOOD: Rgb = (52, 211, 123)
+WARNING: Rgb = (250, 176, 5)
+BAD: Rgb = (255, 82, 82)
+MUTED: Rgb = (134, 146, 164)
+
+
+def _table(stops: str) -> Table:
+    """Interpolate evenly spaced hexadecimal stops to 256 rows of sRGB."""
+    colors = np.array([[int(stop[i : i + 2], 16) for i in (0, 2, 4)] for stop in stops.split()], dtype=np.float64)
+    at, of = np.linspace(0.0, 1.0, 256), np.linspace(0.0, 1.0, len(colors))
+    return np.stack([np.interp(at, of, channel) for channel in colors.T], axis=1).round().astype(np.uint8)
+
+
+VIRIDIS = _table("440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725")
+PLASMA = _table("0d0887 46039f 7201a8 9c179e bd3786 d8576b ed7953 fb9f3a fdca26 f0f921")
+TURBO = _table("30123b 4145ab 4675ed 39a2fc 1bcfd4 24eca6 61fc6c a4fc3b d1e834 f3c63a fe9b2d f36315 d93806 b11901 7a0402")
+
+
+def colorize(values: ArrayLike, low: float, high: float, table: Table) -> NDArray[np.uint8]:
+    """Return the colour of each value, shape [..., 3]; `low` and everything below gets the first row of the table.
+
+    Values must not be NaN."""
+    last = len(table) - 1
+    scale = last / max(high - low, 1e-9)
+    rows = np.clip((np.asarray(values, dtype=np.float32) - np.float32(low)) * np.float32(scale), 0.0, last)
+    return table[rows.astype(np.uint8)]
+
+
+# Constants of the ACES filmic curve as three.js has it: colour spaces in and out, and (v (v + a) - b) / (v (c v + d) + e).
+_ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]])
+_ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
+_A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.432951, 0.238081
+_EXPOSURE = 1.0 / 0.6
+
+
+def unmapped(colors: ArrayLike) -> NDArray[np.uint8]:
+    """Return what to send as colours of line vertices so that `colors` appear, shape [..., 3].
+
+    The page takes them as linear light and passes them through the ACES film curve, which would make pastels of them.
+    Its inverse ends where the curve does: the brightest colours come out a little darker.
+    """
+    shown = np.asarray(colors, dtype=np.float64) / 255.0
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    y = np.clip(linear @ np.linalg.inv(_ACES_OUT).T, 0.0, 0.76)
+    p, q, r = 1.0 - _C * y, _A - _D * y, -_B - _E * y
+    v = (-q + np.sqrt(q * q - 4.0 * p * r)) / (2.0 * p)
+    light = v @ np.linalg.inv(_ACES_IN).T / _EXPOSURE
+    return np.clip(255.0 * light, 0.0, 255.0).round().astype(np.uint8)
+
+
+def css(color: Rgb, alpha: float = 1.0) -> str:
+    """Return `color` as CSS."""
+    return f"rgba({color[0]},{color[1]},{color[2]},{alpha:g})"
+
+
+def gradient(table: Table) -> str:
+    """Return the colormap as a CSS gradient from left (low) to right (high)."""
+    stops = ",".join(css(tuple(int(c) for c in table[i])) for i in np.linspace(0, len(table) - 1, 16).astype(int))  # type: ignore[arg-type]
+    return f"linear-gradient(90deg,{stops})"

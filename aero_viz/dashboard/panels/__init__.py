@@ -1,0 +1,7 @@
+"""The control panel, one module for each part."""
+
+from __future__ import annotations
+
+from aero_viz.dashboard.panels.base import Page, Panel
+
+__all__ = ["Page", "Panel"]

@@ -1,0 +1,63 @@
+"""What all panels share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import viser
+
+from aero_viz.dashboard.layers import Change, Layer
+from aero_viz.dashboard.server import LocalServer, notify
+from aero_viz.errors import UserError
+from aero_viz.session import Frame, Session
+from aero_viz.source import Source
+
+__all__ = ["Page", "Panel"]
+
+
+@dataclass(frozen=True)
+class Page:
+    """What panels act on."""
+
+    server: LocalServer
+    session: Session
+    layers: Mapping[str, Layer]
+    refresh: Callable[[], None]
+    """Show the newest frame again: after a change that brings no frame of its own."""
+
+    def attempt(self, action: Callable[[], Any], client: viser.ClientHandle | None = None) -> bool:
+        """Run `action`; a user's mistake becomes a notification. Returns whether it went well."""
+        try:
+            action()
+        except (UserError, ValueError, OSError) as error:
+            notify(self.server, str(error), level="error", client=client)
+            return False
+        finally:
+            self.refresh()
+        return True
+
+
+class Panel:
+    """Part of the control panel: turns clicks into calls of the session, and shows what the session says.
+
+    Callbacks are coroutines: viser runs those in the order of the clicks.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.session = page.session
+        self.create(page.server.gui)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        """Make the controls, in the container that is open."""
+        raise NotImplementedError
+
+    def enter(self, source: Source) -> list[Change]:
+        """Return the changes that another source brings."""
+        return []
+
+    def update(self, frame: Frame) -> list[Change]:
+        """Return the changes that show `frame` and the session's present settings; called a few times per second."""
+        return []

@@ -1,0 +1,69 @@
+"""Where the viewers look from."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels.base import Panel
+from aero_viz.session import Frame
+from aero_viz.source import Source
+
+__all__ = ["VIEWS", "CameraPanel", "view"]
+
+VIEWS = ("follow", "top", "side")
+_OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0)}
+_AHEAD = 1.6
+
+
+def view(name: str, position: NDArray[np.float64], goal: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return position and look-at [m], each shape [3], of a camera at a drone at `position` that heads for `goal`."""
+    heading = np.arctan2(*(goal - position)[1::-1])
+    c, s = np.cos(heading), np.sin(heading)
+    turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
+    target = position + turn @ (_AHEAD, 0.0, 0.0)
+    return target + turn @ np.array(_OFFSETS[name]) - turn @ (_AHEAD, 0.0, 0.0), target
+
+
+class CameraPanel(Panel):
+    """Follow keeps the distance and direction that the viewer has chosen; free leaves the camera alone."""
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._mode = "follow"
+        self._placed: set[int] = set()
+        modes = gui.add_button_group(
+            "Camera", ("follow", "top", "side", "free"), hint="Orbit and zoom with the mouse in every one of them."
+        )
+
+        @modes.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self._mode = modes.value
+            self._placed.clear()
+            self.page.refresh()
+
+    def enter(self, source: Source) -> list[Change]:
+        self._placed.clear()
+        return []
+
+    def follow(self, frame: Frame) -> list[Change]:
+        """Return the changes that keep the cameras with the drone; for every frame shown."""
+        state = frame.observation.true_state or frame.observation.state
+        position = np.asarray(state.position, dtype=np.float64)
+        goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
+        start, target = view(self._mode if self._mode in VIEWS else "follow", position, goal)
+        changes: list[Change] = []
+        if not self._placed:
+            initial = self.page.server.initial_camera
+            changes += [(initial, "position", start), (initial, "look_at", target)]
+            self._placed.add(-1)
+        for number, client in self.page.server.get_clients().items():
+            camera = client.camera
+            if number not in self._placed:
+                self._placed.add(number)
+                changes += [(camera, "position", start), (camera, "look_at", target)]
+            elif self._mode != "free":
+                away = np.asarray(camera.position) - np.asarray(camera.look_at)
+                changes += [(camera, "position", target + away), (camera, "look_at", target)]
+        return changes

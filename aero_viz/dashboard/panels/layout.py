@@ -1,0 +1,49 @@
+"""Where everything stands on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import viser
+
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.camera import CameraPanel
+from aero_viz.dashboard.panels.charts import ChartPanel
+from aero_viz.dashboard.panels.configuration import ConfigurationPanel
+from aero_viz.dashboard.panels.goal import GoalPanel
+from aero_viz.dashboard.panels.layers import LayerPanel
+from aero_viz.dashboard.panels.parameters import LiveParameterPanel, StructureParameterPanel
+from aero_viz.dashboard.panels.playback import PlaybackPanel
+from aero_viz.dashboard.panels.source import SourcePanel
+from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.source import Source
+
+__all__ = ["build"]
+
+
+def build(
+    page: Page, *, open_source: Callable[[str], Source] | None, choices: Sequence[tuple[str, str]]
+) -> tuple[CameraPanel, list[Panel]]:
+    """Make all panels: the controls docked on the right, the status floating at the lower left."""
+    gui = page.server.gui
+    gui.main_panel.dock_right()
+    gui.main_panel.set_width(350)
+    panels: list[Panel] = [PlaybackPanel(page)]
+    camera = CameraPanel(page)
+    tabs = gui.add_tab_group()
+    with tabs.add_tab("Fly", viser.Icon.DRONE):
+        if open_source is not None:
+            with gui.add_folder("Source"):
+                panels.append(SourcePanel(page, open_source, choices))
+        with gui.add_folder("Goal"):
+            panels.append(GoalPanel(page))
+        panels.append(ChartPanel(page))
+    with tabs.add_tab("Layers", viser.Icon.STACK_2):
+        panels.append(LayerPanel(page))
+    with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
+        panels += [ConfigurationPanel(page), LiveParameterPanel(page), StructureParameterPanel(page)]
+    status = gui.add_panel()
+    with status.add_tab("Planner", viser.Icon.GAUGE):
+        panels.append(StatusPanel(page))
+    status.float(x=15, y=-15, width=310)
+    return camera, [*panels, camera]

@@ -1,0 +1,38 @@
+"""Choice of what is flown or played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import viser
+
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.source import Source
+
+__all__ = ["SourcePanel"]
+
+
+class SourcePanel(Panel):
+    """Opens scenes and recordings. What cannot be opened is said so, and the present source goes on."""
+
+    def __init__(self, page: Page, open_source: Callable[[str], Source], choices: Sequence[tuple[str, str]]) -> None:
+        self._open_source = open_source
+        self._choices = dict(choices)
+        super().__init__(page)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        if self._choices:
+            offer = gui.add_dropdown("On offer", tuple(self._choices), hint="Scenes and recordings.")
+            offer_open = gui.add_button("Open", icon=viser.Icon.PLAYER_EJECT, color="gray")
+            offer_open.on_click(lambda event: self._open(self._choices[offer.value], event.client))
+        path = gui.add_text("Path", "", hint="A recording or a world on this machine, or the name of a scene.")
+        path_open = gui.add_button("Open path", icon=viser.Icon.FOLDER_OPEN, color="gray")
+        path_open.on_click(lambda event: self._open(path.value.strip(), event.client))
+
+    def _open(self, spec: str, client: viser.ClientHandle | None) -> None:
+        """Runs in viser's pool, as opening takes time."""
+        source: list[Source] = []
+        if self.page.attempt(lambda: source.append(self._open_source(spec)), client):
+            # Should its first tick fail, the session says so to everyone.
+            self.session.set_source(source[0]).exception()
+            self.page.refresh()

@@ -1,0 +1,101 @@
+"""The web server of the page: where it listens, what it refuses, how it looks."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import socket
+
+import numpy as np
+import viser
+
+from aero_viz.dashboard import palette
+from aero_viz.errors import UserError
+
+__all__ = ["LocalServer", "notify"]
+
+_log = logging.getLogger(__name__)
+REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
+
+
+class LocalServer(viser.ViserServer):
+    """A viser server on exactly the address asked for, without public tunnels.
+
+    Raises:
+        UserError: the port is taken or the host is none of this machine; names both.
+    """
+
+    def __init__(self, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+        _require_free(host, port)
+        with contextlib.redirect_stdout(io.StringIO()):  # the banner; the caller says where the page is
+            super().__init__(host=host, port=port, label="AERO-Viz", verbose=False)
+        if port and self.get_port() != port:
+            self.stop()
+            raise _busy(host, port)
+        self._style()
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        host = self.get_host()
+        return f"http://{'127.0.0.1' if host in ('', '0.0.0.0', '::') else host}:{self.get_port()}"
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Refuse: any client could ask for it, and the tunnel would put the page on the internet without a password."""
+        _log.warning(REFUSAL)
+        notify(self, REFUSAL, level="error")
+        return None
+
+    def stop(self) -> None:
+        """End the server."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            super().stop()
+
+    def _style(self) -> None:
+        self.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=palette.BRAND)
+        scene = self.scene
+        scene.set_background_image(_sky(), format="png")
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(False)
+        scene.add_light_hemisphere("/light/sky", sky_color=(214, 226, 255), ground_color=(54, 58, 72), intensity=1.6)
+        scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.2, position=(-4.0, 6.0, 10.0))
+        scene.configure_fog(25.0, 110.0, color=palette.FOG)
+        scene.world_axes.visible = False
+        self.initial_camera.fov = np.radians(58.0)
+        self.initial_camera.far = 500.0
+        self.initial_camera.near = 0.05
+
+
+def notify(server: viser.ViserServer, text: str, *, level: str = "info", client: viser.ClientHandle | None = None) -> None:
+    """Show a notification to `client`, or to everyone."""
+    bad = level == "error"
+    for target in [client] if client is not None else list(server.get_clients().values()):
+        target.add_notification(
+            "That did not work" if bad else "AERO-Viz",
+            text,
+            color="red" if bad else "blue",
+            auto_close_seconds=12.0 if bad else 5.0,
+        )
+
+
+def _require_free(host: str, port: int) -> None:
+    # viser would take the next port without a word.
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            raise _busy(host, port, error) from error
+
+
+def _busy(host: str, port: int, error: Exception | None = None) -> UserError:
+    reason = getattr(error, "strerror", None) or (str(error) if error else "it is in use")
+    return UserError(f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any.")
+
+
+def _sky() -> np.ndarray:
+    mix = np.linspace(0.0, 1.0, 256)[:, None, None]
+    sky = (1.0 - mix) * np.array(palette.SKY_TOP) + mix * np.array(palette.SKY_HORIZON)
+    return np.repeat(sky, 4, axis=1).round().astype(np.uint8)

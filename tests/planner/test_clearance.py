@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from aero_planner import Planner
+from tests.planner import reference
+from tests.planner.cases import config_of, random_case
+
+
+def check_against_brute_force(planner: Planner, case, config) -> None:
+    plan = case.plan(planner)
+    if (plan.kinds.count("brake")) > 1:
+        return
+    d_max = config.costs.distance_max
+    positions = plan.positions[:, 1:].reshape(-1, 3).astype(np.float64)
+    expected = reference.clearance(positions, plan.filtered_points, d_max).reshape(plan.clearance.shape)
+    # Differences of coordinates up to 30 m plus 20 m of flight: 4e-6 m each.
+    np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
+    samples = planner._work.sample_positions.numpy()
+    distance = planner._work.sample_distance.numpy()
+    steps = config.sampling.steps
+    limit = max(d_max, config.candidates.safe_clearance)
+    flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7].astype(np.float64), plan.filtered_points, limit)
+    np.testing.assert_allclose(distance[:, :steps].reshape(-1)[::7], flown, atol=2e-5)
+    if config.costs.q_blocked > 0.0:
+        radius = config.costs.blocked_radius
+        ahead = reference.clearance(
+            samples[:, steps:].reshape(-1, 3)[::7].astype(np.float64), plan.filtered_points, radius
+        )
+        np.testing.assert_allclose(distance[:, steps:].reshape(-1)[::7], ahead, atol=2e-5)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("seed", range(3))
+def test_clearance_is_exact(device: str, preset: str, seed: int):
+    config = config_of(preset)
+    check_against_brute_force(Planner(config, device=device), random_case(seed, count=800, nearest=0.3), config)
+
+
+_PLANNERS: dict[str, Planner] = {}
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    range_max=st.floats(1.0, 25.0),
+    distance_max=st.floats(0.06, 5.0),
+    safe_clearance=st.floats(0.0, 5.0),
+    blocked_radius=st.floats(0.0, 5.0),
+    speed=st.floats(0.0, 30.0),
+)
+def test_clearance_is_exact_whatever_the_grid(
+    device: str, seed: int, range_max: float, distance_max: float, safe_clearance: float, blocked_radius: float,
+    speed: float,
+):  # fmt: skip
+    """Cells as wide as range or radius demands; rollouts that leave the grid."""
+    config = config_of(
+        partition__range_max=range_max, costs__distance_max=distance_max, costs__distance_min=0.05,
+        candidates__safe_clearance=safe_clearance, costs__blocked_radius=blocked_radius, sampling__samples=8,
+    )  # fmt: skip
+    planner = _PLANNERS.setdefault(device, Planner(config, device=device))
+    planner.configure(config)
+    case = random_case(seed, count=400, nearest=0.2, speed=speed)
+    check_against_brute_force(planner, case, config)
+
+
+def test_points_on_the_rim_of_the_grid(device: str):
+    """At exactly range_max along the axes, seen from positions on both sides of the grid's last cells."""
+    config = config_of("paper", partition__range_max=2.0)
+    case = random_case(0, count=0)
+    case.position, case.quaternion, case.velocity = np.zeros(3), np.array([1.0, 0, 0, 0]), np.array([3.0, 0, 0])
+    case.goal = np.array([30.0, 0, 0])
+    case.points = np.concatenate((np.eye(3), -np.eye(3))).astype(np.float32) * 2
+    plan = case.plan(Planner(config, device=device))
+    assert len(plan.filtered_points) == 6
+    expected = reference.clearance(plan.positions[:, 1:].reshape(-1, 3).astype(np.float64), plan.filtered_points, 1.0)
+    np.testing.assert_allclose(plan.clearance.ravel(), expected, atol=2e-5)
+    assert (plan.clearance < 1.0).any() and (np.abs(plan.positions) > 2.6).any()

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_planner.config import SECTIONS, ParameterInfo, find_parameter, parameters
+
+NUMBERS = [info for info in parameters() if not info.choices and not isinstance(info.default, bool)]
+
+every_parameter = pytest.mark.parametrize("info", parameters(), ids=lambda info: info.path)
+every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
+
+
+def replace(path: str, value: object) -> PlannerConfig:
+    return PlannerConfig().replace({path: value})  # type: ignore[dict-item]
+
+
+@every_parameter
+def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterInfo):
+    assert info.help[0].isupper() and info.help.endswith(".") and len(info.help) < 300
+    assert info.check(info.default) == info.default
+    if info.choices:
+        assert info.default in info.choices and len(set(info.choices)) == len(info.choices)
+    else:
+        assert math.isfinite(info.low) and math.isfinite(info.high) and info.low < info.high
+    if info.scale == "log":
+        assert info.low > 0
+    assert PlannerConfig().get(info.path) == info.default
+
+
+def test_physical_parameters_have_a_unit():
+    without = {info.name for info in NUMBERS if not info.unit and isinstance(info.default, float)}
+    assert without == {
+        "slow_spread", "brake_reach", "temperature", "correlation", "q_attitude", "q_control", "q_control_rate",
+        "penalty", "soft_weight",
+    }  # fmt: skip
+
+
+def test_live_names_are_unique_because_they_share_one_struct():
+    names = [info.name for info in parameters() if info.live]
+    assert len(names) == len(set(names))
+
+
+def test_parameters_cover_every_section_in_order():
+    assert list(dict.fromkeys(info.section for info in parameters())) == list(SECTIONS)
+    assert list(PlannerConfig().to_dict()) == list(SECTIONS)
+
+
+@every_number
+def test_errors_name_field_value_and_range(info: ParameterInfo):
+    for wrong in (info.high * 2 + 1, info.low - 1, math.nan, math.inf, "5", None, True, [1.0], 1j):
+        with pytest.raises(ValueError) as raised:
+            replace(info.path, wrong)
+        message = str(raised.value)
+        assert message.startswith(f"{info.path} is {wrong!r}; it must be a")
+        assert f"[{info.low:g}, {info.high:g}]" in message and info.unit in message
+
+
+@every_number
+def test_numbers_of_any_kind_become_the_field_s_own_type(info: ParameterInfo):
+    assert not isinstance(info.default, str)
+    for number in (float, np.float64, np.array, type(info.default)):
+        kept = info.check(number(info.default))
+        assert kept == info.default and type(kept) is type(info.default)
+
+
+@pytest.mark.parametrize("value", [5, np.int64(5), np.float32(5), np.array(5)])
+def test_whole_numbers_serve_as_real_ones(value: object):
+    kept = replace("costs.q_track", value).costs.q_track
+    assert kept == 5.0 and type(kept) is float
+
+
+def test_whole_numbers_are_whole():
+    with pytest.raises(ValueError, match=r"sampling.samples is 128.5; it must be a whole number in \[1, 4096\]"):
+        replace("sampling.samples", 128.5)
+
+
+@pytest.mark.parametrize("wrong", [1, 0, "true", None, 1.0])
+def test_switches_are_true_or_false(wrong: object):
+    with pytest.raises(ValueError, match=r"anchors.refine is .*; it must be true or false"):
+        replace("anchors.refine", wrong)
+    assert replace("anchors.refine", np.False_).anchors.refine is False
+
+
+@pytest.mark.parametrize("wrong", ["cubic", 1, None, ["quadratic"], np.array(["quadratic", "cubic"])])
+def test_choices_are_listed(wrong: object):
+    with pytest.raises(ValueError, match=r"costs.shape is .*; it must be one of quadratic, exponential"):
+        replace("costs.shape", wrong)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        ("vehicle.thrust_min", "vehicle.thrust_max"),
+        ("costs.distance_min", "costs.distance_max"),
+        ("partition.range_min", "partition.range_max"),
+    ],
+)
+def test_minima_stay_below_maxima(low: str, high: str):
+    for value in (2.0, 3.0):
+        with pytest.raises(ValueError, match=f"{low} is {value}; it must be less than {high}, which is 2.0"):
+            PlannerConfig().replace({low: value, high: 2.0})
+    assert PlannerConfig().replace({low: 1.9, high: 2.0}).get(low) == 1.9
+
+
+@pytest.mark.parametrize(
+    ("misspelt", "meant"),
+    [
+        ("costs.q_trak", "costs.q_track"),
+        ("cost.q_track", "costs.q_track"),
+        ("q_track", "costs.q_track"),
+        ("vehicle.penalty", "costs.penalty"),
+        ("sampling.sample", "sampling.samples"),
+    ],
+)
+def test_misspelt_names_get_a_suggestion(misspelt: str, meant: str):
+    for call in (find_parameter, PlannerConfig().get, lambda path: replace(path, 1.0)):
+        with pytest.raises(ValueError, match=f"unknown parameter '{misspelt}' .did you mean '{meant}'"):
+            call(misspelt)
+
+
+def test_from_dict_names_what_is_wrong():
+    with pytest.raises(ValueError, match=r"unknown section 'cost' .did you mean 'costs'.*known: vehicle, partition"):
+        PlannerConfig.from_dict({"cost": {}})
+    with pytest.raises(ValueError, match="section 'costs' is None; it must hold names and values"):
+        PlannerConfig.from_dict({"costs": None})  # type: ignore[dict-item]
+    with pytest.raises(ValueError, match="the configuration is None; it must hold sections"):
+        PlannerConfig.from_dict(None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"unknown parameter 'costs.q_trak'"):
+        PlannerConfig.from_dict({"costs": {"q_trak": 1.0}})
+    with pytest.raises(ValueError, match="section 'costs' is 3; it must be a CostConfig"):
+        PlannerConfig(costs=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", PlannerConfig.presets())
+def test_dictionaries_round_trip(name: str):
+    config = PlannerConfig.preset(name)
+    assert PlannerConfig.from_dict(config.to_dict()) == config
+    assert PlannerConfig.presets()[name].endswith(".")
+
+
+def test_replace_changes_only_what_it_names():
+    config = PlannerConfig().replace({"costs.q_track": 7.0, "sampling.steps": 10})
+    changed = {info.path for info in parameters() if config.get(info.path) != info.default}
+    assert changed == {"costs.q_track", "sampling.steps"}
+    assert config.structure() != PlannerConfig().structure()
+    assert replace("costs.q_track", 7.0).structure() == PlannerConfig().structure()
+
+
+def test_unknown_preset_lists_the_known():
+    with pytest.raises(ValueError, match=r"unknown preset 'papr' .did you mean 'paper'.*known: default, paper"):
+        PlannerConfig.preset("papr")
+
+
+def test_paper_preset_is_the_paper():
+    paper = PlannerConfig.preset("paper")
+    assert paper.kinds == ("anchor",) * 15
+    assert paper.horizon == pytest.approx(1.25)
+    numbers = {
+        "vehicle.mass": 1.0, "vehicle.thrust_min": 0.3, "vehicle.thrust_max": 16.35, "vehicle.rate_xy_max": 3.0,
+        "vehicle.rate_z_max": 2.0, "partition.range_max": 10.0, "partition.range_min": 0.0, "partition.fine_cells": 6,
+        "partition.coarse_columns": 20, "partition.coarse_rows": 10, "anchors.columns": 5, "anchors.rows": 3,
+        "anchors.spacing": 18.0, "anchors.lookahead": 5.0, "anchors.slow_spread": 1.0, "anchors.refine": True,
+        "sampling.samples": 128, "sampling.steps": 25, "sampling.dt": 0.05, "sampling.temperature": 0.1,
+        "sampling.variance_thrust": 1.0, "sampling.variance_rate_xy": 1.0, "sampling.variance_rate_z": 0.5,
+        "sampling.correlation": 0.0, "sampling.keep_nominal": False, "costs.q_position": 3.0, "costs.q_velocity": 0.25,
+        "costs.q_attitude": 1.0, "costs.q_vnorm": 0.15, "costs.q_track": 15.0, "costs.q_control": 0.5,
+        "costs.q_control_rate": 0.5, "costs.penalty": 1e6, "costs.decay": 5.0, "costs.distance_min": 0.4,
+        "costs.distance_max": 1.0, "costs.shape": "exponential", "costs.q_speed": 0.0, "costs.q_blocked": 0.0,
+    }  # fmt: skip
+    assert {path: paper.get(path) for path in numbers} == numbers
+    # The options that bound the look-ahead never bind.
+    assert paper.anchors.lookahead_rest >= paper.anchors.lookahead
+    assert 0.6 * paper.horizon * paper.vehicle.speed_limit > paper.anchors.lookahead

@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner import Goal, Planner, VehicleState
+from tests.planner import reference
+from tests.planner.cases import config_of, exact, random_case
+
+SEEDS = range(4)
+
+
+def nominal(planner: Planner) -> np.ndarray:
+    """Nominal controls of the last plan, shape [M, N, 4]."""
+    return planner._work.nominal.numpy()[0]
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_guides_solve_the_boundary_conditions(device: str, preset: str, seed: int):
+    config, case = config_of(preset), random_case(seed)
+    plan = case.plan(Planner(config, device=device))
+    times = np.arange(config.sampling.steps + 1) * config.sampling.dt
+    rest = np.zeros(3)
+    for m in range(len(plan.kinds)):
+        end = plan.anchors[m].astype(np.float64)
+        expected = reference.quintic(case.position, case.velocity, case.acceleration, end, rest, config.horizon)
+        # Coefficients c_k scale as 1/T^k of 15 x 40 m at 1e-7, and the endpoint itself is rounded to 2e-6 m.
+        np.testing.assert_allclose(plan.guide_coefficients[m], expected, rtol=1e-4, atol=3e-4)
+        np.testing.assert_allclose(plan.guides[m], reference.sample_guide(expected, times), atol=2e-4)
+
+
+def test_arrival_speed_points_along_the_anchor(device: str):
+    config, case = config_of(anchors__arrival_speed=2.0), random_case(0)
+    plan = case.plan(Planner(config, device=device))
+    powers = np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
+    for m, anchor in enumerate(plan.anchors[:15]):
+        velocity = plan.guide_coefficients[m] @ powers
+        np.testing.assert_allclose(velocity, 2.0 * reference.unit(anchor - case.position), atol=2e-3)
+
+
+def test_guides_that_reach_the_goal_take_its_velocity(device: str):
+    case = random_case(0, count=0)
+    goal = case.beside(1.0, 0.2, 0.0)
+    velocity = np.array([0.5, -0.25, 0.125])
+    config = config_of("paper")
+    plan = Planner(config, device=device).plan(case.state, Goal(goal, velocity), case.points)
+    powers = np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
+    np.testing.assert_allclose(plan.guide_coefficients @ powers, np.tile(velocity, (15, 1)), atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nominal_controls_fly_along_gentle_guides(device: str, seed: int):
+    """From a state that fits the guide, differential flatness reproduces it up to the steps of dt."""
+    config = config_of("paper", anchors__lookahead=0.8, anchors__lookahead_rest=0.8)
+    case = random_case(seed, speed=0.0, tilt=0.0, count=0)
+    case.velocity, case.acceleration = exact(np.random.default_rng(seed).normal(size=3) * 0.2), np.zeros(3)
+    planner = Planner(config, device=device)
+    plan = case.plan(planner)
+    for m in range(15):
+        x = reference.roll_out(case.position, case.quaternion, case.velocity, nominal(planner)[m], config)
+        assert np.linalg.norm(x.p - plan.guides[m, 1:], axis=1).max() < 0.1
+        assert np.linalg.norm(plan.guides[m, -1] - plan.guides[m, 0]) > 0.7
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nominal_controls_take_up_a_tilted_start(device: str, seed: int):
+    """Tilted by up to 40 deg against the guide, the nominal still recovers within the horizon."""
+    config = config_of("paper", anchors__lookahead=1.5, anchors__lookahead_rest=1.5)
+    case = random_case(seed, speed=0.0)
+    case.velocity, case.acceleration = np.zeros(3), np.zeros(3)
+    planner = Planner(config, device=device)
+    case.plan(planner)
+    for u in nominal(planner):
+        x = reference.roll_out(case.position, case.quaternion, case.velocity, u, config)
+        assert reference.rotation(x.q[-1])[2, 2] > np.cos(0.3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nominal_controls_turn_the_nose_evenly_to_the_goal(device: str, seed: int):
+    config, case = config_of("paper", anchors__lookahead=1.0, anchors__lookahead_rest=1.0), random_case(seed, tilt=0.0)
+    case.velocity, case.acceleration = np.zeros(3), np.zeros(3)
+    planner = Planner(config, device=device)
+    case.plan(planner)
+    R, q_goal = reference.rotation(reference.unit(case.quaternion)), case.full_goal()[2]
+    turn = np.arctan2(*reference.rotation(q_goal)[[1, 0], 0]) - np.arctan2(R[1, 0], R[0, 0])
+    turn = (turn + np.pi) % (2 * np.pi) - np.pi
+    limit = config.vehicle.rate_z_max
+    np.testing.assert_allclose(nominal(planner)[..., 3], np.clip(turn / config.horizon, -limit, limit), atol=1e-5)
+
+
+def test_nominal_controls_respect_the_limits(device: str):
+    config = config_of(vehicle__rate_xy_max=1.0, vehicle__rate_z_max=0.2, vehicle__thrust_max=12.0)
+    planner = Planner(config, device=device)
+    for seed in SEEDS:
+        random_case(seed, speed=8.0).plan(planner)
+        u = nominal(planner)
+        assert np.abs(u[..., 1:3]).max() <= 1.0 and np.abs(u[..., 3]).max() <= np.float32(0.2)
+        assert u[..., 0].max() <= 12.0 and u[..., 0].min() >= np.float32(0.3)
+
+
+def test_hovering_nominal(device: str):
+    planner = Planner(config_of("paper", sampling__nominal="hover", vehicle__mass=1.2), device=device)
+    random_case(0).plan(planner)
+    np.testing.assert_allclose(nominal(planner), np.tile([1.2 * 9.81, 0, 0, 0], (15, 25, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.35, 0.9])
+def test_brake_guide_ends_at_rest_within_its_reach(device: str, reach: float):
+    config, case = config_of(candidates__brake_reach=reach), random_case(0)
+    plan = case.plan(Planner(config, device=device))
+    m = plan.kinds.index("brake")
+    end = case.position + reach * config.horizon * case.velocity
+    np.testing.assert_allclose(plan.guides[m, -1], end, atol=1e-4)
+    np.testing.assert_allclose(plan.anchors[m], end, atol=1e-5)
+    powers = np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
+    np.testing.assert_allclose(plan.guide_coefficients[m] @ powers, np.zeros(3), atol=2e-3)
+
+
+def shifted(controls: np.ndarray, shift: float, hover: np.ndarray) -> np.ndarray:
+    """Controls from `shift` steps on, interpolated; hovering past their end."""
+    padded = np.concatenate((controls, np.tile(hover, (len(controls) + 2, 1))))
+    times = np.arange(len(controls)) + shift
+    return np.stack([np.interp(times, np.arange(len(padded)), padded[:, i]) for i in range(4)], axis=1)
+
+
+@pytest.mark.parametrize("elapsed", [0.0, 0.02, 0.05, 0.13, 1.24])
+def test_previous_plan_is_shifted_by_the_elapsed_time(device: str, elapsed: float):
+    config, case = config_of(), random_case(0)
+    planner = Planner(config, device=device)
+    # Stamps as they come, in seconds since 1970.
+    stamp = 1.7e9
+    first = planner.plan(_at(case, stamp), Goal(case.goal), case.points)
+    second = planner.plan(_at(case, stamp + elapsed), Goal(case.goal), case.points)
+    m = second.kinds.index("previous")
+    hover = np.array([config.vehicle.mass * config.vehicle.gravity, 0, 0, 0])
+    expected = shifted(first.command.astype(np.float64), elapsed / config.sampling.dt, hover)
+    # float64 stamps of 1.7e9 s resolve 2e-7 s, 5e-6 steps, between controls up to 16 apart.
+    np.testing.assert_allclose(nominal(planner)[m], expected, atol=2e-4)
+    np.testing.assert_array_equal(second.anchors[m], first.positions[first.best, -1])
+
+
+def _at(case, time: float | None) -> VehicleState:
+    return VehicleState(case.position, case.velocity, case.quaternion, case.acceleration, time=time)
+
+
+def test_states_without_time_are_one_replan_period_apart(device: str):
+    config, case = config_of(sampling__replan_period=0.08), random_case(0)
+    planner = Planner(config, device=device)
+    first = case.plan(planner)
+    case.plan(planner)
+    hover = np.array([config.vehicle.mass * config.vehicle.gravity, 0, 0, 0])
+    expected = shifted(first.command.astype(np.float64), 0.08 / 0.05, hover)
+    np.testing.assert_allclose(nominal(planner)[15], expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("elapsed", [-0.1, 1.25, 100.0])
+def test_a_previous_plan_of_another_time_is_not_used(device: str, elapsed: float):
+    """Then the candidate is a guide toward the goal, like the first one."""
+    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
+    first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
+    before = nominal(planner).copy()
+    second = planner.plan(_at(case, 50.0 + elapsed), Goal(case.goal), case.points)
+    np.testing.assert_array_equal(nominal(planner), before)
+    np.testing.assert_array_equal(first.controls, second.controls)
+    toward = reference.unit(case.goal - case.position)
+    assert reference.unit(second.anchors[15] - case.position) @ toward == pytest.approx(1.0, abs=1e-6)
