@@ -27,16 +27,19 @@ GRID_SECTION: Rgb = (48, 59, 77)
 OBSTACLE: Rgb = (74, 86, 106)
 BRAND: Rgb = (58, 134, 255)
 
+PANEL: dict[int, Rgb] = {4: (51, 61, 78), 5: (38, 46, 60), 6: (30, 37, 49), 7: (20, 25, 34), 8: (15, 19, 26), 9: (10, 13, 19)}
+"""Shades of the panels, by their number in the page's theme."""
+
 DRONE: Rgb = (236, 240, 246)
 DRONE_DARK: Rgb = (44, 50, 60)
 ROTOR: Rgb = (150, 200, 255)
-TRAIL: Rgb = (255, 159, 67)
-CHOSEN: Rgb = (64, 255, 140)
-GUIDE: Rgb = (72, 149, 255)
+TRAIL: Rgb = (240, 151, 57)
+CHOSEN: Rgb = (128, 228, 118)
+GUIDE: Rgb = (72, 149, 226)
 ENDPOINT: Rgb = (138, 150, 168)
-ANCHOR: Rgb = (255, 209, 60)
-GOAL: Rgb = (255, 66, 120)
-RECORDED: Rgb = (178, 132, 255)
+ANCHOR: Rgb = (230, 208, 74)
+GOAL: Rgb = (246, 58, 118)
+RECORDED: Rgb = (178, 131, 227)
 SAMPLE: Rgb = (190, 204, 224)
 
 GOOD: Rgb = (52, 211, 123)

@@ -15,6 +15,9 @@ from aero_viz.errors import UserError
 
 __all__ = ["LocalServer", "notify"]
 
+_STYLE = ":root{" + ";".join(
+    f"--mantine-color-dark-{shade}:{palette.css(color)}" for shade, color in palette.PANEL.items()
+) + ";--mantine-color-body:var(--mantine-color-dark-7)!important}"  # fmt: skip
 _log = logging.getLogger(__name__)
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 
@@ -53,6 +56,7 @@ class LocalServer(viser.ViserServer):
             super().stop()
 
     def _style(self) -> None:
+        self.gui.add_html(f"<style>{_STYLE}</style>")
         self.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=palette.BRAND)
         scene = self.scene
         scene.set_background_image(_sky(), format="png")

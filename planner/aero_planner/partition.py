@@ -21,12 +21,38 @@ EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 
 @wp.func
+def approximate_atan2(y: float, x: float) -> float:
+    """Angle of (x, y) [rad] within 2e-5, several times faster than atan2 on a CPU."""
+    low = wp.min(wp.abs(x), wp.abs(y))
+    high = wp.max(wp.abs(x), wp.abs(y))
+    t = low / wp.max(high, 1.0e-30)
+    s = t * t
+    # Minimax polynomial of atan on [0, 1].
+    angle = t * (
+        0.99997726 + s * (-0.33262347 + s * (0.19354346 + s * (-0.11643287 + s * (0.05265332 - s * 0.01172120))))
+    )
+    angle = wp.where(wp.abs(y) > wp.abs(x), 0.5 * wp.PI - angle, angle)
+    angle = wp.where(x < 0.0, wp.PI - angle, angle)
+    return wp.where(y < 0.0, -angle, angle)
+
+
+@wp.func
+def angle_cell(y: float, x: float, cells_per_radian: float, offset: float) -> int:
+    """floor(atan2(y, x) cells_per_radian + offset), exactly: the approximation decides only away from an edge."""
+    coordinate = approximate_atan2(y, x) * cells_per_radian + offset
+    cell = wp.floor(coordinate)
+    margin = 1.0e-4 * cells_per_radian
+    if wp.abs(coordinate - cell - 0.5) > 0.5 - margin:
+        cell = wp.floor(wp.atan2(y, x) * cells_per_radian + offset)
+    return int(cell)
+
+
+@wp.func
 def cell_of_direction(d: wp.vec3, rows: int, columns: int):
     """Row and column of the cell that holds the direction d, which need not be a unit vector."""
-    azimuth = wp.atan2(d[1], d[0])
-    elevation = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
-    row = int(wp.floor(elevation * (float(rows) / wp.PI) + 0.5 * float(rows)))
-    column = int(wp.floor(azimuth * (0.5 * float(columns) / wp.PI) + 0.5 * float(columns)))
+    horizontal = wp.sqrt(d[0] * d[0] + d[1] * d[1])
+    row = angle_cell(d[2], horizontal, float(rows) / wp.PI, 0.5 * float(rows))
+    column = angle_cell(d[1], d[0], 0.5 * float(columns) / wp.PI, 0.5 * float(columns))
     # a = +180 deg is a = -180 deg, b = +90 deg belongs to the uppermost row.
     return wp.clamp(row, 0, rows - 1), (column + columns) % columns
 

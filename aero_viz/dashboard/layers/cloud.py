@@ -29,7 +29,7 @@ class CloudLayer(Layer):
         self._shown: tuple[object, str] | None = None
         self._node = scene.add_point_cloud(
             "/cloud/points", np.zeros((_STEP, 3), np.float32), np.zeros((_STEP, 3), np.uint8),
-            point_size=0.02, point_shape="circle", point_shading="flat", precision="float32", visible=False,
+            point_size=0.016, point_shape="circle", point_shading="flat", precision="float32", visible=False,
         )  # fmt: skip
 
     def update(self, frame: Frame) -> list[Change]:

@@ -41,7 +41,7 @@ class TrailLayer(Layer):
     name, title = "trail", "Flown trail"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._lines = Lines(scene, "/trail/line", thickness=0.035, capacity=_TRAIL_SEGMENTS)
+        self._lines = Lines(scene, "/trail/line", thickness=0.024, capacity=_TRAIL_SEGMENTS)
 
     def update(self, frame: Frame) -> list[Change]:
         trail = frame.trail

@@ -17,7 +17,7 @@ __all__ = ["ChartPanel"]
 
 _ROWS = 150
 """The page gets the whole curve each time, so it must stay short."""
-_AXIS = {"stroke": palette.css(palette.MUTED), "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1}, "size": 34}
+_AXIS = {"stroke": palette.css(palette.MUTED), "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1}, "size": 42}
 
 
 class ChartPanel(Panel):

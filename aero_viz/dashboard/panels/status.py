@@ -73,7 +73,7 @@ class StatusPanel(Panel):
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        head = markup.heading(f"cost of the {len(plan.kinds)} instances, by {by}", f"best: {best} {plan.kinds[best]}")
+        head = markup.heading(f"cost, {by}", f"best is {best} of {len(plan.kinds)} ({plan.kinds[best]})")
         return head + markup.bars(columns)  # type: ignore[arg-type]
 
     def _legend(self, frame: Frame) -> list[str]:
@@ -109,8 +109,8 @@ def _figures(frame: Frame) -> str:
             ("height", f"{position[2]:.1f}", "m"),
             ("to the goal", f"{away:.1f}", "m"),
             ("clearance", f"{'≥' if far else ''}{reach if far else clearance:.2f}", "m"),
-            ("points kept", f"{len(frame.plan.filtered_points)}", f"of {len(frame.observation.points) // 1000}k"),
-            ("ticks", f"{frame.rate:.0f}", f"Hz, {frame.dropped_ticks} late"),
+            ("points kept", f"{len(frame.plan.filtered_points)}", f"/{len(frame.observation.points) // 1000}k"),
+            ("ticks", f"{frame.rate:.0f}", f"Hz/{frame.dropped_ticks} late"),
         ]
     )
 
