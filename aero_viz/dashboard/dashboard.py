@@ -11,7 +11,9 @@ from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.panels import Page
 from aero_viz.dashboard.panels.layout import build
 from aero_viz.dashboard.server import LocalServer, notify
+from aero_viz.errors import UserError
 from aero_viz.session import Frame, Notice, Session
+from aero_viz.sinks import Sink
 from aero_viz.source import Source
 
 __all__ = ["Dashboard"]
@@ -51,6 +53,7 @@ class Dashboard:
         self._session = session
         self._source: Source | None = None
         self._panels_due = 0.0
+        self._sink: Sink | None = None
         page = Page(self.server, session, self.layers, self.refresh)
         self._camera, self._panels = build(page, open_source=open_source, choices=choices)
         self._sink = session.subscribe(self._show, name="dashboard")
@@ -62,27 +65,57 @@ class Dashboard:
         """Address of the page."""
         return self.server.url
 
+    @property
+    def failures(self) -> int:
+        """Number of frames that could not be shown; the log says why."""
+        return 0 if self._sink is None else self._sink.failures
+
     def refresh(self) -> None:
         """Show the newest frame again."""
         frame = self._session.frame
-        if frame is not None and hasattr(self, "_sink"):
+        if frame is not None and self._sink is not None:
             self._panels_due = 0.0
             self._sink.put(frame)
 
+    def show_only(self, names: Sequence[str] | None) -> None:
+        """Show these layers and no other; None shows those that are on by default.
+
+        Raises:
+            UserError: there is no such layer; lists them.
+        """
+        for name in names or ():
+            if name not in self.layers:
+                raise UserError(f"There is no layer {name!r}; the layers are {', '.join(self.layers)}.")
+        for name, layer in self.layers.items():
+            layer.visible = layer.on if names is None else name in names
+        self.refresh()
+
+    def drain(self, timeout: float = 10.0) -> bool:
+        """Wait until the newest frame is sent; False when that takes longer than `timeout` [s]."""
+        self.refresh()
+        return self._sink is not None and self._sink.drain(timeout)
+
     def close(self) -> None:
         """Close the page; the session goes on."""
-        self._session.unsubscribe(self._sink)
+        if self._sink is not None:
+            self._session.unsubscribe(self._sink)
         self._session.unsubscribe(self._notices)
         self.server.stop()
 
     def _show(self, frame: Frame) -> None:
-        """Runs in the sink's thread: what waits meanwhile is the newest frame, so nothing old is ever shown."""
+        """Runs in the sink's thread: what waits meanwhile is the newest frame, so nothing old is ever shown.
+
+        Does nothing while nobody looks; who connects asks for a refresh.
+        """
+        clients = list(self.server.get_clients().values())
+        if not clients:
+            return
         started = time.perf_counter()
         changes = self._changes(frame)
         with self.server.atomic():
             apply(changes)
         self.server.flush()
-        for client in self.server.get_clients().values():
+        for client in clients:
             client.flush()
         took = time.perf_counter() - started
         self.update_ms.append(1e3 * took)

@@ -13,7 +13,7 @@ import viser
 from aero_viz.dashboard import palette
 from aero_viz.errors import UserError
 
-__all__ = ["LocalServer", "notify"]
+__all__ = ["LocalServer", "notify", "sky"]
 
 _STYLE = ":root{" + ";".join(
     f"--mantine-color-dark-{shade}:{palette.css(color)}" for shade, color in palette.PANEL.items()
@@ -59,10 +59,10 @@ class LocalServer(viser.ViserServer):
         self.gui.add_html(f"<style>{_STYLE}</style>")
         self.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=palette.BRAND)
         scene = self.scene
-        scene.set_background_image(_sky(), format="png")
+        scene.set_background_image(sky(256, 4), format="png")
         scene.configure_environment_map(None)
         scene.configure_default_lights(False)
-        scene.add_light_hemisphere("/light/sky", sky_color=(214, 226, 255), ground_color=(54, 58, 72), intensity=1.6)
+        scene.add_light_hemisphere("/light/sky", sky_color=(214, 226, 255), ground_color=(54, 58, 72), intensity=1.9)
         scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.2, position=(-4.0, 6.0, 10.0))
         scene.configure_fog(25.0, 110.0, color=palette.FOG)
         scene.world_axes.visible = False
@@ -99,7 +99,8 @@ def _busy(host: str, port: int, error: Exception | None = None) -> UserError:
     return UserError(f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any.")
 
 
-def _sky() -> np.ndarray:
-    mix = np.linspace(0.0, 1.0, 256)[:, None, None]
-    sky = (1.0 - mix) * np.array(palette.SKY_TOP) + mix * np.array(palette.SKY_HORIZON)
-    return np.repeat(sky, 4, axis=1).round().astype(np.uint8)
+def sky(height: int, width: int) -> np.ndarray:
+    """Return what is behind everything, shape [height, width, 3], uint8."""
+    mix = np.linspace(0.0, 1.0, height)[:, None, None]
+    rows = (1.0 - mix) * np.array(palette.SKY_TOP) + mix * np.array(palette.SKY_HORIZON)
+    return np.repeat(rows, width, axis=1).round().astype(np.uint8)

@@ -49,7 +49,7 @@ class Planner:
         threads: CPU threads for the heavy stages; None for one per core. The plan does not depend on it.
 
     Raises:
-        ValueError: the device does not exist, or batch or threads is less than 1.
+        ValueError: the device does not exist, config is not a PlannerConfig, or batch or threads is less than 1.
     """
 
     def __init__(
@@ -63,6 +63,8 @@ class Planner:
     ) -> None:
         if batch is not None and batch < 1:
             raise ValueError(f"batch is {batch}; it must be None or at least 1.")
+        if config is not None and not isinstance(config, PlannerConfig):
+            raise ValueError(f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper').")
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
         self._device = _find_device(device)
@@ -284,12 +286,15 @@ class Planner:
         if isinstance(points, wp.array):
             if points.dtype is not wp.vec3:
                 raise ValueError(f"points has dtype {points.dtype}; a Warp array must have dtype wp.vec3.")
-            clouds = [points[b] for b in range(points.shape[0])] if self._batched else [points]
             expected = 2 if self._batched else 1
             if points.ndim != expected:
                 raise ValueError(f"points has {points.ndim} dimensions of wp.vec3; it must have {expected}.")
+            clouds = [points[b] for b in range(points.shape[0])] if self._batched else [points]
         else:
-            clouds = [np.asarray(cloud) for cloud in points] if self._batched else [np.asarray(points)]
+            try:
+                clouds = [np.asarray(cloud) for cloud in points] if self._batched else [np.asarray(points)]
+            except (TypeError, ValueError) as error:
+                raise ValueError(f"points can't be read as clouds of shape (P, 3): {error}.") from error
             for cloud in clouds:
                 if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
                     raise ValueError(

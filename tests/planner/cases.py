@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aero_planner import Goal, Planner, PlannerConfig, VehicleState
+from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from aero_planner.config import Value
 from tests.planner.reference import Array, rotation, unit
 
@@ -47,6 +47,12 @@ class Case:
         forward = rotation(unit(self.quaternion))[:, 0]
         yaw = np.arctan2(y, x) if np.hypot(x, y) > 0.5 else np.arctan2(forward[1], forward[0])
         return self.goal, np.zeros(3), np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+
+
+def kept_points(plan: Plan) -> Array:
+    """Filtered cloud of a single drone's plan."""
+    assert isinstance(plan.filtered_points, np.ndarray)
+    return plan.filtered_points
 
 
 def exact(values: object) -> Array:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 # Attitude: unit quaternions w, x, y, z, body to world.

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -65,7 +67,7 @@ def test_in_open_space_anchors_stay_within_half_a_fine_cell(device: str):
         {"sampling__dt": 0.02, "anchors__lookahead_rest": 0.5},
     ],
 )
-def test_lookahead(device: str, speed: float, distance: float, changes: dict[str, float]):
+def test_lookahead(device: str, speed: float, distance: float, changes: dict[str, Any]):
     config, case = config_of(**changes), random_case(0, count=0)
     case.velocity = exact([speed, 0, 0])
     case.goal = case.beside(0, distance, 0)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from aero_planner import Planner
 from tests.planner import reference
-from tests.planner.cases import config_of, random_case
+from tests.planner.cases import config_of, kept_points, random_case
 
 
 def check_against_brute_force(planner: Planner, case, config) -> None:
@@ -16,19 +16,19 @@ def check_against_brute_force(planner: Planner, case, config) -> None:
         return
     d_max = config.costs.distance_max
     positions = plan.positions[:, 1:].reshape(-1, 3).astype(np.float64)
-    expected = reference.clearance(positions, plan.filtered_points, d_max).reshape(plan.clearance.shape)
+    expected = reference.clearance(positions, kept_points(plan), d_max).reshape(plan.clearance.shape)
     # Differences of coordinates up to 30 m plus 20 m of flight: 4e-6 m each.
     np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
     samples = planner._work.sample_positions.numpy()
     distance = planner._work.sample_distance.numpy()
     steps = config.sampling.steps
     limit = max(d_max, config.candidates.safe_clearance)
-    flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7].astype(np.float64), plan.filtered_points, limit)
+    flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7].astype(np.float64), kept_points(plan), limit)
     np.testing.assert_allclose(distance[:, :steps].reshape(-1)[::7], flown, atol=2e-5)
     if config.costs.q_blocked > 0.0:
         radius = config.costs.blocked_radius
         ahead = reference.clearance(
-            samples[:, steps:].reshape(-1, 3)[::7].astype(np.float64), plan.filtered_points, radius
+            samples[:, steps:].reshape(-1, 3)[::7].astype(np.float64), kept_points(plan), radius
         )
         np.testing.assert_allclose(distance[:, steps:].reshape(-1)[::7], ahead, atol=2e-5)
 
@@ -75,7 +75,7 @@ def test_points_on_the_rim_of_the_grid(device: str):
     case.goal = np.array([30.0, 0, 0])
     case.points = np.concatenate((np.eye(3), -np.eye(3))).astype(np.float32) * 2
     plan = case.plan(Planner(config, device=device))
-    assert len(plan.filtered_points) == 6
-    expected = reference.clearance(plan.positions[:, 1:].reshape(-1, 3).astype(np.float64), plan.filtered_points, 1.0)
+    assert len(kept_points(plan)) == 6
+    expected = reference.clearance(plan.positions[:, 1:].reshape(-1, 3).astype(np.float64), kept_points(plan), 1.0)
     np.testing.assert_allclose(plan.clearance.ravel(), expected, atol=2e-5)
     assert (plan.clearance < 1.0).any() and (np.abs(plan.positions) > 2.6).any()

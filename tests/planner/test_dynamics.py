@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from tests.planner.cases import config_of, random_case
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("changes", [{}, {"vehicle__mass": 1.7, "sampling__dt": 0.11, "vehicle__gravity": 3.7}])
-def test_stage2_rollouts_are_rk4(device: str, seed: int, changes: dict[str, float]):
+def test_stage2_rollouts_are_rk4(device: str, seed: int, changes: dict[str, Any]):
     config, case = config_of(**changes), random_case(seed, tilt=2.5)
     plan = case.plan(Planner(config, device=device))
     for m in range(len(plan.kinds)):

@@ -5,7 +5,7 @@ import pytest
 
 from aero_planner import Planner
 from tests.planner import reference
-from tests.planner.cases import Case, config_of, random_case, random_quaternion
+from tests.planner.cases import Case, config_of, kept_points, random_case, random_quaternion
 
 SEEDS = range(4)
 
@@ -38,7 +38,7 @@ def test_fine_ranges_and_filtered_points(device: str, seed: int, shape: tuple[in
     assert plan.fine_range.shape == (rows, columns)
     # One subtraction at 30 m and one root: a few units of 2e-6 m.
     np.testing.assert_allclose(plan.fine_range, fine, atol=1e-5)
-    np.testing.assert_array_equal(plan.filtered_points, case.points[nearest[nearest >= 0]])
+    np.testing.assert_array_equal(kept_points(plan), case.points[nearest[nearest >= 0]])
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -83,7 +83,7 @@ def test_the_maximum_wins_over_the_nearest_direction(device: str):
 def test_empty_cloud(device: str, seed: int):
     case = random_case(seed, count=0)
     plan = case.plan(Planner(config_of(), device=device))
-    assert plan.filtered_points.shape == (0, 3) and plan.dropped_points == 0
+    assert kept_points(plan).shape == (0, 3) and plan.dropped_points == 0
     assert (plan.fine_range == 10.0).all() and (plan.safe_range == 10.0).all()
     assert (plan.collision_cost == 0.0).all()
     assert (plan.clearance == np.float32(0.55)).all()
@@ -113,7 +113,7 @@ def test_ranges_are_kept_from_range_min_to_range_max(device: str):
     case = random_case(0, count=0)
     case.position, case.quaternion, case.points = np.zeros(3), np.array([1.0, 0, 0, 0]), points
     plan = case.plan(Planner(config, device=device))
-    assert {tuple(p) for p in plan.filtered_points} == {(2.0, 0.0, 0.0), (0.0, 8.0, 0.0)}
+    assert {tuple(p) for p in kept_points(plan)} == {(2.0, 0.0, 0.0), (0.0, 8.0, 0.0)}
 
 
 def test_equal_ranges_take_the_first_point(device: str):
@@ -124,7 +124,7 @@ def test_equal_ranges_take_the_first_point(device: str):
     for points in ([a, b], [b, a]):
         case.points = np.array(points, np.float32)
         plan = case.plan(Planner(config_of(), device=device))
-        np.testing.assert_array_equal(plan.filtered_points, [points[0]])
+        np.testing.assert_array_equal(kept_points(plan), [points[0]])
 
 
 def test_points_on_the_poles_and_the_seam(device: str):

@@ -50,7 +50,7 @@ class FineCellLayer(Layer):
             *changes,
             (self._node, "batched_positions", (self._direction * flat).astype(np.float32)),
             (self._node, "batched_scales", np.where(occupied, self._size * flat, 0.0).astype(np.float32)),
-            (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, palette.TURBO[::-1])),
+            (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, palette.NEAR_TO_FAR)),
         ]
 
 
@@ -74,7 +74,7 @@ class CoarseCellLayer(Layer):
         reach = frame.config.partition.range_max
         start = _SPHERE * directions.reshape(-1, 3)
         share = ranges.reshape(-1, 1) / reach
-        paint = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, palette.TURBO[::-1])
+        paint = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, palette.VIRIDIS)
         return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), paint)]
 
 

@@ -44,8 +44,8 @@ class CloudLayer(Layer):
             origin = np.asarray(frame.observation.state.position, dtype=np.float32)
             ranges = np.linalg.norm(points - origin, axis=1)
             reach = frame.config.partition.range_max
-            paint = palette.colorize(ranges, 0.0, reach, palette.TURBO[::-1])
-            self.scale = ("cloud: range", "0 m", f"{reach:g} m and more", palette.TURBO[::-1])
+            paint = palette.colorize(ranges, 0.0, reach, palette.NEAR_TO_FAR)
+            self.scale = ("cloud: range", "0 m", f"{reach:g} m and more", palette.NEAR_TO_FAR)
         else:
             low, high = np.percentile(points[::16, 2], (2.0, 98.0))
             high = max(high, low + 2.0)

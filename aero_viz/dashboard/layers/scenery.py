@@ -25,7 +25,7 @@ class ObstacleLayer(Layer):
         empty, face = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
         self._nodes = {
             shape: scene.add_mesh_simple(
-                f"/obstacles/{shape}", empty, face, color=palette.OBSTACLE, side="double", visible=False
+                f"/obstacles/{shape}", empty, face, color=palette.OBSTACLE, opacity=0.55, visible=False
             )
             for shape in _SHAPES
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import viser
+import viser.transforms
 from numpy.typing import NDArray
 
 from aero_viz.dashboard.layers import Change
@@ -11,7 +12,7 @@ from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session import Frame
 from aero_viz.source import Source
 
-__all__ = ["VIEWS", "CameraPanel", "view"]
+__all__ = ["VIEWS", "CameraPanel", "orientation", "view"]
 
 VIEWS = ("follow", "top", "side")
 _OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0)}
@@ -67,3 +68,12 @@ class CameraPanel(Panel):
                 away = np.asarray(camera.position) - np.asarray(camera.look_at)
                 changes += [(camera, "position", target + away), (camera, "look_at", target)]
         return changes
+
+
+def orientation(position: NDArray[np.float64], look_at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quaternion w x y z of a camera, z forward and y down, with the world's z up in the picture."""
+    forward = look_at - position
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([0.0, -1.0, 0.0])
+    return viser.transforms.SO3.from_matrix(np.stack((right, np.cross(forward, right), forward), axis=1)).wxyz

@@ -26,8 +26,9 @@ class ConfigurationPanel(Panel):
         hint = " ".join(f"{name}: {help}" for name, help in presets.items())
         self._preset = gui.add_dropdown("Preset", (*presets, _OWN), initial_value=_OWN, hint=hint)
         steps = gui.add_button_group("History", ("undo", "redo", "reset all"))
-        save = gui.add_button("Download YAML", icon=viser.Icon.DOWNLOAD, color="gray")
-        load = gui.add_upload_button("Upload YAML", icon=viser.Icon.UPLOAD, color="gray", mime_type=".yaml,.yml,text/yaml")
+        with gui.add_folder("File", expand_by_default=False):
+            save = gui.add_button("Download YAML", icon=viser.Icon.DOWNLOAD, color="gray")
+            load = gui.add_upload_button("Upload YAML", icon=viser.Icon.UPLOAD, color="gray", mime_type=".yaml,.yml")
 
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:

@@ -1,0 +1,192 @@
+"""How fast the planner is here: `python -m aero_planner.benchmark --help`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner.config import PlannerConfig
+from aero_planner.config_file import config_from_name
+from aero_planner.plan import Goal, VehicleState
+from aero_planner.planner import Planner
+
+__all__ = ["forest_cloud", "main", "measure"]
+
+_WARM_UP = 3
+_MIB = 2.0**20
+
+
+def forest_cloud(count: int, *, seed: int = 0, radius: float = 12.0) -> NDArray[np.float32]:
+    """Return what a LiDAR sees in a forest, shape [count, 3], world frame, with the drone at (0, 0, 2).
+
+    Three quarters of the points lie on trunks 0.2 to 0.8 m wide, the others on the ground, to `radius` [m].
+    """
+    rng = np.random.default_rng(seed)
+    place, angle = rng.uniform(1.5, radius, 80), rng.uniform(-np.pi, np.pi, 80)
+    width, tree = rng.uniform(0.1, 0.4, 80), rng.integers(80, size=count)
+    around = rng.uniform(-np.pi, np.pi, count)
+    trunks = np.stack(
+        (
+            place[tree] * np.cos(angle[tree]) + width[tree] * np.cos(around),
+            place[tree] * np.sin(angle[tree]) + width[tree] * np.sin(around),
+            rng.uniform(0.0, 8.0, count),
+        ),
+        axis=1,
+    )
+    r, a = radius * np.sqrt(rng.uniform(size=count)), rng.uniform(-np.pi, np.pi, count)
+    ground = np.stack((r * np.cos(a), r * np.sin(a), 0.05 * rng.normal(size=count)), axis=1)
+    return np.where(rng.uniform(size=(count, 1)) < 0.75, trunks, ground).astype(np.float32)
+
+
+def measure(
+    config: PlannerConfig,
+    *,
+    device: str = "cpu",
+    batch: int = 1,
+    points: int = 200_000,
+    threads: int | None = None,
+    repeat: int = 100,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Time the planner in a forest at 4 m/s.
+
+    Returns:
+        "plan": {"median_ms", "p99_ms"} of `Planner.plan` with the cloud in host memory and all results copied back;
+        "launch": the same of `Planner.launch`, everything staying on the device;
+        "stages": the same of each stage of `Planner.plan`; "plans_per_second" and "launches_per_second", over the
+        batch; "points_kept" per drone; "memory_mib": growth of the resident set on the CPU, device memory on CUDA;
+        and the arguments.
+
+    Raises:
+        ValueError: an argument is out of its range, or the device does not exist.
+    """
+    for name, value, least in (("points", points, 0), ("repeat", repeat, 1)):
+        if value < least:
+            raise ValueError(f"{name} is {value}; it must be at least {least}.")
+    cloud = forest_cloud(points, seed=seed)
+    before = _resident_bytes()
+    planner = Planner(config, device=device, seed=seed, batch=batch, threads=threads)
+    warp_device = wp.get_device(device)
+    free_before = warp_device.free_memory if warp_device.is_cuda else 0
+    state = VehicleState(
+        np.tile([0.0, 0.0, 2.0], (batch, 1)), np.tile([4.0, 0.0, 0.0], (batch, 1)), np.tile([1.0, 0, 0, 0], (batch, 1))
+    )
+    goal = Goal(np.tile([30.0, 0.0, 2.0], (batch, 1)))
+
+    stages: dict[str, list[float]] = {}
+    kept = 0.0
+    for i in range(repeat + _WARM_UP):
+        plan = planner.plan(state, goal, [cloud] * batch)
+        if i >= _WARM_UP:
+            for name, milliseconds in plan.stage_ms.items():
+                stages.setdefault(name, []).append(milliseconds)
+        kept = sum(len(one) for one in plan.filtered_points) / batch
+    launches = [_time_launch(planner, warp_device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
+    planner.close()
+
+    if warp_device.is_cuda and wp.is_mempool_enabled(warp_device):
+        memory = wp.get_mempool_used_mem_high(warp_device)
+    elif warp_device.is_cuda:
+        memory = free_before - warp_device.free_memory
+    else:
+        memory = _resident_bytes() - before
+    total = stages.pop("total")
+    return {
+        "device": device,
+        "device_name": warp_device.name,
+        "batch": batch,
+        "points": points,
+        "samples": config.sampling.samples,
+        "steps": config.sampling.steps,
+        "instances": len(config.kinds),
+        "threads": threads,
+        "repeat": repeat,
+        "stages": {name: _summary(times) for name, times in stages.items()},
+        "plan": _summary(total),
+        "launch": _summary(launches),
+        "plans_per_second": 1e3 * batch / float(np.median(total)),
+        "launches_per_second": 1e3 * batch / float(np.median(launches)),
+        "points_kept": kept,
+        "memory_mib": memory / _MIB,
+    }
+
+
+def _time_launch(planner: Planner, device: wp.Device) -> float:
+    """Time of one `launch` [ms], on CUDA between two events of its stream."""
+    if not device.is_cuda:
+        started = time.perf_counter()
+        planner.launch()
+        return 1e3 * (time.perf_counter() - started)
+    with wp.ScopedDevice(device):
+        begin, end = wp.Event(device, enable_timing=True), wp.Event(device, enable_timing=True)
+        wp.record_event(begin)
+        planner.launch()
+        wp.record_event(end)
+        return float(wp.get_event_elapsed_time(begin, end))
+
+
+def _summary(times: Sequence[float]) -> dict[str, float]:
+    return {"median_ms": float(np.median(times)), "p99_ms": float(np.quantile(times, 0.99))}
+
+
+def _resident_bytes() -> int:
+    """Largest resident set so far; Linux counts in KiB, macOS in bytes."""
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return largest if sys.platform == "darwin" else 1024 * largest
+
+
+def _report(result: dict[str, Any], preset: str) -> str:
+    lines = [
+        f"{result['device']} ({result['device_name']}), preset {preset}, batch {result['batch']}, "
+        f"{result['points']} points, {result['instances']} instances x {result['samples']} samples x "
+        f"{result['steps']} steps, {result['repeat']} plans",
+        f"{'':12}{'median ms':>12}{'p99 ms':>12}",
+    ]
+    rows = {**result["stages"], "plan": result["plan"], "launch": result["launch"]}
+    lines += [f"{name:12}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
+    lines += [
+        f"plans per second: {result['plans_per_second']:.1f} with host copies, "
+        f"{result['launches_per_second']:.1f} on the device alone",
+        f"points kept: {result['points_kept']:.0f} per drone; memory: {result['memory_mib']:.0f} MiB",
+    ]
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code: 0, or 2 for a wrong argument."""
+    parser = argparse.ArgumentParser(prog="python -m aero_planner.benchmark", description=__doc__)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--batch", type=int, default=1, help="drones planned at once")
+    parser.add_argument("--points", type=int, default=200_000, help="points of each cloud")
+    parser.add_argument("--samples", type=int, help="rollouts of each instance")
+    parser.add_argument("--steps", type=int, help="steps of the horizon")
+    parser.add_argument("--preset", default="default", help="preset or configuration file")
+    parser.add_argument("--threads", type=int, help="CPU threads; one per core otherwise")
+    parser.add_argument("--repeat", type=int, default=100, help="plans to time")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args(arguments)
+    changes = {"sampling.samples": options.samples, "sampling.steps": options.steps}
+    try:
+        config = config_from_name(options.preset).replace({k: v for k, v in changes.items() if v is not None})
+        result = measure(
+            config, device=options.device, batch=options.batch, points=options.points, threads=options.threads,
+            repeat=options.repeat,
+        )  # fmt: skip
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(json.dumps({"preset": options.preset, **result}) if options.json else _report(result, options.preset))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

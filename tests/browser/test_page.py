@@ -1,0 +1,138 @@
+"""Playing, tuning, sources and clients, through the page."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+
+def status_text(desk) -> str:
+    return desk.page.locator("body").inner_text()
+
+
+def test_the_page_connects_and_shows_the_plan(desk):
+    desk.wait_for(lambda: "cost, rank" in status_text(desk), "the planner's panel")
+    text = status_text(desk)
+    assert "forest" in text
+    assert "paused" in text
+    assert desk.page.locator("canvas").count() >= 1
+
+
+def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
+    desk.dashboard.show_only(["rollouts"])
+    position = np.asarray(desk.session.frame.observation.state.position)
+    before = desk.render(position + (-3.0, 0.0, 2.0), position)
+    value, version = desk.session.config.costs.q_track, desk.session.frame.config_version
+    desk.open_tab("Tune")
+    row = desk.page.locator("label", has_text=re.compile("^q_track$")).locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
+    track = row.locator(".mantine-Slider-trackContainer")
+    track.scroll_into_view_if_needed()
+    box = track.bounding_box()
+    desk.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
+    desk.page.mouse.down()
+    desk.page.mouse.move(box["x"] + 0.9 * box["width"], box["y"] + box["height"] / 2, steps=4)
+    desk.page.mouse.up()
+    desk.wait_for(lambda: desk.session.config.costs.q_track > 2.0 * value, "the new weight")
+    desk.wait_for(lambda: desk.session.frame.config == desk.session.config, "a plan with the new weight")
+    assert desk.session.frame.config_version > version
+    after = desk.render(position + (-3.0, 0.0, 2.0), position)
+    assert (before != after).any(axis=-1).sum() > 200
+    desk.page.get_by_role("button", name="undo").click()
+    desk.wait_for(lambda: desk.session.config.costs.q_track < desk.session.frame.config.costs.q_track + 1e-9, "undo")
+
+
+def test_a_value_that_contradicts_another_is_refused_with_a_reason(desk):
+    desk.open_tab("Tune")
+    before = desk.session.config
+    field = desk.page.locator("label", has_text=re.compile("^distance_min$")).locator(
+        "xpath=ancestor::div[contains(@class, 'Flex')][1]"
+    )
+    number = field.locator("input.mantine-NumberInput-input")
+    number.fill("1.5")
+    number.press("Enter")
+    desk.page.get_by_text("must be less than costs.distance_max").first.wait_for(timeout=10_000)
+    assert desk.session.config == before
+    desk.wait_for(lambda: float(number.input_value()) == before.costs.distance_min, "the slider to return")
+
+
+def test_step_pause_and_seek_do_what_they_say(fresh_desk):
+    desk = fresh_desk
+    index = desk.session.frame.index
+    desk.click("+10")
+    desk.wait_for(lambda: desk.session.frame.index == index + 10, "ten ticks")
+    desk.click("-1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 9, "one tick back")
+    flown = desk.session.frame.plan.positions.copy()
+    desk.click("+1")
+    desk.click("-1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 9, "the same tick again")
+    np.testing.assert_array_equal(desk.session.frame.plan.positions, flown)
+
+    desk.click("Play")
+    desk.wait_for(lambda: desk.session.frame.index > index + 15, "time to go on")
+    desk.click("Pause")
+    desk.wait_for(lambda: not desk.session.playing, "the pause")
+    stopped = desk.session.frame.index
+    desk.page.wait_for_timeout(300)
+    assert desk.session.frame.index == stopped
+
+    row = desk.page.locator("label", has_text=re.compile("^Time$")).locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
+    box = row.locator(".mantine-Slider-trackContainer").bounding_box()
+    desk.page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
+    desk.wait_for(lambda: desk.session.frame.index < stopped - 3, "an earlier tick")
+    assert desk.console == []
+
+
+def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
+    desk = fresh_desk
+    source = desk.session.source
+    desk.page.get_by_label("Path").fill("/nowhere/at-all.mcap")
+    desk.click("Open path")
+    desk.page.get_by_text("/nowhere/at-all.mcap").last.wait_for(timeout=10_000)
+    desk.wait_for(lambda: "That did not work" in status_text(desk), "a notification")
+    assert desk.session.source is source
+    index = desk.session.frame.index
+    desk.click("+1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 1, "the old source to go on")
+
+    desk.click("Open")
+    desk.wait_for(lambda: desk.session.source is not source, "the source on offer")
+    desk.wait_for(lambda: desk.session.source.name in status_text(desk), "its name")
+
+
+def test_two_clients_see_the_same_and_one_that_leaves_in_flight_harms_nothing(fresh_desk, browser):
+    desk = fresh_desk
+    context = browser.new_context(viewport={"width": 700, "height": 700})
+    other = context.new_page()
+    other.goto(desk.dashboard.url)
+    desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "the second client")
+    desk.click("Play")
+    other.get_by_role("button", name="Pause", exact=True).wait_for(timeout=10_000)
+    updates = len(desk.dashboard.update_ms)
+    context.close()
+    index = desk.session.frame.index
+    desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 1, "the second client to be gone")
+    desk.wait_for(lambda: desk.session.frame.index > index + 20, "the flight to go on")
+    desk.wait_for(lambda: len(desk.dashboard.update_ms) > updates + 5, "updates for the one that stayed")
+    desk.click("Pause")
+    assert desk.console == []
+    assert desk.dashboard.failures == 0
+
+
+@pytest.mark.parametrize("camera", ["top", "side", "follow"])
+def test_the_camera_goes_where_the_button_says(desk, camera):
+    desk.click(camera)
+    client = next(iter(desk.dashboard.server.get_clients().values()))
+    drone = np.asarray(desk.session.frame.observation.state.position)
+
+    def there() -> bool:
+        away = np.asarray(client.camera.position) - drone
+        return {"top": away[2] > 15.0, "side": abs(away[1]) > 6.0, "follow": away[0] < -3.0 and away[2] < 4.0}[camera]
+
+    desk.wait_for(there, camera)
+
+
+def test_nothing_was_wrong_on_the_console(desk):
+    assert desk.console == []

@@ -1,0 +1,53 @@
+"""Headless pictures: what is in them, and that they repeat."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard import palette
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightSource
+from aero_viz.scenes import scene
+from aero_viz.snapshot import snapshot
+
+REFERENCE = Path(__file__).with_name("snapshot_reference.json")
+COLORS = {name: getattr(palette, name) for name in ("CHOSEN", "GUIDE", "ANCHOR", "TRAIL", "GOAL")}
+
+
+def structure(image: np.ndarray) -> dict[str, int]:
+    """Pixels of each layer's colour, and of anything brighter than the background."""
+    counts = {
+        name: int((np.abs(image.astype(int) - color).max(axis=-1) <= 24).sum()) for name, color in COLORS.items()
+    }
+    return counts | {"bright": int((image.max(axis=-1) > 90).sum())}
+
+
+def test_a_picture_holds_every_layer_and_repeats(browser, tmp_path):
+    del browser  # skips where there is none
+    arguments = {"time": 1.0, "config": PlannerConfig.preset("paper"), "size": (640, 400)}
+    first = snapshot(FlightSource(scene("forest", seed=0)), path=tmp_path / "a.png", **arguments)
+    assert first.shape == (400, 640, 3)
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    expected = json.loads(REFERENCE.read_text())
+    assert structure(first) == pytest.approx(expected, rel=0.25, abs=12)
+    second = snapshot(FlightSource(scene("forest", seed=0)), **arguments)
+    assert (np.abs(first.astype(int) - second).max(axis=-1) > 8).mean() < 0.002
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"layers": ["clouds"]}, "no layer 'clouds'"),
+        ({"camera": "front"}, "Unknown camera 'front'"),
+        ({"camera": ((0, 0, 0), (0, 0, 0))}, "two different points"),
+        ({"time": -1.0}, "not negative"),
+    ],
+)
+def test_mistakes_are_said_before_a_browser_starts(arguments, words):
+    with pytest.raises(UserError, match=words):
+        snapshot(FlightSource(scene("forest", seed=0)), **arguments)

@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from aero_planner.benchmark import forest_cloud, main
+
+FAST = ["--points", "5000", "--samples", "8", "--steps", "10", "--repeat", "3"]
+
+
+def test_forest_cloud_is_seeded_and_fills_the_view():
+    cloud = forest_cloud(20_000, seed=1)
+    assert cloud.shape == (20_000, 3) and cloud.dtype == np.float32 and np.isfinite(cloud).all()
+    np.testing.assert_array_equal(cloud, forest_cloud(20_000, seed=1))
+    assert not np.array_equal(cloud, forest_cloud(20_000, seed=2))
+    assert 0.2 < (cloud[:, 2] < 0.3).mean() < 0.4
+    # The drone itself is free.
+    assert np.linalg.norm(cloud - [0, 0, 2], axis=1).min() > 0.5
+
+
+@pytest.mark.parametrize("batch", [1, 2])
+def test_json_report(device: str, batch: int, capsys: pytest.CaptureFixture[str]):
+    assert main([*FAST, "--device", device, "--batch", str(batch), "--preset", "paper", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    expected = {"device": device, "batch": batch, "points": 5000, "samples": 8, "steps": 10, "instances": 15}
+    assert {name: report[name] for name in expected} == expected and report["preset"] == "paper"
+    assert 100 < report["points_kept"] < 5000
+    for row in (report["plan"], report["launch"], *report["stages"].values()):
+        assert 0.0 <= row["median_ms"] <= row["p99_ms"]
+    assert report["plans_per_second"] == pytest.approx(1e3 * batch / report["plan"]["median_ms"])
+    assert report["memory_mib"] >= 0.0
+
+
+def test_text_report(device: str, capsys: pytest.CaptureFixture[str]):
+    assert main([*FAST, "--device", device, "--threads", "1"]) == 0
+    text = capsys.readouterr().out
+    for word in ("median ms", "p99 ms", "plan ", "launch ", "plans per second", "points kept", "MiB", "17 instances"):
+        assert word in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["--preset", "papr"], "'papr' is neither a preset"),
+        (["--samples", "0"], "sampling.samples is 0; it must be a whole number"),
+        (["--device", "gpu"], "device 'gpu' is not available"),
+        (["--batch", "0"], "batch is 0"),
+        (["--points", "-1"], "points is -1; it must be at least 0"),
+        (["--repeat", "0"], "repeat is 0; it must be at least 1"),
+    ],
+)
+def test_wrong_arguments_are_told_on_one_line(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]):
+    assert main(arguments) == 2
+    output = capsys.readouterr()
+    assert output.out == "" and problem in output.err and output.err.count("\n") == 1

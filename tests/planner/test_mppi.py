@@ -1,0 +1,212 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aero_planner import Plan, Planner, PlannerConfig, PlanStatus
+from tests.planner import reference
+from tests.planner.cases import Case, config_of, kept_points, random_case
+
+
+def sampled_controls(planner: Planner, plan: Plan) -> np.ndarray:
+    """Controls of every sample, shape [M, N, K, 4]."""
+    return planner._work.sample_controls.numpy().reshape(len(plan.kinds), -1, plan.stage1_cost.shape[1], 4)
+
+
+def on_an_edge(x: reference.Rollout, case: Case, plan: Plan, config: PlannerConfig) -> bool:
+    """Whether float32 may put a position of this rollout on the other side of a step of the penalties.
+
+    Rollouts agree to 1e-4 m (see test_dynamics).
+    """
+    places, _ = reference.probes(x.p[-1], case.goal, config)
+    d = reference.clearance(np.concatenate((x.p, places)), kept_points(plan), 10.0)
+    edges = (config.costs.distance_min, config.costs.distance_max, config.costs.blocked_radius)
+    return bool(min(np.abs(d - edge).min() for edge in edges) < 2e-4)
+
+
+# Sums of 25 x 7 terms in float32, and penalties whose exponent moves by 5 1/m x 1e-4 m.
+COST: dict[str, Any] = {"rtol": 6e-4, "atol": 0.05}
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("seed", range(3))
+def test_S1_of_samples(device: str, preset: str, seed: int):
+    config, case = config_of(preset), random_case(seed, nearest=0.8, count=500)
+    planner = Planner(config, device=device)
+    case.plan(planner)
+    plan = case.plan(planner)  # the second, so that the previous candidate flies the previous plan
+    controls, checked = sampled_controls(planner, plan), 0
+    for m, kind in enumerate(planner.config.kinds):
+        if plan.kinds[m] != kind:
+            continue  # replaced by braking, guide included
+        guide = None if kind == "previous" else plan.guides[m, 1:].astype(np.float64)
+        for k in (0, 5, 11):
+            u = controls[m, :, k].astype(np.float64)
+            x = reference.roll_out(case.position, case.quaternion, case.velocity, u, config)
+            if on_an_edge(x, case, plan, config):
+                continue
+            expected = reference.S1(x, u, guide, case.full_goal(), kept_points(plan), config)
+            np.testing.assert_allclose(plan.stage1_cost[m, k], expected, **COST)
+            checked += 1
+    assert checked > 20
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("seed", range(3))
+def test_S2_and_its_terms(device: str, preset: str, seed: int):
+    config, case = config_of(preset), random_case(seed, nearest=0.8, count=500, speed=9.0)
+    plan = case.plan(Planner(config, device=device))
+    checked = 0
+    for m in range(len(plan.kinds)):
+        x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[m], config)
+        np.testing.assert_allclose(plan.goal_cost[m], reference.J_goal(x, *case.full_goal(), config), rtol=2e-5)
+        if on_an_edge(x, case, plan, config):
+            continue
+        d = reference.clearance(x.p, kept_points(plan), config.costs.distance_max)
+        np.testing.assert_allclose(plan.collision_cost[m], reference.J_col(d, config), **COST)
+        expected = reference.S2(x, *case.full_goal(), kept_points(plan), config)
+        np.testing.assert_allclose(plan.stage2_cost[m], expected, **COST)
+        checked += 1
+    assert checked > 4
+    if preset == "paper":
+        np.testing.assert_allclose(plan.stage2_cost, plan.goal_cost + plan.collision_cost, rtol=1e-6)
+
+
+ONLY_CONTROLS: dict[str, Any] = {
+    "costs__q_position": 0.0, "costs__q_velocity": 0.0, "costs__q_attitude": 0.0, "costs__q_vnorm": 0.0,
+    "costs__q_track": 0.0, "costs__q_speed": 0.0, "costs__q_blocked": 0.0, "costs__penalty": 0.0,
+    "costs__soft_weight": 0.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("q_control", "q_rate"), [(0.5, 0.0), (0.0, 0.5), (0.5, 0.25)])
+@pytest.mark.parametrize("steps", [2, 3, 25])
+def test_J_ctrl_leaves_the_last_control_free(device: str, q_control: float, q_rate: float, steps: int):
+    config = config_of(costs__q_control=q_control, costs__q_control_rate=q_rate, sampling__steps=steps, **ONLY_CONTROLS)
+    planner = Planner(config, device=device)
+    plan = random_case(0).plan(planner)
+    u = sampled_controls(planner, plan).astype(np.float64)
+    expected = [[reference.J_ctrl(u[m, :, k], config) for k in range(16)] for m in range(17)]
+    np.testing.assert_allclose(plan.stage1_cost, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("temperature", [0.1, 50.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, seed: int):
+    config, case = config_of(sampling__temperature=temperature, sampling__samples=64), random_case(seed)
+    planner = Planner(config, device=device)
+    plan = case.plan(planner)
+    weights = reference.softmin(plan.stage1_cost.astype(np.float64), temperature)
+    expected = np.einsum("mk,mnkc->mnc", weights, sampled_controls(planner, plan))
+    kept = np.array(plan.kinds) == np.array(config.kinds)
+    if plan.status != PlanStatus.OK:
+        kept[plan.best] = False
+    # (least - S) is exact where it matters; 64 weights of up to 1, controls of up to 16 N.
+    np.testing.assert_allclose(plan.controls[kept], expected[kept], atol=5e-5)
+    assert kept.sum() >= 14 and weights.max() < 1.0 + 1e-12
+
+
+def test_weights_spread_with_the_temperature(device: str):
+    """So hot that every sample counts the same, the update is the mean of the samples."""
+    config = config_of("paper", sampling__temperature=1000.0, sampling__samples=64, **ONLY_CONTROLS)
+    planner = Planner(config.replace({"costs.q_control": 0.0, "costs.q_control_rate": 0.0}), device=device)
+    plan = random_case(0, count=0).plan(planner)
+    np.testing.assert_allclose(plan.controls, sampled_controls(planner, plan).mean(axis=2), atol=2e-5)
+
+
+def noise_of(planner: Planner, case: Case) -> np.ndarray:
+    """Noise of every sample, shape [M, K, N, 4], where no limit clips it."""
+    plan = case.plan(planner)
+    nominal = planner._work.nominal.numpy()[0]
+    return (sampled_controls(planner, plan) - nominal[:, :, None]).transpose(0, 2, 1, 3)
+
+
+def noisy_config(**changes: Any) -> PlannerConfig:
+    """Hovering nominal and limits that hardly ever clip."""
+    return config_of(
+        "paper", sampling__samples=512, sampling__nominal="hover", vehicle__mass=10.0, vehicle__thrust_max=1000.0,
+        vehicle__rate_xy_max=20.0, vehicle__rate_z_max=20.0, **changes,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_noise_statistics(device: str, correlation: float):
+    variance = np.array([2.0, 1.0, 1.0, 0.5])
+    config = noisy_config(
+        sampling__correlation=correlation, sampling__variance_thrust=2.0, sampling__variance_rate_xy=1.0,
+        sampling__variance_rate_z=0.5,
+    )  # fmt: skip
+    noise = noise_of(Planner(config, device=device, seed=3), random_case(0, count=0))
+    white = noise.reshape(-1, 25, 4) / np.sqrt(variance)
+    # 15 x 512 independent rollouts: five standard errors of a mean are 0.057, of a variance 0.081.
+    n = len(white)
+    np.testing.assert_allclose(white.mean(axis=0), 0.0, atol=5 / np.sqrt(n))
+    np.testing.assert_allclose(white.var(axis=0), 1.0, atol=5 * np.sqrt(2 / n))
+    for lag in (1, 2, 5):
+        together = (white[:, lag:] * white[:, :-lag]).mean(axis=0)
+        np.testing.assert_allclose(together, correlation**lag, atol=5 * np.sqrt(2 / n))
+    # Components, instances and neighbouring samples are independent.
+    np.testing.assert_allclose((white[..., 0] * white[..., 1]).mean(axis=0), 0.0, atol=5 / np.sqrt(n))
+    np.testing.assert_allclose((white[1:, 3] * white[:-1, 3]).mean(axis=0), 0.0, atol=5 / np.sqrt(n))
+
+
+def test_noise_is_gaussian(device: str):
+    """Quantiles of 768 000 standard normal numbers; a quantile's standard error is below 0.004 at these."""
+    noise = noise_of(Planner(noisy_config(), device=device), random_case(0, count=0))[..., 0]
+    quantiles = np.quantile(noise, [0.02275, 0.15866, 0.5, 0.84134, 0.97725])
+    np.testing.assert_allclose(quantiles, [-2, -1, 0, 1, 2], atol=0.03)
+
+
+def test_fresh_noise_and_keep_nominal(device: str):
+    case = random_case(0, count=0)
+    frozen = Planner(noisy_config(), device=device)
+    np.testing.assert_array_equal(noise_of(frozen, case), noise_of(frozen, case))
+    fresh = Planner(noisy_config(sampling__fresh_noise=True, sampling__keep_nominal=True), device=device)
+    first, second = noise_of(fresh, case), noise_of(fresh, case)
+    assert (first[:, 0] == 0.0).all() and (second[:, 0] == 0.0).all()
+    assert (first[:, 1:] != 0.0).all(axis=(2, 3)).mean() > 0.99
+    # Unrelated from plan to plan: 5 standard errors of a correlation of 15 x 511 x 25 pairs, unlike 1.
+    correlation = (first[:, 1:, :, 1] * second[:, 1:, :, 1]).mean()
+    assert abs(correlation) < 5 / np.sqrt(15 * 511 * 25)
+
+
+def test_sampled_controls_respect_the_limits(device: str):
+    config = config_of(sampling__variance_thrust=100.0, sampling__variance_rate_xy=20.0, sampling__variance_rate_z=20.0)
+    planner = Planner(config, device=device)
+    plan = random_case(0).plan(planner)
+    low, high = np.array([0.3, -3, -3, -2]), np.array([16.35, 3, 3, 2])
+    for u in (sampled_controls(planner, plan), plan.controls):
+        assert (u >= low - 1e-5).all() and (u <= high + 1e-5).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_best_is_the_least_S2_among_the_safe(device: str, seed: int):
+    config, case = config_of(), random_case(seed, nearest=0.5, count=1500)
+    plan = case.plan(Planner(config, device=device))
+    nearest = plan.clearance.min(axis=1)
+    safe = np.flatnonzero(nearest >= np.float32(config.candidates.safe_clearance))
+    if plan.status == PlanStatus.OK:
+        assert plan.best == safe[np.argmin(plan.stage2_cost[safe])]
+    else:
+        assert all(m == plan.best for m in safe)
+
+
+def test_cost_to_go_counts_blocked_metres(device: str):
+    """A wall across the way: half a metre of the five beyond the last state is blocked per blocked probe."""
+    config = config_of(costs__q_blocked=100.0, costs__blocked_radius=0.5, sampling__variance_thrust=0.0,
+                       sampling__variance_rate_xy=0.0, sampling__variance_rate_z=0.0)  # fmt: skip
+    case = random_case(0, count=0, tilt=0.0)
+    case.velocity, case.acceleration = np.zeros(3), np.zeros(3)
+    case.goal = case.beside(30, 0, 0)
+    y, z = np.meshgrid(np.arange(-3, 3, 0.1), np.arange(-3, 3, 0.1))
+    wall = np.stack((np.full_like(y, 4.0), y, z), -1).reshape(-1, 3)
+    case.points = (wall + case.position).astype(np.float32)
+    plan = case.plan(Planner(config, device=device))
+    to_go = plan.stage2_cost - plan.goal_cost - plan.collision_cost
+    for m in range(len(plan.kinds)):
+        end = plan.positions[m, -1].astype(np.float64)
+        expected = reference.J_blocked(end, case.goal, kept_points(plan), config)
+        assert to_go[m] == pytest.approx(expected, abs=0.05) or expected % 50 < 1e-3
+    assert 50.0 < np.median(to_go) < 200.0

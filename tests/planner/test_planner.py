@@ -1,0 +1,272 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
+from tests.planner import reference
+from tests.planner.cases import Case, config_of, kept_points, random_case, shell
+
+ARRAYS = [
+    "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
+    "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
+    "goal_cost", "collision_cost", "clearance",
+]  # fmt: skip
+
+
+def assert_same(a: Plan, b: Plan) -> None:
+    """Every bit of two plans."""
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    assert (a.kinds, a.best, a.status, a.dropped_points) == (b.kinds, b.best, b.status, b.dropped_points)
+
+
+def assert_consistent(plan: Plan, case: Case, config: PlannerConfig) -> None:
+    """The chosen instance's arrays follow from its controls and its guide."""
+    m = plan.best
+    x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[m], config)
+    np.testing.assert_allclose(plan.positions[m, 1:], x.p, atol=1e-4)
+    np.testing.assert_allclose(plan.velocities[m, 1:], x.v, atol=1e-4)
+    d_max = config.costs.distance_max
+    np.testing.assert_allclose(plan.clearance[m], reference.clearance(x.p, kept_points(plan), d_max), atol=2e-4)
+    np.testing.assert_allclose(plan.goal_cost[m], reference.J_goal(x, *case.full_goal(), config), rtol=2e-5)
+    d = plan.clearance[m].astype(np.float64)
+    np.testing.assert_allclose(plan.collision_cost[m], reference.J_col(d, config), rtol=1e-4)
+    np.testing.assert_array_equal(plan.guides[m, 0], plan.positions[m, 0])
+    np.testing.assert_allclose(plan.guides[m, -1], plan.anchors[m], atol=2e-4)
+    np.testing.assert_array_equal(plan.command, plan.controls[m])
+
+
+def test_shapes_and_types(device: str):
+    plan = random_case(0).plan(Planner(config_of(), device=device), samples=True)
+    M, N, K = 17, 25, 16
+    shapes = {
+        "fine_range": (60, 120), "safe_range": (10, 20), "safe_direction": (10, 20, 3), "initial_endpoints": (M, 3),
+        "anchors": (M, 3), "guide_coefficients": (M, 3, 6), "guides": (M, N + 1, 3), "controls": (M, N, 4),
+        "positions": (M, N + 1, 3), "velocities": (M, N + 1, 3), "quaternions": (M, N + 1, 4), "stage1_cost": (M, K),
+        "stage2_cost": (M,), "goal_cost": (M,), "collision_cost": (M,), "clearance": (M, N),
+        "samples": (M, K, N + 1, 3), "command": (N, 4),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        array = getattr(plan, name)
+        assert array.shape == shape and array.dtype == np.float32, name
+        assert np.isfinite(array).all(), name
+    assert plan.kinds == ("anchor",) * 15 + ("previous", "brake")
+    assert isinstance(plan.best, int) and isinstance(plan.status, PlanStatus)
+    assert plan.stage_ms["total"] > 0.0
+    assert Planner(config_of("paper"), device=device).config.kinds == ("anchor",) * 15
+
+
+def test_open_space_leads_to_the_goal(device: str):
+    case = random_case(0, count=0)
+    plan = case.plan(Planner(config_of(), device=device))
+    assert plan.status == PlanStatus.OK
+    before = np.linalg.norm(case.goal - case.position)
+    assert np.linalg.norm(case.goal - plan.positions[plan.best, -1]) < before - 0.5
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("seed", range(3))
+def test_without_a_safe_candidate_the_drone_brakes(device: str, preset: str, seed: int):
+    """Inside a shell that its speed makes hard to stay clear of, the drone flies the braking sequence."""
+    config, case = config_of(preset), random_case(seed, tilt=0.3)
+    case.velocity, case.acceleration = case.velocity / np.linalg.norm(case.velocity) * 5.0, np.zeros(3)
+    case.points = shell(case.position, 0.7)
+    planner = Planner(config, device=device)
+    plan = case.plan(planner)
+    assert plan.status == PlanStatus.NO_SAFE_CANDIDATE
+    assert plan.kinds[plan.best] == "brake"
+    assert_consistent(plan, case, config)
+    x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[plan.best], config)
+    # What rates of 3 rad/s leave of 5 m/s: the attitude follows the guide with a lag.
+    assert np.linalg.norm(x.v[-1]) < 1.5
+    # It is what the next plan continues with.
+    np.testing.assert_array_equal(planner.history().controls[0], plan.controls[plan.best])
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_stale_cloud_brakes(device: str, preset: str):
+    config, case = config_of(preset, partition__cloud_age_max=0.3), random_case(0, count=0)
+    planner = Planner(config, device=device)
+    assert case.plan(planner, cloud_age=0.3).status == PlanStatus.OK
+    plan = case.plan(planner, cloud_age=0.31)
+    assert plan.status == PlanStatus.STALE_CLOUD and plan.kinds[plan.best] == "brake"
+    assert_consistent(plan, case, config)
+    assert np.linalg.norm(plan.velocities[plan.best, -1]) < 0.5 * np.linalg.norm(case.velocity)
+    assert case.plan(planner).status == PlanStatus.OK
+
+
+def test_a_drone_near_an_obstacle_may_fly_away_from_it(device: str):
+    """Nearer than safe_clearance, candidates that come no nearer are safe."""
+    config, case = config_of(), random_case(0, tilt=0.0)
+    case.velocity, case.acceleration, case.goal = np.zeros(3), np.zeros(3), case.beside(20, 0, 0)
+    y, z = np.meshgrid(np.arange(-2, 2, 0.02), np.arange(-2, 2, 0.02))
+    wall = np.stack((np.full_like(y, -0.2), y, z), -1).reshape(-1, 3)
+    case.points = (wall + case.position).astype(np.float32)
+    plan = case.plan(Planner(config, device=device))
+    assert plan.status == PlanStatus.OK
+    assert plan.positions[plan.best, -1, 0] > case.position[0] + 0.5
+    # Toward the wall there is no safe way.
+    case.velocity = np.array([-3.0, 0.0, 0.0])
+    assert case.plan(Planner(config, device=device)).status == PlanStatus.NO_SAFE_CANDIDATE
+
+
+def test_safe_clearance_is_a_limit_and_no_less(device: str):
+    """A drone that is clear of everything keeps the whole safe_clearance."""
+    for seed in range(12):
+        case = random_case(seed, nearest=0.45, count=3000)
+        config = config_of(candidates__safe_clearance=0.4)
+        plan = case.plan(Planner(config, device=device))
+        if plan.status == PlanStatus.OK:
+            assert plan.clearance[plan.best].min() >= np.float32(0.4)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_same_seed_same_plans(device: str, preset: str):
+    a, b = (Planner(config_of(preset), device=device, seed=7) for _ in range(2))
+    for seed in range(3):
+        assert_same(random_case(seed).plan(a), random_case(seed).plan(b))
+    other = Planner(config_of(preset), device=device, seed=8)
+    assert not np.array_equal(random_case(0).plan(other).controls, random_case(0).plan(a).controls)
+
+
+def test_the_paper_carries_nothing_from_plan_to_plan(device: str):
+    planner = Planner(config_of("paper"), device=device)
+    first = random_case(0).plan(planner)
+    random_case(1).plan(planner)
+    assert_same(first, random_case(0).plan(planner))
+
+
+def test_threads_do_not_change_the_plan():
+    planners = [Planner(config_of(), threads=threads) for threads in (1, 2, 5)]
+    for seed in range(3):
+        one, *others = (random_case(seed).plan(planner) for planner in planners)
+        for other in others:
+            assert_same(one, other)
+
+
+def test_a_batch_is_so_many_single_planners(device: str):
+    config, cases = config_of(), [random_case(seed, count=400 * seed) for seed in range(3)]
+    batch = Planner(config, device=device, seed=5, batch=3)
+    singles = [Planner(config, device=device, seed=5 + b) for b in range(3)]
+    state = VehicleState(*(np.stack([getattr(c, name) for c in cases]) for name in (
+        "position", "velocity", "quaternion", "acceleration")))  # fmt: skip
+    goal = Goal(np.stack([c.goal for c in cases]))
+    for _ in range(2):
+        together = batch.plan(state, goal, [c.points for c in cases], samples=True)
+        for b, (case, single) in enumerate(zip(cases, singles, strict=True)):
+            alone = case.plan(single, samples=True)
+            for name in [*ARRAYS, "samples", "command"]:
+                np.testing.assert_array_equal(getattr(together, name)[b], getattr(alone, name), err_msg=name)
+            for name in ("best", "status", "dropped_points"):
+                assert getattr(together, name)[b] == getattr(alone, name)
+
+
+def test_each_drone_of_a_batch_may_have_its_own_configuration(device: str):
+    case, planner = random_case(0), Planner(config_of("paper"), device=device, batch=2)
+    state = VehicleState(*(np.stack([x, x]) for x in (case.position, case.velocity, case.quaternion)))
+    goal, clouds = Goal(np.stack([case.goal] * 2)), np.stack([case.points] * 2)
+    configs = [config_of("paper", anchors__lookahead=length) for length in (2.0, 4.0)]
+    planner.configure(configs)
+    plan = planner.plan(state, goal, clouds)
+    reach = np.linalg.norm(plan.initial_endpoints - case.position, axis=-1)
+    np.testing.assert_allclose(reach, np.repeat([[2.0], [4.0]], 15, 1), atol=1e-4)
+    with pytest.raises(ValueError, match="1 configurations were given for a batch of 2"):
+        planner.configure(configs[:1])
+    with pytest.raises(ValueError, match="differ in structure"):
+        planner.configure([configs[0], config_of("paper", sampling__samples=8)])
+
+
+def test_live_changes_keep_the_buffers(device: str):
+    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
+    before = case.plan(planner)
+    pointers = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner._params)]
+    planner.configure(planner.config.replace({"costs.q_track": 50.0, "anchors.lookahead_rest": 0.5}))
+    after = case.plan(planner)
+    assert not np.array_equal(before.controls, after.controls)
+    assert np.linalg.norm(after.anchors[7] - case.position) < np.linalg.norm(before.anchors[7] - case.position)
+    kept = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner._params)]
+    assert kept == pointers
+    # The history survives a live change: the previous candidate is the plan before.
+    np.testing.assert_array_equal(after.anchors[15], before.positions[before.best, -1])
+
+
+def test_structural_changes_rebuild(device: str):
+    case, planner = random_case(0), Planner(config_of(), device=device)
+    case.plan(planner)
+    small = config_of(sampling__samples=8, sampling__steps=10, anchors__columns=3, partition__fine_cells=3)
+    planner.configure(small)
+    plan = case.plan(planner)
+    assert plan.controls.shape == (11, 10, 4) and plan.stage1_cost.shape == (11, 8)
+    assert plan.fine_range.shape == (30, 60)
+    assert_same(plan, case.plan(Planner(small, device=device)))
+
+
+def test_history_repeats_a_plan(device: str):
+    planner = Planner(config_of(), device=device, seed=2)
+    for seed in range(2):
+        random_case(seed).plan(planner)
+    history = planner.history()
+    first = random_case(2).plan(planner)
+    random_case(3).plan(planner)
+    planner.restore(history)
+    assert_same(first, random_case(2).plan(planner))
+    # Another planner continues as well.
+    other = Planner(config_of(), device=device, seed=2)
+    other.restore(history)
+    assert_same(first, random_case(2).plan(other))
+    # A history of another structure is as good as none.
+    short = config_of(sampling__steps=10)
+    restored, fresh = Planner(short, device=device), Planner(short, device=device)
+    restored.restore(history)
+    assert_same(random_case(0).plan(restored), random_case(0).plan(fresh))
+
+
+def test_reset_forgets(device: str):
+    planner = Planner(config_of(), device=device)
+    first = random_case(0).plan(planner)
+    random_case(1).plan(planner)
+    planner.reset()
+    assert_same(first, random_case(0).plan(planner))
+
+
+def test_clouds_grow_and_shrink(device: str):
+    planner = Planner(config_of("paper"), device=device)
+    for count in (10, 300_000, 0, 40, 2000):
+        case = random_case(1, count=count)
+        assert_same(case.plan(planner), case.plan(Planner(config_of("paper"), device=device)))
+
+
+def test_points_as_warp_arrays_lists_and_doubles(device: str):
+    case, planner = random_case(1), Planner(config_of("paper"), device=device)
+    expected = case.plan(planner)
+    cloud = case.points
+    for points in (
+        wp.array(cloud, dtype=wp.vec3, device=device), wp.array(cloud, dtype=wp.vec3, device="cpu"),
+        cloud.astype(np.float64), cloud.tolist(), np.asfortranarray(cloud), np.repeat(cloud, 2, axis=0)[::2],
+    ):  # fmt: skip
+        case.points = points  # type: ignore[assignment]
+        assert_same(expected, case.plan(planner))
+
+
+def test_plans_are_not_overwritten(device: str):
+    planner = Planner(config_of(), device=device)
+    plan = random_case(0).plan(planner)
+    copies = {name: getattr(plan, name).copy() for name in ARRAYS}
+    random_case(1).plan(planner)
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(plan, name), copies[name])
+
+
+def test_launch_plans_from_device_arrays(device: str):
+    case, planner = random_case(0), Planner(config_of(), device=device)
+    expected = case.plan(planner)
+    planner.reset()
+    planner.reserve(len(case.points))
+    planner.points.assign(case.points[None])
+    planner.launch()
+    np.testing.assert_array_equal(planner.command.numpy()[0], expected.command)
+    planner.reserve(len(case.points))  # all NaN again
+    planner.launch()
+    assert planner.outputs.occupied.numpy().sum() == 0

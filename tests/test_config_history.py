@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.config_history import ConfigHistory
+
+
+def test_changes_are_undone_and_redone() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change({"costs.q_track": 1.0})
+    history.change({"costs.q_track": 2.0, "costs.q_position": 4.0})
+    assert history.go(-1).costs.q_track == 1.0
+    assert history.go(-1) == PlannerConfig()
+    assert history.go(-1) == PlannerConfig()
+    assert history.go(+1).costs.q_track == 1.0
+    assert history.present[1] == 1
+
+
+def test_a_change_after_undo_forgets_what_was_undone() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change({"costs.q_track": 1.0})
+    history.go(-1)
+    history.change({"costs.q_track": 3.0})
+    assert history.go(+1).costs.q_track == 3.0
+
+
+def test_a_refused_change_leaves_the_configuration() -> None:
+    history = ConfigHistory(PlannerConfig())
+    with pytest.raises(ValueError, match=r"costs\.q_track is -1"):
+        history.change({"costs.q_track": -1.0})
+    assert history.present == (PlannerConfig(), 0)
+
+
+def test_an_equal_configuration_is_no_change() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change(PlannerConfig())
+    assert history.present[1] == 0

@@ -1,0 +1,229 @@
+"""The engine on a real flight: time, jumps, parameters, sinks, and failures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_planner import PlannerConfig
+from aero_viz.frame import Frame, Notice
+from aero_viz.session import Session
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    session = Session(small_source(), config=small_config(), seed=3)
+    yield session
+    session.close()
+
+
+@pytest.fixture
+def live(session: Session) -> Session:
+    session.start(play=False)
+    wait_for(lambda: session.frame is not None)
+    return session
+
+
+def wait_for(condition: Callable[[], Any], timeout: float = 20.0) -> None:
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+def same_plan(a: Frame, b: Frame) -> bool:
+    return np.array_equal(a.plan.controls, b.plan.controls) and np.array_equal(a.plan.positions, b.plan.positions)
+
+
+def run(session: Session, count: int) -> list[Frame]:
+    return [session.tick() for _ in range(count)]
+
+
+def test_a_flight_arrives_and_its_last_frame_stays(session: Session) -> None:
+    frame = session.tick()
+    while frame.outcome is None:
+        frame = session.tick()
+    assert frame.outcome == "arrived"
+    assert session.tick() is frame
+    assert np.linalg.norm(frame.trail[-1] - [12.0, 0.0, 2.0]) < 1.05
+    assert len(frame.trail) == frame.index + 1
+
+
+def test_frames_do_not_change_after_they_are_published(session: Session) -> None:
+    first = session.tick()
+    controls, points = first.plan.controls.copy(), first.observation.points.copy()
+    run(session, 5)
+    np.testing.assert_array_equal(first.plan.controls, controls)
+    np.testing.assert_array_equal(first.observation.points, points)
+    assert len(first.trail) == 1
+
+
+def test_going_back_repeats_the_flight_bit_for_bit(session: Session) -> None:
+    frames = run(session, 12)
+    session.seek(frames[4].time).result()
+    assert session.frame is not None
+    assert session.frame.index == 4
+    assert same_plan(session.frame, frames[4])
+    for frame in frames[5:]:
+        assert same_plan(session.tick(), frame)
+
+
+def test_going_back_and_on_with_other_weights_flies_differently(session: Session) -> None:
+    frames = run(session, 12)
+    session.step(-8).result()
+    session.configure({"costs.q_position": 30.0})
+    again = run(session, 8)
+    assert again[-1].index == frames[-1].index
+    assert not np.array_equal(again[-1].trail, frames[-1].trail)
+    assert again[-1].epoch != frames[-1].epoch
+
+
+def test_a_weight_acts_while_paused_and_undo_restores_the_plan(live: Session) -> None:
+    live.step(3).result()
+    before = live.frame
+    assert before is not None
+    live.configure({"costs.q_position": 30.0})
+    wait_for(lambda: live.frame is not before)
+    changed = live.frame
+    assert changed is not None
+    assert changed.time == before.time
+    assert changed.config.costs.q_position == 30.0
+    assert not same_plan(changed, before)
+    live.undo()
+    wait_for(lambda: live.frame is not changed)
+    assert live.frame is not None
+    assert same_plan(live.frame, before)
+
+
+def test_a_structural_change_acts_while_paused(live: Session) -> None:
+    live.configure({"sampling.samples": 8, "anchors.columns": 3})
+    wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 2, 8))
+
+
+def test_a_refused_parameter_changes_nothing(live: Session) -> None:
+    with pytest.raises(ValueError, match=r"costs\.q_track"):
+        live.configure({"costs.q_track": -5.0})
+    assert live.config == small_config()
+
+
+def test_play_pause_and_step(live: Session) -> None:
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.index >= 5)
+    live.pause()
+    wait_for(lambda: not live.playing)
+    assert live.frame is not None
+    index = live.frame.index
+    time.sleep(0.1)
+    assert live.frame.index == index
+    live.step().result()
+    assert live.frame.index == index + 1
+    live.step(-2).result()
+    assert live.frame.index == index - 1
+
+
+def test_time_follows_the_clock(live: Session) -> None:
+    live.set_speed(0.5)
+    started = time.monotonic()
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.time >= 0.4)
+    # A busy machine may be late, never early.
+    assert time.monotonic() - started >= 0.7
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1e9, float("nan")])
+def test_a_useless_speed_is_refused(session: Session, speed: float) -> None:
+    with pytest.raises(ValueError, match="speed is"):
+        session.set_speed(speed)
+
+
+def test_a_moved_goal_changes_the_plan(live: Session) -> None:
+    before = live.frame
+    live.set_goal([0.0, 12.0, 2.0]).result()
+    assert live.frame is not None and before is not None
+    assert not same_plan(live.frame, before)
+    np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+@pytest.mark.parametrize("goal", [[1.0, 2.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0]])
+def test_an_impossible_goal_is_refused(session: Session, goal: list[float]) -> None:
+    with pytest.raises(ValueError, match="three finite numbers"):
+        session.set_goal(goal)
+
+
+def test_samples_come_when_asked_for(live: Session) -> None:
+    assert live.frame is not None and live.frame.plan.samples is None
+    live.set_samples(True).result()
+    assert live.frame.plan.samples is not None
+    assert live.frame.plan.samples.shape == (17, 16, 26, 3)
+
+
+def test_another_source_starts_from_its_beginning(live: Session) -> None:
+    live.step(4).result()
+    live.set_source(small_source(goal=20.0)).result()
+    assert live.frame is not None
+    assert live.frame.index == 0
+    assert live.source.scenery.world is not None
+    assert live.source.scenery.world.goal[0] == 20.0
+
+
+def test_a_source_that_fails_at_once_leaves_the_old_one(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    live.step(2).result()
+    old, frame = live.source, live.frame
+    broken = small_source()
+    broken.set_goal(np.array([2e6, 0.0, 0.0]))
+    future = live.set_source(broken)
+    with pytest.raises(ValueError, match=r"goal\.position"):
+        future.result()
+    assert live.source is old
+    live.step().result()
+    assert live.frame is not None and frame is not None
+    assert live.frame.index == frame.index + 1
+    wait_for(lambda: any(n.level == "error" and "goal" in n.text for n in notices))
+
+
+def test_a_sink_that_hangs_or_raises_harms_neither_the_engine_nor_the_others(live: Session) -> None:
+    seen: list[int] = []
+
+    def raises(frame: Frame) -> None:
+        raise RuntimeError("a broken sink")
+
+    broken = live.subscribe(raises)
+    hanging = live.subscribe(lambda frame: time.sleep(0.5))
+    every = live.subscribe(lambda frame: seen.append(frame.index), every=True)
+    live.step(20).result()
+    assert every.drain()
+    assert seen == list(range(21))
+    assert broken.failures >= 1
+    assert hanging.dropped >= 1
+
+
+def test_the_end_is_told_once(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    live.set_speed(100.0)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome == "arrived")
+    wait_for(lambda: not live.playing and notices)
+    assert [n.text for n in notices] == ["poles: arrived at the goal."]
+
+
+def test_two_sessions_with_equal_seeds_fly_equally() -> None:
+    trails = []
+    for _ in range(2):
+        session = Session(small_source(), config=small_config(), seed=5)
+        trails.append(run(session, 10)[-1].trail)
+        session.close()
+    np.testing.assert_array_equal(*trails)
+
+
+def test_the_default_configuration_is_used_when_none_is_given() -> None:
+    session = Session(small_source())
+    assert session.config == PlannerConfig()
+    session.close()
