@@ -7,6 +7,7 @@ import os
 import shutil
 import time as clock
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
+from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, orientation
+from aero_viz.dashboard.panels.camera import view as named_view
+from aero_viz.dashboard.server import sky
 from aero_viz.errors import UserError
 from aero_viz.session import Session
 from aero_viz.source import Source
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 __all__ = ["find_chromium", "launch_chromium", "snapshot"]
 
@@ -114,8 +119,6 @@ def snapshot(
     Raises:
         UserError: no browser, an unknown layer or camera, a time beyond the end, or a file that cannot be written.
     """
-    from aero_viz.dashboard import Dashboard
-
     with contextlib.ExitStack() as stack:
         session = Session(source, config=config, device=device, seed=seed)
         stack.callback(session.close)
@@ -126,10 +129,8 @@ def snapshot(
         look = _camera(session, camera)
         if layers is not None and "samples" in layers:
             session.set_samples(True)
-        browser = stack.enter_context(launch_chromium())
-        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
-        page.goto(dashboard.url)
-        image = _render(dashboard, page, look, size)
+        # Playwright wants a thread without an event loop; a notebook's has one.
+        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, look, size).result()
     if path is not None:
         _write(image, Path(path))
     return image
@@ -147,50 +148,55 @@ def _go_to(session: Session, time: float) -> None:
     while frame.time < time - half:
         frame = session.tick()
         if frame.outcome is not None and frame.time < time - half:
-            raise UserError(f"{session.source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time.")
+            raise UserError(
+                f"{session.source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time."
+            )
 
 
 def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tuple[Any, Any]:
-    from aero_viz.dashboard.panels.camera import VIEWS, view
-
     frame = session.frame
     assert frame is not None
     if isinstance(camera, str):
         if camera not in VIEWS:
             raise UserError(f"Unknown camera {camera!r}; known: {', '.join(VIEWS)}, or a position and a look-at.")
         state = frame.observation.true_state or frame.observation.state
-        return view(camera, np.asarray(state.position), np.asarray(frame.observation.goal.position))
+        return named_view(camera, np.asarray(state.position), np.asarray(frame.observation.goal.position))
     position, look_at = (np.asarray(point, dtype=np.float64) for point in camera)
     if position.shape != (3,) or look_at.shape != (3,) or np.allclose(position, look_at):
         raise UserError("The camera must be a position and a look-at: two different points of three numbers each.")
     return position, look_at
 
 
-def _render(dashboard: Any, page: Any, look: tuple[Any, Any], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Wait for the page, then let it render from `look`; without panels and text."""
+def _render(dashboard: Dashboard, look: tuple[Any, Any], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Open the page and let it render the scene from `look`, without panels."""
+    with launch_chromium() as browser:
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page.goto(dashboard.url)
+        client = _first_client(dashboard, page)
+        assert dashboard.drain(), "the frame was not sent"
+        position, look_at = look
+        view: dict[str, Any] = {"wxyz": orientation(position, look_at), "position": position, "fov": FIELD_OF_VIEW}
+        view |= {"transport_format": "png", "timeout": 60.0}
+        before = None
+        for _ in range(20):  # the page builds its nodes over several frames
+            small = client.get_render(size[1] // 4, size[0] // 4, **view)
+            if before is not None and np.array_equal(small, before):
+                break
+            before = small
+            page.wait_for_timeout(100)
+        picture = client.get_render(size[1], size[0], **view)
+    # Where nothing was drawn the picture is transparent.
+    cover = picture[..., 3:].astype(np.float32) / 255.0
+    return (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
+
+
+def _first_client(dashboard: Dashboard, page: Page) -> Any:
     deadline = clock.monotonic() + 60.0
     while not dashboard.server.get_clients():
         if clock.monotonic() > deadline:
             raise UserError("The browser did not open the page within 60 s; look whether `aero-viz doctor` finds it.")
         page.wait_for_timeout(50)
-    client = next(iter(dashboard.server.get_clients().values()))
-    position, look_at = look
-    from aero_viz.dashboard.panels.camera import orientation
-    from aero_viz.dashboard.server import sky
-
-    dashboard.drain()
-    view: dict[str, Any] = {"wxyz": orientation(position, look_at), "position": position, "fov": np.radians(58.0)}
-    before = None
-    for _ in range(20):  # the page builds its nodes over several frames
-        small = client.get_render(size[1] // 4, size[0] // 4, **view, transport_format="png", timeout=60.0)
-        if before is not None and np.array_equal(small, before):
-            break
-        before = small
-        page.wait_for_timeout(100)
-    picture = client.get_render(size[1], size[0], **view, transport_format="png", timeout=60.0)
-    # Where nothing was drawn the picture is transparent.
-    cover = picture[..., 3:].astype(np.float32) / 255.0
-    return (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
+    return next(iter(dashboard.server.get_clients().values()))
 
 
 def _write(image: NDArray[np.uint8], path: Path) -> None:

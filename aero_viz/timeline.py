@@ -47,7 +47,7 @@ class Timeline:
         return self._forgotten + self._cursor
 
     @property
-    def position_in_marks(self) -> int:
+    def earlier(self) -> int:
         """Number of earlier ticks that can be returned to."""
         return self._cursor
 

@@ -214,6 +214,15 @@ def test_the_end_is_told_once(live: Session) -> None:
     assert [n.text for n in notices] == ["poles: arrived at the goal."]
 
 
+def test_playing_after_the_end_starts_again(live: Session) -> None:
+    live.set_speed(100.0)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome == "arrived" and not live.playing)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome is None)
+    assert live.playing
+
+
 def test_two_sessions_with_equal_seeds_fly_equally() -> None:
     trails = []
     for _ in range(2):

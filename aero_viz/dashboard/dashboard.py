@@ -6,7 +6,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.panels import Page
 from aero_viz.dashboard.panels.layout import build

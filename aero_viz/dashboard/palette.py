@@ -2,7 +2,7 @@
 
 One hue belongs to one layer, in the scene, in the legend and in the status panel alike:
 
-    rollouts   PLASMA by Stage II cost, bright is good        chosen     green
+    rollouts   COST by Stage II cost, bright is good          chosen     green
     cloud      VIRIDIS by height, or NEAR_TO_FAR by range     guides     blue
     endpoints  grey before the refinement, yellow after       goal       rose
     drone      white with an orange nose, orange trail        recording  violet
@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["NEAR_TO_FAR", "PLASMA", "TURBO", "VIRIDIS", "Rgb", "colorize", "css", "gradient", "unmapped"]
+__all__ = ["COST", "NEAR_TO_FAR", "PLASMA", "TURBO", "VIRIDIS", "Rgb", "colorize", "css", "gradient", "unmapped"]
 
 Rgb = tuple[int, int, int]
 Table = NDArray[np.uint8]
@@ -23,12 +23,19 @@ SKY_TOP: Rgb = (12, 16, 24)
 SKY_HORIZON: Rgb = (30, 38, 52)
 FOG: Rgb = (22, 28, 39)
 GROUND: Rgb = (23, 29, 40)
-GRID_CELL: Rgb = (40, 50, 66)
-GRID_SECTION: Rgb = (62, 76, 99)
+GRID_CELL: Rgb = (36, 45, 60)
+GRID_SECTION: Rgb = (54, 67, 88)
 OBSTACLE: Rgb = (112, 128, 156)
 BRAND: Rgb = (58, 134, 255)
 
-PANEL: dict[int, Rgb] = {4: (51, 61, 78), 5: (38, 46, 60), 6: (30, 37, 49), 7: (20, 25, 34), 8: (15, 19, 26), 9: (10, 13, 19)}
+PANEL: dict[int, Rgb] = {
+    4: (51, 61, 78),
+    5: (38, 46, 60),
+    6: (30, 37, 49),
+    7: (20, 25, 34),
+    8: (15, 19, 26),
+    9: (10, 13, 19),
+}
 """Shades of the panels, by their number in the page's theme."""
 
 DRONE: Rgb = (236, 240, 246)
@@ -58,7 +65,11 @@ def _table(stops: str) -> Table:
 
 VIRIDIS = _table("440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725")
 PLASMA = _table("0d0887 46039f 7201a8 9c179e bd3786 d8576b ed7953 fb9f3a fdca26 f0f921")
-TURBO = _table("30123b 4145ab 4675ed 39a2fc 1bcfd4 24eca6 61fc6c a4fc3b d1e834 f3c63a fe9b2d f36315 d93806 b11901 7a0402")
+COST = PLASMA[62:224]
+"""From bad to good, without the ends that the scene cannot show."""
+TURBO = _table(
+    "30123b 4145ab 4675ed 39a2fc 1bcfd4 24eca6 61fc6c a4fc3b d1e834 f3c63a fe9b2d f36315 d93806 b11901 7a0402"
+)
 NEAR_TO_FAR = TURBO[20:236][::-1]
 """Red is near, blue is far, without the ends that are too dark for the scene."""
 

@@ -30,7 +30,11 @@ def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
         "body": (_joined(body), palette.DRONE, None),
         "arms": (_joined(arms + motors + lidar), palette.DRONE_DARK, None),
         "guards": (_joined(rings[1:3]), palette.DRONE, None),
-        "nose": (_joined([*rings[:1], *rings[3:], _box((0.083, 0.0, 0.004), (0.018, 0.05, 0.026), 0.0)]), palette.TRAIL, None),
+        "nose": (
+            _joined([*rings[:1], *rings[3:], _box((0.083, 0.0, 0.004), (0.018, 0.05, 0.026), 0.0)]),
+            palette.TRAIL,
+            None,
+        ),
         "discs": (_joined(discs), palette.ROTOR, 0.25),
     }
 
@@ -48,7 +52,9 @@ def _ring(center: tuple[float, float, float], radius: float, width: float, sides
     rim: NDArray[np.float64] = np.stack((np.cos(angle), np.sin(angle), np.zeros(sides)), axis=1)
     j, k = np.arange(sides), (np.arange(sides) + 1) % sides
     faces = np.concatenate((np.stack((j, k, k + sides), axis=1), np.stack((j, k + sides, j + sides), axis=1)))
-    return Mesh((np.concatenate(((radius - width) * rim, radius * rim)) + center).astype(np.float32), faces.astype(np.int32))
+    return Mesh(
+        (np.concatenate(((radius - width) * rim, radius * rim)) + center).astype(np.float32), faces.astype(np.int32)
+    )
 
 
 def _joined(parts: list[Mesh]) -> Mesh:

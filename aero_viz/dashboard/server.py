@@ -66,12 +66,12 @@ class LocalServer(viser.ViserServer):
         scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.2, position=(-4.0, 6.0, 10.0))
         scene.configure_fog(25.0, 110.0, color=palette.FOG)
         scene.world_axes.visible = False
-        self.initial_camera.fov = np.radians(58.0)
-        self.initial_camera.far = 500.0
-        self.initial_camera.near = 0.05
+        self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
 
 
-def notify(server: viser.ViserServer, text: str, *, level: str = "info", client: viser.ClientHandle | None = None) -> None:
+def notify(
+    server: viser.ViserServer, text: str, *, level: str = "info", client: viser.ClientHandle | None = None
+) -> None:
     """Show a notification to `client`, or to everyone."""
     bad = level == "error"
     for target in [client] if client is not None else list(server.get_clients().values()):

@@ -1,9 +1,24 @@
-"""Synthetic worlds: primitives, JSON, seeded generators, meshes for drawing."""
+"""Worlds: primitives, JSON, seeded generators, maps of points, meshes for drawing."""
 
 from __future__ import annotations
 
-from aero_viz.scenes.generators import SCENES, forest, inclines, scene, verticals
+from aero_viz.scenes.generators import SCENES, SceneKind, density, forest, inclines, scene, verticals
 from aero_viz.scenes.mesh import Mesh
+from aero_viz.scenes.rooms import double_wall_trap, pillars, random_clutter, wall
 from aero_viz.scenes.world import World
 
-__all__ = ["SCENES", "Mesh", "World", "forest", "inclines", "scene", "verticals"]
+__all__ = [
+    "SCENES",
+    "Mesh",
+    "SceneKind",
+    "World",
+    "density",
+    "double_wall_trap",
+    "forest",
+    "inclines",
+    "pillars",
+    "random_clutter",
+    "scene",
+    "verticals",
+    "wall",
+]

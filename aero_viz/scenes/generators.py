@@ -1,18 +1,20 @@
-"""Seeded synthetic scenes: 40 m x 40 m of obstacles between a start and a goal 45 m apart."""
+"""Seeded synthetic scenes: 40 m x 40 m of obstacles between a start and a goal 45 m apart; the registry of all scenes."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
+from aero_viz.scenes import rooms
 from aero_viz.scenes.world import World
 
-__all__ = ["SCENES", "forest", "inclines", "scene", "verticals"]
+__all__ = ["SCENES", "SceneKind", "density", "forest", "inclines", "scene", "verticals"]
 
 START = (0.0, 0.0, 2.0)
 GOAL = (45.0, 0.0, 2.0)
@@ -111,18 +113,64 @@ def inclines(
     return _world(f"inclines-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
 
 
+def density(
+    *,
+    seed: int,
+    count: int = 600,
+    width: tuple[float, float] = (0.4, 1.1),
+    height: tuple[float, float] = (1.0, 6.0),
+    ground: bool = True,
+) -> World:
+    """Return vertical cylinders of random heights, for success over the number of obstacles.
+
+    Heights do not change where obstacles stand: of one seed, the random and the fixed heights share places and widths.
+
+    Args:
+        seed: same seed, same world.
+        count: number of cylinders, 200 to 1000 in the paper.
+        width: range of the diameters [m], uniform.
+        height: range of the heights from z = 0 [m], uniform; (6, 6) is the fixed height of `density-6m`.
+        ground: add the ground, a box whose top is z = 0.
+    """
+    rng = np.random.default_rng(seed)
+
+    def draw() -> Rows:
+        radius = 0.5 * rng.uniform(*width)
+        return np.concatenate([_place(rng), [0.0, 0.0, 1.0], [radius, rng.uniform(*height)]])
+
+    kind = f"density-{height[0]:g}m" if height[0] == height[1] else "density"
+    return _world(f"{kind}-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
+
+
 @dataclass(frozen=True)
 class SceneKind:
-    """One entry of the registry: a generator and one sentence on it."""
+    """One entry of the registry."""
 
     description: str
+    """One sentence for the user."""
     generate: Callable[..., World]
+    """Takes seed, ground and, where `counted`, count."""
+    clear_radius: float = CLEAR_RADIUS
+    """Free distance around start and goal, the ground left out [m]."""
+    counted: bool = True
+    """Whether the number of obstacles can be chosen."""
 
 
+_room = partial(SceneKind, clear_radius=rooms.CLEAR_RADIUS)
 SCENES: dict[str, SceneKind] = {
     "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m of ground.", forest),
     "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide.", verticals),
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees.", inclines),
+    "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide.", density),
+    "density-6m": SceneKind("The cylinders of density, all 6 m high.", partial(density, height=(6.0, 6.0))),
+    "pillars": _room("A room with 6 pillars; the goal is 3.75 m ahead at 0.8 m.", rooms.pillars),
+    "wall": _room("A room with a wall across the straight way, open at both ends.", rooms.wall, counted=False),
+    "double_wall_trap": _room(
+        "A room with two walls whose passages lie on opposite sides, under a low ceiling.",
+        rooms.double_wall_trap,
+        counted=False,
+    ),
+    "random_clutter": _room("A room cluttered with 9 boxes, poles and balls.", rooms.random_clutter),
 }
 
 
@@ -130,7 +178,7 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     """Return the scene `name` of the registry `SCENES`, with `count` obstacles, or the scene's own number for None.
 
     Raises:
-        UserError: no such scene, or a negative seed or count; the message suggests the nearest name.
+        UserError: no such scene, a negative seed or count, or a count where there is none to choose.
     """
     if name not in SCENES:
         close = difflib.get_close_matches(name, SCENES, n=1)
@@ -140,6 +188,8 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
         raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
     if count is not None and count < 0:
         raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be 0 or more.")
+    if count is not None and not SCENES[name].counted:
+        raise UserError(f"The scene {name!r} has no number of obstacles to choose; leave the count out.")
     options = {} if count is None else {"count": count}
     return SCENES[name].generate(seed=seed, ground=ground, **options)
 

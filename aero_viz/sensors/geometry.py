@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.world import World, primitive_bounds
 
-__all__ = ["DeviceWorlds", "Geometry", "Primitive", "primitive_distance", "world_distance"]
+__all__ = ["DeviceWorlds", "Geometry", "Primitive", "device_primitives", "primitive_distance", "world_distance"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,8 +22,11 @@ FAR = wp.constant(1.0e9)
 
 _SEGMENT = 0.5  # [m]; an inclined cylinder is entered in the grid in pieces of this length
 _PADDING = 1e-3  # [m]; well above float32 rounding of a point 100 m away
-_CELL = 1.0  # smallest edge of a grid cell [m]
-_CELLS = 100_000  # about as many cells a grid has at most, however far apart the obstacles are
+_CELL = 1.0  # smallest edge of a column [m]
+_CELLS = 100_000  # about as many columns a grid has at most, however far apart the obstacles are
+_MANY = 5000  # worlds of more primitives, maps, get cubic cells instead of columns ..
+_CUBE = (0.2, 1.0)  # .. of twice a primitive's typical size, between these edges [m] ..
+_CUBES = 4_000_000  # .. and about as many at most
 _EVERYWHERE = 2000.0  # [m^2]; what covers more is tested for every ray: the ground
 
 
@@ -42,19 +45,23 @@ class Primitive:
 
 @wp.struct
 class Grid:
-    """Square cells over the x-y extent of one world's primitives."""
+    """Cells over the extent of one world's primitives: columns of one layer, or cubes."""
 
     lower: wp.vec3
     """Corner of the primitives' axis-aligned box [m]."""
     upper: wp.vec3
     cell: float
-    """Edge of a cell [m]."""
+    """Edge of a cell, x and y [m]."""
+    layer: float
+    """Height of a cell [m]."""
     columns: int
     """Number of cells along x."""
     rows: int
     """Number of cells along y."""
+    layers: int
+    """Number of cells along z."""
     first_cell: int
-    """Position of cell (0, 0) in `Geometry.cells`; then y runs fastest."""
+    """Position of cell (0, 0, 0) in `Geometry.cells`; then z runs fastest, x slowest."""
     first_large: int
     """`Geometry.large`[first_large .. end_large - 1] are the primitives outside the grid."""
     end_large: int
@@ -62,7 +69,7 @@ class Grid:
 
 @wp.struct
 class Entry:
-    """A primitive in a cell, and the heights it covers there [m]."""
+    """A primitive in a cell, and the heights it covers in the cell's column [m]."""
 
     primitive: int
     bottom: float
@@ -116,6 +123,11 @@ def world_distance(geometry: Geometry, world: int, point: wp.vec3, lane: int, la
     for i in range(geometry.first[world] + lane, geometry.first[world + 1], lanes):
         nearest = wp.min(nearest, primitive_distance(geometry.primitives[i], point))
     return nearest
+
+
+def device_primitives(world: World, *, device: Any = "cpu") -> wp.array:
+    """Return the primitives of a world on a device, `Primitive` [n]: cylinders, boxes, spheres, in this order."""
+    return wp.array(_pack(world), dtype=Primitive, device=device)
 
 
 class DeviceWorlds:
@@ -204,18 +216,19 @@ def _fill(
         grid["upper"] = -1.0  # no ray enters
         return np.zeros(0, dtype=int), np.zeros(0, dtype=Entry.numpy_dtype())
     grid["lower"], grid["upper"] = lower.min(axis=0), upper.max(axis=0)
-    size = (grid["upper"] - grid["lower"])[:2]
-    cell_size = np.float32(max(_CELL, np.sqrt(np.prod(size) / _CELLS), size.max() / _CELLS))
-    shape = np.maximum(1, np.ceil(size / cell_size)).astype(int)
-    grid["cell"] = cell_size
-    grid["columns"], grid["rows"] = shape
-    low = np.clip(np.floor((lower - grid["lower"])[:, :2] / cell_size).astype(int), 0, shape - 1)
-    high = np.clip(np.floor((upper - grid["lower"])[:, :2] / cell_size).astype(int), 0, shape - 1)
+    extent = grid["upper"] - grid["lower"]
+    edges, shape = _resolution(extent, upper - lower, len(np.unique(owner)))
+    grid["cell"], grid["layer"] = edges[0], edges[2]
+    grid["columns"], grid["rows"], grid["layers"] = shape
+    low = np.clip(np.floor((lower - grid["lower"]) / edges).astype(int), 0, shape - 1)
+    high = np.clip(np.floor((upper - grid["lower"]) / edges).astype(int), 0, shape - 1)
     span = high - low + 1
     total = span.prod(axis=1)
     box = np.repeat(np.arange(len(owner)), total)
     number = np.arange(len(box)) - np.repeat(np.cumsum(total) - total, total)
-    cell = (low[box, 0] + number // span[box, 1]) * shape[1] + low[box, 1] + number % span[box, 1]
+    step_x, step_y = span[box, 1] * span[box, 2], span[box, 2]
+    x, y, z = number // step_x, number // step_y % span[box, 1], number % step_y
+    cell = ((low[box, 0] + x) * shape[1] + low[box, 1] + y) * shape[2] + low[box, 2] + z
 
     # Pieces of one primitive in one cell become one entry.
     key = cell * (owner.max() + 1) + owner[box]
@@ -226,3 +239,22 @@ def _fill(
     entries["bottom"] = np.minimum.reduceat(lower[box[order], 2], first)
     entries["top"] = np.maximum.reduceat(upper[box[order], 2], first)
     return np.bincount(key // (owner.max() + 1), minlength=int(shape.prod())), entries
+
+
+def _resolution(
+    extent: NDArray[np.float32], sizes: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Return the edges of a cell [m] and the number of cells, each [3], of a grid over `extent` [m], [3].
+
+    Columns suit obstacles that are as tall as the world; a ray through a map would pass a floor, walls and a ceiling in
+    every column. `sizes` [m, 3] are those of the pieces of `count` primitives.
+    """
+    if count <= _MANY:
+        flat = extent[:2]
+        edge = max(_CELL, np.sqrt(np.prod(flat) / _CELLS), flat.max() / _CELLS)
+        edges = np.array([edge, edge, 2.0 * extent[2]], dtype=np.float32)
+    else:
+        edge = np.clip(2.0 * np.median(sizes.max(axis=1)), *_CUBE)
+        edge = max(edge, np.cbrt(np.prod(extent) / _CUBES), extent.max() / _CELLS)
+        edges = np.full(3, edge, dtype=np.float32)
+    return edges, np.maximum(1, np.ceil(extent / edges)).astype(int)

@@ -1,7 +1,8 @@
 """Ray casting: the nearest solid along a ray, batched over flights, each in its own world.
 
-Obstacle fields are wide and flat and a ray ends at its first hit, so a two-dimensional grid, walked cell by cell from
-the sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in scenes.
+Obstacle fields are wide and flat and a ray ends at its first hit, so a grid, of columns or in maps of cubes, walked cell
+by cell from the sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in
+scenes.
 """
 
 from __future__ import annotations
@@ -133,13 +134,15 @@ def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec
     if enter <= leave:
         column = cell_index(origin[0] + enter * direction[0] - grid.lower[0], grid.cell, grid.columns)
         row = cell_index(origin[1] + enter * direction[1] - grid.lower[1], grid.cell, grid.rows)
+        level = cell_index(origin[2] + enter * direction[2] - grid.lower[2], grid.layer, grid.layers)
         while enter <= leave:
             exit_x = cell_exit(column, grid.cell, grid.lower[0] - origin[0], direction[0])
             exit_y = cell_exit(row, grid.cell, grid.lower[1] - origin[1], direction[1])
-            out = wp.min(leave, wp.min(exit_x, exit_y))
+            exit_z = cell_exit(level, grid.layer, grid.lower[2] - origin[2], direction[2])
+            out = wp.min(wp.min(leave, exit_z), wp.min(exit_x, exit_y))
             z_in = origin[2] + enter * direction[2]
             z_out = origin[2] + out * direction[2]
-            cell = grid.first_cell + column * grid.rows + row
+            cell = grid.first_cell + (column * grid.rows + row) * grid.layers + level
             for e in range(geometry.cells[cell], geometry.cells[cell + 1]):
                 entry = geometry.entries[e]
                 if wp.max(z_in, z_out) >= entry.bottom and wp.min(z_in, z_out) <= entry.top:
@@ -148,11 +151,17 @@ def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec
             # A hit beyond this cell may hide behind one in the next.
             leave = wp.min(leave, nearest)
             enter = out
-            if exit_x < exit_y:
+            outside = False
+            if exit_z < exit_x and exit_z < exit_y:
+                level += wp.where(direction[2] > 0.0, 1, -1)
+                outside = level < 0 or level >= grid.layers
+            elif exit_x < exit_y:
                 column += wp.where(direction[0] > 0.0, 1, -1)
+                outside = column < 0 or column >= grid.columns
             else:
                 row += wp.where(direction[1] > 0.0, 1, -1)
-            if out >= leave or column < 0 or column >= grid.columns or row < 0 or row >= grid.rows:
+                outside = row < 0 or row >= grid.rows
+            if out >= leave or outside:
                 enter = leave + 1.0
     return wp.where(nearest <= range_max, nearest, wp.inf)
 

@@ -15,15 +15,13 @@ from playwright.sync_api import Browser, Page
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import Dashboard
-from aero_viz.dashboard.panels.camera import orientation
+from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Session
 from aero_viz.snapshot import launch_chromium
 from aero_viz.source import Source
-
-FIELD_OF_VIEW = np.radians(58.0)
 
 
 def _open_source(spec: str) -> Source:

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.rollouts import cost_scale
-
-FIELD_OF_VIEW = np.radians(58.0)
+from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW
 
 # Layer, one of its colours, pixels of that colour that must be there. Shaded surfaces are asked for any pixel.
 DRAWN = [
@@ -63,9 +62,11 @@ def test_all_fifteen_rollouts_are_on_screen_each_in_its_colour(desk):
     desk.dashboard.show_only(["rollouts"])
     position, look_at = behind(desk)
     image = desk.render(position, look_at, width=960, height=640)
-    expected = palette.colorize(cost_scale(plan), -0.35, 1.0, palette.PLASMA).astype(int)
+    expected = palette.colorize(cost_scale(plan), 0.0, 1.0, palette.COST).astype(int)
     expected[plan.best] = palette.CHOSEN
-    found = [_share(image, _project(plan.positions[i, 4:], position, look_at, image.shape), expected[i]) for i in range(15)]
+    found = [
+        _share(image, _project(plan.positions[i, 4:], position, look_at, image.shape), expected[i]) for i in range(15)
+    ]
     assert min(found) > 0.2, f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
     assert len({tuple(color) for color in expected}) == 15
 
@@ -85,5 +86,7 @@ def _share(image, pixels, color) -> float:
     """Share of the pixels with `color` within a step around."""
     height, width = image.shape[:2]
     inside = pixels[(pixels > 1).all(axis=1) & (pixels[:, 0] < height - 2) & (pixels[:, 1] < width - 2)]
-    hits = [np.abs(image[r - 1 : r + 2, c - 1 : c + 2, :3].astype(int) - color).max(axis=-1).min() <= 22 for r, c in inside]
+    hits = [
+        np.abs(image[r - 1 : r + 2, c - 1 : c + 2, :3].astype(int) - color).max(axis=-1).min() <= 22 for r, c in inside
+    ]
     return float(np.mean(hits)) if len(hits) else 0.0

@@ -26,7 +26,9 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     before = desk.render(position + (-3.0, 0.0, 2.0), position)
     value, version = desk.session.config.costs.q_track, desk.session.frame.config_version
     desk.open_tab("Tune")
-    row = desk.page.locator("label", has_text=re.compile("^q_track$")).locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
+    row = desk.page.locator("label", has_text=re.compile("^q_track$")).locator(
+        "xpath=ancestor::div[contains(@class, 'Flex')][1]"
+    )
     track = row.locator(".mantine-Slider-trackContainer")
     track.scroll_into_view_if_needed()
     box = track.bounding_box()
@@ -78,7 +80,9 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     desk.page.wait_for_timeout(300)
     assert desk.session.frame.index == stopped
 
-    row = desk.page.locator("label", has_text=re.compile("^Time$")).locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
+    row = desk.page.locator("label", has_text=re.compile("^Time$")).locator(
+        "xpath=ancestor::div[contains(@class, 'Flex')][1]"
+    )
     box = row.locator(".mantine-Slider-trackContainer").bounding_box()
     desk.page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
     desk.wait_for(lambda: desk.session.frame.index < stopped - 3, "an earlier tick")
@@ -88,7 +92,7 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
 def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
     desk = fresh_desk
     source = desk.session.source
-    desk.page.get_by_label("Path").fill("/nowhere/at-all.mcap")
+    desk.page.get_by_label("Path", exact=True).fill("/nowhere/at-all.mcap")
     desk.click("Open path")
     desk.page.get_by_text("/nowhere/at-all.mcap").last.wait_for(timeout=10_000)
     desk.wait_for(lambda: "That did not work" in status_text(desk), "a notification")
@@ -104,7 +108,7 @@ def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
 
 def test_two_clients_see_the_same_and_one_that_leaves_in_flight_harms_nothing(fresh_desk, browser):
     desk = fresh_desk
-    context = browser.new_context(viewport={"width": 700, "height": 700})
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
     other = context.new_page()
     other.goto(desk.dashboard.url)
     desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "the second client")

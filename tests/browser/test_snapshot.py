@@ -21,9 +21,7 @@ COLORS = {name: getattr(palette, name) for name in ("CHOSEN", "GUIDE", "ANCHOR",
 
 def structure(image: np.ndarray) -> dict[str, int]:
     """Pixels of each layer's colour, and of anything brighter than the background."""
-    counts = {
-        name: int((np.abs(image.astype(int) - color).max(axis=-1) <= 24).sum()) for name, color in COLORS.items()
-    }
+    counts = {name: int((np.abs(image.astype(int) - color).max(axis=-1) <= 24).sum()) for name, color in COLORS.items()}
     return counts | {"bright": int((image.max(axis=-1) > 90).sum())}
 
 

@@ -69,7 +69,9 @@ class Lines:
     Rows without data repeat the last point: segments of length zero that hide under the last one.
     """
 
-    def __init__(self, scene: viser.SceneApi, name: str, *, thickness: float, screen: bool = False, capacity: int = 64) -> None:
+    def __init__(
+        self, scene: viser.SceneApi, name: str, *, thickness: float, screen: bool = False, capacity: int = 64
+    ) -> None:
         self._capacity = capacity
         self.node = scene.add_line_segments(
             name,

@@ -24,7 +24,13 @@ class DroneLayer(Layer):
         self._pose = scene.add_frame("/drone/body", show_axes=False)
         for name, (mesh, color, opacity) in quadrotor().items():
             scene.add_mesh_simple(
-                f"/drone/body/{name}", mesh.vertices, mesh.faces, color=color, opacity=opacity, flat_shading=True, side="double"
+                f"/drone/body/{name}",
+                mesh.vertices,
+                mesh.faces,
+                color=color,
+                opacity=opacity,
+                flat_shading=True,
+                side="double",
             )
 
     def update(self, frame: Frame) -> list[Change]:

@@ -44,8 +44,7 @@ class RolloutLayer(Layer):
         best = int(plan.best)
         others = np.arange(len(plan.positions)) != best
         scale = cost_scale(plan, by=self.color_by)[others]
-        # The darkest quarter of the map would vanish in the dark scene.
-        paint = palette.colorize(scale, -0.35, 1.0, palette.PLASMA)
+        paint = palette.colorize(scale, 0.0, 1.0, palette.COST)
         paint = np.repeat(paint, plan.positions.shape[1] - 1, axis=0)[:, None, :]
         return [
             *self._all.show(polylines(plan.positions[others]), paint),

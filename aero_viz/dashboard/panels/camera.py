@@ -12,14 +12,18 @@ from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session import Frame
 from aero_viz.source import Source
 
-__all__ = ["VIEWS", "CameraPanel", "orientation", "view"]
+__all__ = ["FIELD_OF_VIEW", "VIEWS", "CameraPanel", "orientation", "view"]
 
+FIELD_OF_VIEW = float(np.radians(58.0))
+"""From top to bottom of the picture [rad]."""
 VIEWS = ("follow", "top", "side")
 _OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0)}
 _AHEAD = 1.6
 
 
-def view(name: str, position: NDArray[np.float64], goal: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def view(
+    name: str, position: NDArray[np.float64], goal: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return position and look-at [m], each shape [3], of a camera at a drone at `position` that heads for `goal`."""
     heading = np.arctan2(*(goal - position)[1::-1])
     c, s = np.cos(heading), np.sin(heading)
@@ -34,6 +38,7 @@ class CameraPanel(Panel):
     def create(self, gui: viser.GuiApi) -> None:
         self._mode = "follow"
         self._placed: set[int] = set()
+        self.page.server.initial_camera.fov = FIELD_OF_VIEW
         modes = gui.add_button_group(
             "Camera", ("follow", "top", "side", "free"), hint="Orbit and zoom with the mouse in every one of them."
         )

@@ -17,7 +17,11 @@ __all__ = ["ChartPanel"]
 
 _ROWS = 150
 """The page gets the whole curve each time, so it must stay short."""
-_AXIS = {"stroke": palette.css(palette.MUTED), "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1}, "size": 42}
+_AXIS = {
+    "stroke": palette.css(palette.MUTED),
+    "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1},
+    "size": 42,
+}
 
 
 class ChartPanel(Panel):
@@ -48,5 +52,9 @@ def _chart(gui: viser.GuiApi, *curves: tuple[str, palette.Rgb]) -> viser.GuiUplo
     series = [viser.uplot.Series(label="t [s]")]
     series += [viser.uplot.Series(label=label, stroke=palette.css(color), width=1.5) for label, color in curves]
     return gui.add_uplot(
-        (nothing,) * len(series), tuple(series), scales={"x": viser.uplot.Scale(time=False)}, axes=(_AXIS, _AXIS), height=130
+        (nothing,) * len(series),
+        tuple(series),
+        scales={"x": viser.uplot.Scale(time=False)},
+        axes=(_AXIS, _AXIS),
+        height=130,
     )

@@ -55,7 +55,9 @@ def heading(label: str, value: str = "") -> str:
 def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
     """One bar, divided in proportion, with a legend below; parts below 2 % have no entry there."""
     total = max(sum(value for _, value, _ in parts), 1e-9)
-    bar = "".join(f'<div style="width:{100 * value / total:.2f}%;background:{css(color)}"></div>' for _, value, color in parts)
+    bar = "".join(
+        f'<div style="width:{100 * value / total:.2f}%;background:{css(color)}"></div>' for _, value, color in parts
+    )
     legend = " ".join(
         f'<span style="white-space:nowrap;margin-right:7px">{dot(color)}{muted(label)} {value:.1f}</span>'
         for label, value, color in parts

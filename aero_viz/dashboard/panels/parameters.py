@@ -53,7 +53,9 @@ def add_control(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
     if isinstance(info.default, bool):
         return Control(info, gui.add_checkbox(info.name, bool(value), hint=hint))
     if isinstance(info.default, int):
-        return Control(info, gui.add_number(info.name, int(value), min=int(info.low), max=int(info.high), step=1, hint=hint))
+        return Control(
+            info, gui.add_number(info.name, int(value), min=int(info.low), max=int(info.high), step=1, hint=hint)
+        )
     if info.scale == "log":
         low, high = math.log10(info.low), math.log10(info.high)
         marks = tuple((e, f"{10.0**e:g}") for e in range(math.ceil(low), math.floor(high) + 1))

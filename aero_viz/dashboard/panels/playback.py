@@ -25,7 +25,9 @@ class PlaybackPanel(Panel):
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = -_HOLD
         self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="green")
-        self._steps = gui.add_button_group("Step", ("-10", "-1", "+1", "+10"), hint="Pause and go some ticks back or on.")
+        self._steps = gui.add_button_group(
+            "Step", ("-10", "-1", "+1", "+10"), hint="Pause and go some ticks back or on."
+        )
         self._time = gui.add_slider(
             "Time", 0.0, 1.0, 0.01, 0.0,
             hint="Pause and go to this time [s]. A flight can be flown differently from there on.",

@@ -55,14 +55,14 @@ class StatusPanel(Panel):
             f'<div style="color:{palette.css(palette.WARNING)};margin-top:3px">{markup.text(notice)}</div>'
             for notice in source.scenery.notices
         )
-        name = f'<b>{markup.text(source.name)}</b> {markup.muted(f"{frame.time:.2f} s")}'
+        name = f"<b>{markup.text(source.name)}</b> {markup.muted(f'{frame.time:.2f} s')}"
         return f'<div style="margin-bottom:5px">{name}</div>{"".join(words)}{notices}'
 
     def _costs(self, frame: Frame) -> str:
         plan, best = frame.plan, int(frame.plan.best)
         by = self._rollouts.color_by
         place = cost_scale(plan, by=by)
-        paint = palette.colorize(place, -0.35, 1.0, palette.PLASMA)
+        paint = palette.colorize(place, 0.0, 1.0, palette.COST)
         columns = [
             (
                 1.0 - 0.9 * place[i],
@@ -81,13 +81,16 @@ class StatusPanel(Panel):
         parts = []
         if layers["rollouts"].visible:
             cost = frame.plan.stage2_cost
-            table = palette.PLASMA[66:]
-            parts.append(markup.scale("rollouts: Stage II cost", f"{cost.max():.4g}", f"{cost.min():.4g} (best)", table))
+            parts.append(
+                markup.scale("rollouts: Stage II cost", f"{cost.max():.4g}", f"{cost.min():.4g} (best)", palette.COST)
+            )
         cloud = layers["cloud"]
         if isinstance(cloud, CloudLayer) and cloud.visible and cloud.scale is not None:
             label, low, high, table = cloud.scale
             parts.append(markup.scale(label, low, high, table))
-        parts.append(markup.key(value for name, value in _KEYS.items() if layers[name].visible and layers[name].available))
+        parts.append(
+            markup.key(value for name, value in _KEYS.items() if layers[name].visible and layers[name].available)
+        )
         return parts
 
     @property
@@ -118,7 +121,9 @@ def _figures(frame: Frame) -> str:
 def _stages(frame: Frame) -> str:
     stages = {name: ms for name, ms in frame.plan.stage_ms.items() if name != "total"}
     colors = palette.VIRIDIS[np.linspace(70, 245, max(len(stages), 2)).astype(int)]
-    parts = [(name, ms, tuple(int(c) for c in color)) for (name, ms), color in zip(stages.items(), colors, strict=False)]
+    parts = [
+        (name, ms, tuple(int(c) for c in color)) for (name, ms), color in zip(stages.items(), colors, strict=False)
+    ]
     total = frame.plan.stage_ms.get("total", sum(stages.values()))
     head = markup.heading("plan", f"{total:.1f} ms = {1e3 / max(total, 1e-3):.0f} Hz")
     return head + markup.stacked(parts, "ms")  # type: ignore[arg-type]

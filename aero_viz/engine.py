@@ -1,0 +1,197 @@
+"""One tick after another: source -> planner -> Frame, and jumps in time. Single-threaded; `Session` adds threads."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from aero_planner import Planner, PlannerConfig
+from aero_viz.config_history import ConfigHistory
+from aero_viz.frame import Frame
+from aero_viz.source import Source
+from aero_viz.timeline import Mark, Timeline
+
+__all__ = ["Engine"]
+
+
+class Engine:
+    """Owns a source, a planner and the ticks so far.
+
+    Args:
+        source: where sweeps and states come from; closed with the engine.
+        configs: the newest configuration is used at every tick.
+        device, seed: of the planner.
+        publish: called with every frame.
+    """
+
+    def __init__(
+        self, source: Source, *, configs: ConfigHistory, device: str, seed: int, publish: Callable[[Frame], None]
+    ) -> None:
+        self.source = source
+        self.frame: Frame | None = None
+        self.samples = False
+        """Whether frames carry the Stage I samples."""
+        self.dropped_ticks = 0
+        self._configs = configs
+        self._config = configs.present[0]
+        self._planner = Planner(self._config, device=device, seed=seed)
+        self._publish_frame = publish
+        self._timeline = Timeline()
+        self._tick_ends: deque[float] = deque(maxlen=200)
+        self._epoch = 0
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time that `seek` can reach [s]."""
+        times = self.source.times
+        return (float(times[0]), float(times[-1])) if times is not None and len(times) else self._timeline.time_range
+
+    @property
+    def planned_config(self) -> PlannerConfig:
+        """Configuration of the newest frame."""
+        return self._config
+
+    @property
+    def next_time(self) -> float:
+        """Source time of the next tick [s]."""
+        if self.frame is None:
+            return 0.0
+        times = self.source.times
+        if times is None:
+            return self.frame.time + self.source.period
+        return float(times[min(self._row() + 1, len(times) - 1)])
+
+    def _row(self) -> int:
+        """Row of the present tick in a recording's times."""
+        assert self.frame is not None and self.source.times is not None
+        return int(np.searchsorted(self.source.times, self.frame.time + 1e-9, side="right")) - 1
+
+    def tick(self) -> Frame:
+        """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
+        if self.frame is None or not self._timeline:
+            return self._plan(mark=True)
+        if self.source.outcome is not None:
+            return self.frame
+        started = time.perf_counter()
+        self.source.advance(self.frame.plan)
+        advance_ms = 1e3 * (time.perf_counter() - started)
+        if self.source.outcome == "end":
+            # A recording that is over has no further tick: what is on screen stays.
+            return self._publish(dataclasses.replace(self.frame, outcome="end"))
+        return self._plan(mark=True, advance_ms=advance_ms)
+
+    def replan(self) -> None:
+        """Plan the present tick again, as if for the first time."""
+        if self._timeline:
+            self._planner.restore(self._timeline.present.history)
+            self._plan(mark=False)
+
+    def seek(self, wanted: float) -> None:
+        """Go to the tick at or before `wanted` [s]; ValueError unless it is finite."""
+        if not np.isfinite(wanted):
+            raise ValueError(f"time is {wanted}; it must be a finite number [s].")
+        if self.source.times is not None:
+            self.source.seek(wanted)
+            self._forget()
+            self._plan(mark=True)
+        elif self._timeline:
+            self._return_to(self._timeline.go_to_time(wanted))
+
+    def step_back(self, count: int) -> None:
+        """Go back by `count` ticks, or to the first."""
+        if self.source.times is not None and self.frame is not None and self._timeline.earlier < count:
+            self.seek(float(self.source.times[max(self._row() - count, 0)]))
+        elif self._timeline:
+            self._return_to(self._timeline.go_by(-count))
+
+    def skip_to(self, wanted: float) -> None:
+        """Drop the ticks of a recording before the one at or before `wanted` [s]; the next tick is that one."""
+        times = self.source.times
+        if times is None or self.frame is None or self.source.outcome is not None:
+            return
+        target = int(np.searchsorted(times, wanted + 1e-9, side="right")) - 1
+        skipped = target - self._row() - 1
+        if skipped > 0:
+            self.source.seek(float(times[target - 1]))
+            self.dropped_ticks += skipped
+
+    def exchange(self, source: Source) -> None:
+        """Go on with another source from its start. If its first tick fails, it is closed and the present one stays."""
+        before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks)
+        self.source = source
+        self._forget()
+        try:
+            self._plan(mark=True)
+        except Exception:
+            self.source, self._timeline, history, self.dropped_ticks = before
+            self._planner.restore(history)
+            source.close()
+            raise
+        before[0].close()
+
+    def _forget(self) -> None:
+        """Start anew at the source's present tick."""
+        self._planner.reset()
+        self._timeline = Timeline()
+        self.dropped_ticks = 0
+        self._epoch += 1
+
+    def _return_to(self, mark: Mark) -> None:
+        self.source.restore(mark.checkpoint)
+        self._planner.restore(mark.history)
+        self._epoch += 1
+        self._plan(mark=False)
+
+    def _plan(self, *, mark: bool, advance_ms: float = 0.0) -> Frame:
+        config, version = self._configs.present
+        started = time.perf_counter()
+        observation = self.source.observe()
+        observed = time.perf_counter()
+        if config is not self._config:
+            self._planner.configure(config)
+            self._config = config
+        history = self._planner.history()
+        plan = self._planner.plan(observation.state, observation.goal, observation.points, samples=self.samples)
+        planned = time.perf_counter()
+        if mark:
+            position = (observation.true_state or observation.state).position
+            self._timeline.append(Mark(observation.time, self.source.checkpoint(), history), position)
+        self._tick_ends.append(planned)
+        frame = Frame(
+            index=self._timeline.index,
+            time=observation.time,
+            observation=observation,
+            plan=plan,
+            config=config,
+            config_version=version,
+            outcome=self.source.outcome,
+            timings_ms={
+                "observe": 1e3 * (observed - started),
+                "plan": 1e3 * (planned - observed),
+                "advance": advance_ms,
+            },
+            rate=self._rate(),
+            dropped_ticks=self.dropped_ticks,
+            trail=self._timeline.trail(),
+            epoch=self._epoch,
+        )
+        return self._publish(frame)
+
+    def _publish(self, frame: Frame) -> Frame:
+        self.frame = frame
+        self._publish_frame(frame)
+        return frame
+
+    def _rate(self) -> float:
+        now = self._tick_ends[-1]
+        recent = [end for end in self._tick_ends if now - end <= 1.0]
+        return (len(recent) - 1) / (now - recent[0]) if len(recent) > 1 and now > recent[0] else 0.0
+
+    def close(self) -> None:
+        """Release the source and the planner."""
+        self.source.close()
+        self._planner.close()

@@ -1,0 +1,216 @@
+"""Metrics of a trajectory that any planner flew, by the simulator's own definitions."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightResult, FlightRules, VehicleModel
+from aero_viz.scenes import World
+
+__all__ = ["Trajectory", "load_trajectory", "score"]
+
+_POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
+_COARSEST = 0.25  # between samples, median [s]: what happens between sparser ones is not known well enough
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A flown path, cubic between its samples.
+
+    Args:
+        name: shown to the user.
+        times: [s], increasing, shape [n], n >= 2.
+        positions: [m], shape [n, 3], frame of the world that is scored in.
+        velocities: [m/s], shape [n, 3]; None means central differences of the positions.
+    """
+
+    name: str
+    times: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    velocities: NDArray[np.float64] | None = None
+
+    def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return positions [m] and velocities [m/s] at `times` [s], each shape [m, 3]: cubic Hermite interpolation."""
+        velocities = self.velocities
+        if velocities is None:
+            velocities = np.gradient(self.positions, self.times, axis=0, edge_order=min(2, len(self.times) - 1))
+        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, len(self.times) - 1)
+        before = after - 1
+        h = (self.times[after] - self.times[before])[:, None]
+        s = (times[:, None] - self.times[before][:, None]) / h
+        p0, p1 = self.positions[before], self.positions[after]
+        m0, m1 = h * velocities[before], h * velocities[after]
+        a, b = 2.0 * (p0 - p1) + m0 + m1, 3.0 * (p1 - p0) - 2.0 * m0 - m1
+        return p0 + s * (m0 + s * (b + s * a)), (m0 + s * (2.0 * b + s * 3.0 * a)) / h
+
+
+def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Trajectory:
+    """Read a trajectory: CSV with the columns t,x,y,z and, where known, vx,vy,vz, or a recording with poses.
+
+    Args:
+        path: .csv file, or an MCAP file, ROS 2 bag or ROS 1 bag with Odometry or another pose topic.
+        pose_topic: topic of a recording; the busiest Odometry, else the busiest pose topic, when left out.
+
+    Raises:
+        UserError: the file cannot be read, is no trajectory, or is too sparse; names file, line and column.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".csv", ".txt"):
+        trajectory = _read_csv(path)
+    else:
+        trajectory = _read_recording(path, pose_topic)
+    steps = np.diff(trajectory.times)
+    if len(steps) == 0 or np.median(steps) > _COARSEST:
+        raise UserError(
+            f"{path} has {len(steps) + 1} samples over {np.sum(steps):.2f} s, too few to score: "
+            f"record at least one every {_COARSEST:g} s."
+        )
+    return trajectory
+
+
+def score(
+    trajectory: Trajectory, world: World, *, rules: FlightRules | None = None, planner: str = "recorded"
+) -> FlightResult:
+    """Return the metrics of `trajectory` in `world`, as if the simulator had flown it.
+
+    The trajectory is sampled at the ticks of `rules`, whatever rate it was recorded at, since smoothness depends on it,
+    and at the simulator's integration steps for the clearance. It is over at the first tick that ends a flight, or
+    with its last sample: then `reason` is None, "incomplete". A trajectory that the simulator wrote to a CSV file
+    gives the numbers of its own flight: the file's six decimals move the smoothness by about 0.1 %, the rest by 1e-4.
+
+    Args:
+        trajectory: its first sample is the start of the flight.
+        world: obstacles, goal and bounds.
+        rules: when the flight ends.
+        planner: who flew; `config` of the result.
+    """
+    rules = rules or FlightRules()
+    start, period = trajectory.times[0], rules.period
+    count = min(
+        math.floor((trajectory.times[-1] - start) / period + 1e-6), math.ceil(rules.time_limit / period - 1e-6)
+    )
+    ticks = np.arange(count + 1)
+    positions, velocities = trajectory.at(start + period * ticks)
+    substeps = math.ceil(period / VehicleModel().step - 1e-6)
+    fine = start + period * (np.arange(count * substeps) + 1) / substeps
+    # The simulator looks at the start as often as at any other tick.
+    trail = np.concatenate([np.repeat(positions[:1], substeps, axis=0), trajectory.at(fine)[0]])
+    clearance = world.distance(trail).reshape(count + 1, substeps)
+    reasons = _reasons(positions, clearance.min(axis=1), world, rules)
+    last = next((k for k, reason in enumerate(reasons) if reason is not None), count)
+
+    positions, velocities, clearance = positions[: last + 1], velocities[: last + 1], clearance[: last + 1]
+    length = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    accelerations = np.diff(velocities, axis=0, prepend=velocities[:1]) / period  # a_(-1) = 0, then one per tick
+    time = last * period
+    return FlightResult(
+        arrived=reasons[last] == "arrived",
+        reason=reasons[last],
+        flight_time_s=time,
+        mean_speed=length / time if time > 0.0 else 0.0,
+        max_speed=float(np.linalg.norm(velocities, axis=1).max()),
+        smoothness=float(np.sum(np.diff(accelerations, axis=0) ** 2) / period),
+        length_m=length,
+        mean_clearance=_finite(clearance.mean()),
+        min_clearance=_finite(clearance.min()),
+        plan_ms_median=None,
+        seed=0,
+        scene=world.name,
+        config=planner,
+    )
+
+
+def _reasons(
+    positions: NDArray[np.float64], nearest: NDArray[np.float64], world: World, rules: FlightRules
+) -> list[str | None]:
+    """Return what ends the flight at each tick, in the simulator's order of precedence."""
+    remaining = np.linalg.norm(world.goal - positions, axis=1)
+    inside = ((positions >= world.bounds[0]) & (positions <= world.bounds[1])).all(axis=1)
+    reasons: list[str | None] = []
+    best, progress = remaining[0], 0.0
+    for k in range(len(positions)):
+        elapsed = k * rules.period
+        if remaining[k] <= best - rules.stall_distance:
+            best, progress = remaining[k], elapsed
+        if nearest[k] < rules.radius:
+            reasons.append("collision")
+        elif remaining[k] <= rules.arrival_radius:
+            reasons.append("arrived")
+        elif not inside[k]:
+            reasons.append("out_of_bounds")
+        elif elapsed - progress >= rules.stall_time - 1e-6:
+            reasons.append("stall")
+        elif elapsed >= rules.time_limit - 1e-6:
+            reasons.append("timeout")
+        else:
+            reasons.append(None)
+    return reasons
+
+
+def _read_csv(path: Path) -> Trajectory:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no CSV text"
+        raise UserError(f"Cannot read the trajectory {path}: {reason or error}.") from error
+    header = [name.strip().lower() for name in rows[0]] if rows else []
+    missing = [name for name in ("t", *_POSITION) if name not in header]
+    if missing:
+        raise UserError(f"{path} lacks the column {missing[0]!r} in line 1; the columns are t,x,y,z and vx,vy,vz.")
+    measured = all(name in header for name in _VELOCITY)
+    columns = [header.index(name) for name in ("t", *_POSITION, *(_VELOCITY if measured else ()))]
+    values = []
+    for number, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        try:
+            values.append([float(row[i]) for i in columns])
+        except (IndexError, ValueError):
+            raise UserError(f"{path}, line {number}: {','.join(row)!r} does not hold {len(columns)} numbers.") from None
+    if not values:
+        raise UserError(f"{path} holds no samples below its first line.")
+    table = np.array(values)
+    if not np.isfinite(table).all():
+        line = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0]) + 2
+        raise UserError(f"{path}, line {line}: a number is not finite.")
+    if not (np.diff(table[:, 0]) > 0.0).all():
+        line = int(np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[0]) + 3
+        raise UserError(f"{path}, line {line}: t does not increase.")
+    return Trajectory(path.name, table[:, 0], table[:, 1:4], table[:, 4:7] if measured else None)
+
+
+def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
+    from aero_viz.recordings.contents import read_contents
+    from aero_viz.recordings.messages import POSE_TYPES
+    from aero_viz.recordings.poses import PoseTrack
+    from aero_viz.recordings.storage import open_storage, readable
+
+    storage = open_storage(path)
+    try:
+        with readable(storage.path):
+            contents = read_contents(storage)
+    finally:
+        storage.close()
+    topics = [topic for topic in contents.of_types(POSE_TYPES) if len(topic.poses)]
+    chosen = next((topic for topic in topics if pose_topic in (None, topic.name)), None)
+    if chosen is None:
+        offered = ", ".join(topic.name for topic in topics) or "none"
+        wanted = "no topic with poses" if pose_topic is None else f"no poses on {pose_topic}"
+        raise UserError(f"{path} has {wanted}; topics with poses: {offered}.")
+    times, rows = chosen.poses.times(stamped=True), chosen.poses.rows()
+    track = PoseTrack.build((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
+    return Trajectory(path.name, track.times, track.positions + track.offset, track.velocities)
+
+
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
