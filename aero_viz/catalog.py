@@ -17,18 +17,25 @@ def source_choices() -> dict[str, str]:
     return {name: kind.description for name, kind in SCENES.items()}
 
 
+def is_map(spec: str) -> bool:
+    """Return whether `spec` is the name of a file of points."""
+    from aero_viz.scenes.map_files import MAP_SUFFIXES
+
+    return Path(spec).suffix.lower() in MAP_SUFFIXES and not Path(spec).is_dir()
+
+
 def load_world(spec: str, *, seed: int = 0, count: int | None = None):
-    """Return the `World` of a scene's name or of a JSON file.
+    """Return the `World` of a scene's name, of a JSON file or of a map of points (PCD, PLY, LAS, LAZ, NPY).
 
     Raises:
         UserError: there is no such scene or file, or the file is malformed.
     """
     from aero_viz.scenes import World, scene
 
-    if spec.endswith(".json") or "/" in spec:
+    if is_map(spec) or spec.endswith(".json") or "/" in spec:
         if count is not None:
             raise UserError(f"--count belongs to a scene's generator, and {spec} is a file; leave it out.")
-        return World.load(spec)
+        return World.from_map(spec) if is_map(spec) else World.load(spec)
     return scene(spec, seed=seed, count=count)
 
 
@@ -43,7 +50,7 @@ def open_source(
     pose_topic: str | None = None,
     goal_ahead: float = 15.0,
 ) -> Source:
-    """Open a scene's name, a world's JSON file, or a recording.
+    """Open a scene's name, a world's JSON file, a map of points, or a recording.
 
     Args:
         spec: name or path.
@@ -60,7 +67,7 @@ def open_source(
     from aero_viz.scenes import SCENES
 
     is_path = "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
-    if spec in SCENES or spec.endswith(".json") or not is_path:
+    if spec in SCENES or spec.endswith(".json") or is_map(spec) or not is_path:
         from aero_viz.flight import FlightSource
         from aero_viz.sensors import lidar_model
 

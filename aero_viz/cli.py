@@ -12,12 +12,16 @@ import webbrowser
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
 from aero_viz.cli_config import ConfigFlags
 from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from aero_viz.dashboard import Dashboard
+    from aero_viz.session import Session
 
 __all__ = ["main"]
 
@@ -211,6 +215,14 @@ def snapshot(
 
 
 @app.command
+def parameters() -> None:
+    """Print every planner parameter with symbol, default, range, unit and meaning, as Markdown."""
+    from aero_planner.config_docs import format_parameters
+
+    print(format_parameters())
+
+
+@app.command
 def doctor(*, json: bool = False) -> None:
     """Check this machine: versions, devices, browser, and what is missing with how to get it.
 
@@ -248,12 +260,26 @@ def _serve(
             print(f"AERO-Viz shows {spec} at {dashboard.url} (Ctrl-C ends it)", flush=True)
             if server.open:
                 webbrowser.open(dashboard.url)
-            session.start(play=not server.paused)
+            session.start(play=False)
+            if not server.paused:
+                _play_when_seen(session, dashboard)
             stopped.wait()
         finally:
             dashboard.close()
     finally:
         session.close()
+
+
+def _play_when_seen(session: Session, dashboard: Dashboard) -> None:
+    """Let time begin when the first page is open, so that nobody misses the start."""
+    seen = threading.Event()
+
+    def begin(_: object) -> None:
+        if not seen.is_set():
+            seen.set()
+            session.play()
+
+    dashboard.server.on_client_connect(begin)
 
 
 def _print_json(value: Any) -> None:

@@ -93,9 +93,7 @@ def score(
     """
     rules = rules or FlightRules()
     start, period = trajectory.times[0], rules.period
-    count = min(
-        math.floor((trajectory.times[-1] - start) / period + 1e-6), math.ceil(rules.time_limit / period - 1e-6)
-    )
+    count = min(math.floor((trajectory.times[-1] - start) / period + 1e-6), math.ceil(rules.time_limit / period - 1e-6))
     ticks = np.arange(count + 1)
     positions, velocities = trajectory.at(start + period * ticks)
     substeps = math.ceil(period / VehicleModel().step - 1e-6)
@@ -208,8 +206,6 @@ def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
     times, rows = chosen.poses.times(stamped=True), chosen.poses.rows()
     track = PoseTrack.build((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
     return Trajectory(path.name, track.times, track.positions + track.offset, track.velocities)
-
-
 
 
 def _finite(value: float) -> float | None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import shutil
 import time as clock
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
+from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, orientation
 from aero_viz.dashboard.panels.camera import view as named_view
@@ -26,42 +25,7 @@ from aero_viz.source import Source
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-__all__ = ["find_chromium", "launch_chromium", "snapshot"]
-
-_FLAGS = (
-    "--no-sandbox",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--hide-scrollbars",
-)
-_PROGRAMS = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome")
-_HELP = "install one (apt install chromium), or run: pip install playwright && playwright install chromium"
-
-
-def find_chromium() -> Path:
-    """Return the Chromium to use: the one that AERO_VIZ_CHROMIUM names, the system's, or Playwright's own.
-
-    Raises:
-        UserError: there is none; says how to get one.
-    """
-    named = os.environ.get("AERO_VIZ_CHROMIUM")
-    if named:
-        if shutil.which(named) is None:
-            raise UserError(f"AERO_VIZ_CHROMIUM is {named!r}, which is no program; correct it or unset it.")
-        return Path(named)
-    for program in _PROGRAMS:
-        path = shutil.which(program)
-        if path is not None:
-            return Path(path)
-    with contextlib.suppress(ImportError):
-        from playwright.sync_api import sync_playwright
-
-        with sync_playwright() as playwright:
-            path = Path(playwright.chromium.executable_path)
-        if path.exists():
-            return path
-    raise UserError(f"No Chromium was found; {_HELP}.")
+__all__ = ["launch_chromium", "snapshot"]
 
 
 @contextlib.contextmanager
@@ -78,10 +42,10 @@ def launch_chromium() -> Iterator[Browser]:
         raise UserError("Pictures need Playwright, which is not installed; run: pip install playwright.") from error
     with sync_playwright() as playwright:
         try:
-            browser = playwright.chromium.launch(executable_path=program, args=list(_FLAGS))
+            browser = playwright.chromium.launch(executable_path=program, args=list(CHROMIUM_FLAGS))
         except Error as error:
             reason = str(error).splitlines()[0]
-            raise UserError(f"{program} does not start ({reason}); {_HELP}.") from error
+            raise UserError(f"{program} does not start: {reason}") from error
         try:
             yield browser
         finally:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from small_source import small_source
 
+from aero_planner.config import parameters
 from aero_viz.cli import main
 
 FLIGHT_FIELDS = {
@@ -36,11 +37,13 @@ def poles(tmp_path: Path) -> str:
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    capsys.readouterr()  # what fixtures printed
     main([*arguments, "--json"])
     return json.loads(capsys.readouterr().out)
 
 
 def run_refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    capsys.readouterr()  # what fixtures printed
     with pytest.raises(SystemExit) as exit:
         main(list(arguments))
     assert exit.value.code == 2
@@ -159,6 +162,13 @@ def test_a_busy_port_is_told(poles: str) -> None:
         _, error = process.communicate(timeout=60)
     assert process.returncode == 2
     assert str(port) in error and "--port" in error and "Traceback" not in error
+
+
+def test_parameters_lists_every_one(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["parameters"])
+    table = capsys.readouterr().out
+    for info in parameters():
+        assert f"| `{info.path}` |" in table
 
 
 def test_help_needs_no_heavy_import() -> None:

@@ -84,7 +84,7 @@ def colorize(values: ArrayLike, low: float, high: float, table: Table) -> NDArra
     return table[rows.astype(np.uint8)]
 
 
-# Constants of the ACES filmic curve as three.js has it: colour spaces in and out, and (v (v + a) - b) / (v (c v + d) + e).
+# The ACES filmic curve as three.js has it: matrices in and out, and (v (v + a) - b) / (v (c v + d) + e) between.
 _ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]])
 _ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
 _A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.432951, 0.238081

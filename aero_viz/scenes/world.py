@@ -107,6 +107,31 @@ class World:
         except (ValueError, RecursionError) as error:
             raise UserError(f"{path} is not a world: {error}") from error
 
+    @classmethod
+    def from_map(
+        cls, path: str | Path, *, voxel: float = 0.2, start: ArrayLike | None = None, goal: ArrayLike | None = None
+    ) -> World:
+        """Return the world of a map of points, PCD, PLY, LAS, LAZ or NPY: what is occupied is solid.
+
+        Every voxel that holds a point is solid; neighbours are merged into larger boxes. A map whose points lie beyond
+        10 km is moved so that its lowest corner is near the origin, `start` and `goal` with it.
+
+        Args:
+            path: file; its name is the world's.
+            voxel: edge of a voxel [m], about the spacing of the points: smaller leaves holes, larger closes gaps.
+            start: [m], shape [3], in the map's frame. None is a place 2 m over the local ground, at least 0.75 m and
+                rather 1.5 m from all points, near the map's origin or, where that lies outside, its middle; 45 m from
+                `goal` if that is given.
+            goal: [m], shape [3], in the map's frame. None is the farthest such place within 45 m of the start that a
+                drone of radius 0.5 m can reach.
+
+        Raises:
+            UserError: the file is no map that can be read, an argument is impossible, or there is no such place.
+        """
+        from aero_viz.scenes.maps import map_world
+
+        return map_world(path, voxel=voxel, start=start, goal=goal)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the form of the JSON file; "bounds" only where they differ from the derived ones."""
         content: dict[str, Any] = {"name": self.name}

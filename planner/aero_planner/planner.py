@@ -64,7 +64,9 @@ class Planner:
         if batch is not None and batch < 1:
             raise ValueError(f"batch is {batch}; it must be None or at least 1.")
         if config is not None and not isinstance(config, PlannerConfig):
-            raise ValueError(f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper').")
+            raise ValueError(
+                f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper')."
+            )
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
         self._device = _find_device(device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Locator, Page
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import Dashboard
@@ -45,6 +46,11 @@ class Desk:
 
     def click(self, name: str) -> None:
         self.page.get_by_role("button", name=name, exact=True).click()
+
+    def control(self, label: str) -> Locator:
+        """The row of the panel with this label."""
+        exact = self.page.locator("label", has_text=re.compile(f"^{label}$"))
+        return exact.locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
 
     def open_tab(self, name: str) -> None:
         self.page.get_by_role("tab", name=name).click()

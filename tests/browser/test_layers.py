@@ -34,7 +34,7 @@ def count(image: NDArray[np.uint8], color: palette.Rgb, *, tolerance: int = 24) 
 
 def behind(desk) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     position = np.asarray(desk.session.frame.observation.state.position)
-    return position + (-3.0, -1.0, 2.5), position + (1.5, 0.0, 0.0)
+    return np.add(position, (-3.0, -1.0, 2.5)), np.add(position, (1.5, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(("name", "color", "least"), DRAWN, ids=[name for name, _, _ in DRAWN])
@@ -51,7 +51,7 @@ def test_a_layer_is_there_when_on_and_gone_when_off(desk, name, color, least):
 def test_the_goal_is_drawn_at_the_goal(desk):
     goal = np.asarray(desk.session.frame.observation.goal.position)
     desk.dashboard.show_only(["goal"])
-    image = desk.render(goal + (-5.0, 0.0, 0.5), goal)
+    image = desk.render(np.add(goal, (-5.0, 0.0, 0.5)), goal)
     assert image[160, 240, 0] > 100, "red at the middle of the picture"
     assert count(image, palette.GOAL) > 50
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 
@@ -23,12 +21,10 @@ def test_the_page_connects_and_shows_the_plan(desk):
 def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     desk.dashboard.show_only(["rollouts"])
     position = np.asarray(desk.session.frame.observation.state.position)
-    before = desk.render(position + (-3.0, 0.0, 2.0), position)
+    before = desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
     value, version = desk.session.config.costs.q_track, desk.session.frame.config_version
     desk.open_tab("Tune")
-    row = desk.page.locator("label", has_text=re.compile("^q_track$")).locator(
-        "xpath=ancestor::div[contains(@class, 'Flex')][1]"
-    )
+    row = desk.control("q_track")
     track = row.locator(".mantine-Slider-trackContainer")
     track.scroll_into_view_if_needed()
     box = track.bounding_box()
@@ -39,7 +35,7 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     desk.wait_for(lambda: desk.session.config.costs.q_track > 2.0 * value, "the new weight")
     desk.wait_for(lambda: desk.session.frame.config == desk.session.config, "a plan with the new weight")
     assert desk.session.frame.config_version > version
-    after = desk.render(position + (-3.0, 0.0, 2.0), position)
+    after = desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
     assert (before != after).any(axis=-1).sum() > 200
     desk.page.get_by_role("button", name="undo").click()
     desk.wait_for(lambda: desk.session.config.costs.q_track < desk.session.frame.config.costs.q_track + 1e-9, "undo")
@@ -48,9 +44,7 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
 def test_a_value_that_contradicts_another_is_refused_with_a_reason(desk):
     desk.open_tab("Tune")
     before = desk.session.config
-    field = desk.page.locator("label", has_text=re.compile("^distance_min$")).locator(
-        "xpath=ancestor::div[contains(@class, 'Flex')][1]"
-    )
+    field = desk.control("distance_min")
     number = field.locator("input.mantine-NumberInput-input")
     number.fill("1.5")
     number.press("Enter")
@@ -61,6 +55,7 @@ def test_a_value_that_contradicts_another_is_refused_with_a_reason(desk):
 
 def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     desk = fresh_desk
+    desk.dashboard.show_only(["rollouts", "drone"])  # quick to draw
     index = desk.session.frame.index
     desk.click("+10")
     desk.wait_for(lambda: desk.session.frame.index == index + 10, "ten ticks")
@@ -80,9 +75,7 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     desk.page.wait_for_timeout(300)
     assert desk.session.frame.index == stopped
 
-    row = desk.page.locator("label", has_text=re.compile("^Time$")).locator(
-        "xpath=ancestor::div[contains(@class, 'Flex')][1]"
-    )
+    row = desk.control("Time")
     box = row.locator(".mantine-Slider-trackContainer").bounding_box()
     desk.page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
     desk.wait_for(lambda: desk.session.frame.index < stopped - 3, "an earlier tick")
@@ -92,7 +85,7 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
 def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
     desk = fresh_desk
     source = desk.session.source
-    desk.page.get_by_label("Path", exact=True).fill("/nowhere/at-all.mcap")
+    desk.control("Path").locator("input").fill("/nowhere/at-all.mcap")
     desk.click("Open path")
     desk.page.get_by_text("/nowhere/at-all.mcap").last.wait_for(timeout=10_000)
     desk.wait_for(lambda: "That did not work" in status_text(desk), "a notification")
@@ -108,6 +101,7 @@ def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
 
 def test_two_clients_see_the_same_and_one_that_leaves_in_flight_harms_nothing(fresh_desk, browser):
     desk = fresh_desk
+    desk.dashboard.show_only(["rollouts", "drone"])
     context = browser.new_context(viewport={"width": 1000, "height": 700})
     other = context.new_page()
     other.goto(desk.dashboard.url)

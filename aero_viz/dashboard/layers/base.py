@@ -83,7 +83,7 @@ class Lines:
         )
 
     def show(self, segments: ArrayLike, colors: ArrayLike) -> list[Change]:
-        """Return the changes that show `segments` [m], shape [n, 2, 3], in `colors`, uint8 that broadcasts to that shape."""
+        """Return the changes that show `segments` [m], shape [n, 2, 3], in `colors` that broadcast to that shape."""
         segments = np.asarray(segments, dtype=np.float32)
         count = len(segments)
         if count == 0:

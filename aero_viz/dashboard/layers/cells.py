@@ -97,7 +97,7 @@ def _direction(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> 
 
 
 def _facing(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the rotations, w x y z, that turn +x to each direction: yaw by the azimuth after pitch by minus the elevation."""
+    """Return the rotations, w x y z, that turn +x to each direction: yaw by azimuth after pitch by -elevation."""
     cy, sy, cp, sp = np.cos(azimuth / 2), np.sin(azimuth / 2), np.cos(-elevation / 2), np.sin(-elevation / 2)
     return np.stack((cy * cp, -sy * sp, cy * sp, sy * cp), axis=-1).astype(np.float32)
 

@@ -55,7 +55,7 @@ class CloudLayer(Layer):
 
 
 def _thinned(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return at most 60 000 finite points, spread evenly over the cloud, the last one repeated up to a multiple of 4096."""
+    """Return at most 60 000 finite points, spread over the cloud; the last is repeated up to a multiple of 4096."""
     step = -(-len(cloud) // _MOST_POINTS)
     points = cloud[:: max(step, 1)]
     finite = np.isfinite(points[:, 0])

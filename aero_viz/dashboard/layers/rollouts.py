@@ -17,8 +17,8 @@ __all__ = ["RolloutLayer", "cost_scale"]
 def cost_scale(plan: Plan, *, by: str = "rank") -> NDArray[np.float64]:
     """Return the place of each instance between the worst (0) and the best (1) Stage II cost, shape [M].
 
-    Costs span from tens to 1e7 with collisions, and differ by a per mille without: "rank" spaces them evenly, "log cost"
-    by log(1 + S2 - min S2).
+    Costs span from tens to 1e7 with collisions, and differ by a per mille without: "rank" spaces them evenly,
+    "log cost" by log(1 + S2 - min S2).
     """
     cost = np.asarray(plan.stage2_cost, dtype=np.float64)
     if by == "rank":

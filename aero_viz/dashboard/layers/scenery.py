@@ -51,8 +51,8 @@ class GroundLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self._height: float | None = None
         self._grid = scene.add_grid(
-            "/ground/grid", infinite_grid=True, cell_size=1.0, section_size=5.0, cell_thickness=0.7, section_thickness=1.0,
-            cell_color=palette.GRID_CELL, section_color=palette.GRID_SECTION, fade_distance=90.0, fade_strength=1.5,
+            "/ground/grid", infinite_grid=True, cell_size=1.0, section_size=5.0, cell_thickness=0.7,
+            section_thickness=1.0, cell_color=palette.GRID_CELL, section_color=palette.GRID_SECTION, fade_distance=90.0, fade_strength=1.5,
             plane_color=palette.GROUND, plane_opacity=1.0, shadow_opacity=0.0,
         )  # fmt: skip
 

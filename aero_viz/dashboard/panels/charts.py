@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 import viser
@@ -17,7 +18,7 @@ __all__ = ["ChartPanel"]
 
 _ROWS = 150
 """The page gets the whole curve each time, so it must stay short."""
-_AXIS = {
+_AXIS: Any = {
     "stroke": palette.css(palette.MUTED),
     "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1},
     "size": 42,

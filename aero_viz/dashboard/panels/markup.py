@@ -64,7 +64,8 @@ def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
         if value > 0.02 * total
     )
     return (
-        f'<div style="display:flex;height:9px;border-radius:3px;overflow:hidden;margin:3px 0" title="{text(unit)}">{bar}</div>'
+        f'<div title="{text(unit)}" style="display:flex;height:9px;border-radius:3px;overflow:hidden;margin:3px 0">'
+        f"{bar}</div>"
         f'<div style="font-size:11px">{legend}</div>'
     )
 

@@ -46,7 +46,7 @@ class Control:
 
 
 def add_control(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
-    """Add the control that suits a parameter: dropdown, checkbox, number, slider, or slider over the decimal logarithm."""
+    """Add what suits a parameter: dropdown, checkbox, number, slider, or slider over the decimal logarithm."""
     hint = _hint(info)
     if info.choices:
         return Control(info, gui.add_dropdown(info.name, info.choices, initial_value=value, hint=hint))
@@ -80,7 +80,7 @@ def _clamped(info: ParameterInfo, value: float) -> float:
 
 
 def _reach(info: ParameterInfo) -> float:
-    """Return where a slider ends: five times the default, as a bound of 1000 would leave no feeling for a default of 3."""
+    """Return where a slider ends: five times the default, as a bound of 1000 leaves no feeling for a 3."""
     return min(info.high, _nice(5.0 * float(info.default))) if info.default else min(info.high, 20.0)
 
 
@@ -155,6 +155,6 @@ class StructureParameterPanel(Panel):
 
 
 def _differing(control: Control, config: PlannerConfig) -> list[Change]:
-    """Leave a control alone that already stands for the value: writing it rounded would move it under the user's hand."""
+    """Leave a control alone that stands for the value: writing it rounded would move it under the user's hand."""
     value = config.get(control.info.path)
     return [] if control.value == value else control.show(value)

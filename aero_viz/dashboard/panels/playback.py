@@ -34,7 +34,7 @@ class PlaybackPanel(Panel):
         )  # fmt: skip
         self._speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Source time per wall time.")
         # Of the positions that a drag passes through, only the newest is worth going to.
-        self._seeks = Sink(lambda wanted: self.session.seek(wanted).exception(), name="seek")
+        self._seeks = Sink(self._seek, name="seek")
         self._connect(gui)
 
     def _connect(self, gui: viser.GuiApi) -> None:
@@ -46,8 +46,7 @@ class PlaybackPanel(Panel):
 
         @self._steps.on_click
         async def _(_: viser.GuiEvent) -> None:
-            session.step(int(self._steps.value))
-            self.page.refresh()
+            self._step(int(self._steps.value))
 
         @self._time.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -63,10 +62,16 @@ class PlaybackPanel(Panel):
 
         play = gui.add_command("Play or pause", hotkey="P", icon=viser.Icon.PLAYER_PLAY)
         play.on_trigger(lambda _: self._toggle())
-        on = gui.add_command("Step on", hotkey=".", icon=viser.Icon.PLAYER_TRACK_NEXT)
-        on.on_trigger(lambda _: session.step(1))
-        back = gui.add_command("Step back", hotkey=",", icon=viser.Icon.PLAYER_TRACK_PREV)
-        back.on_trigger(lambda _: session.step(-1))
+        on = gui.add_command("Step on", hotkey="arrowright", modifier="shift", icon=viser.Icon.PLAYER_TRACK_NEXT)
+        on.on_trigger(lambda _: self._step(1))
+        back = gui.add_command("Step back", hotkey="arrowleft", modifier="shift", icon=viser.Icon.PLAYER_TRACK_PREV)
+        back.on_trigger(lambda _: self._step(-1))
+
+    def _step(self, count: int) -> None:
+        self.session.step(count)
+
+    def _seek(self, wanted: float) -> None:
+        self.session.seek(wanted).exception()  # waits; what went wrong the session says
 
     def _toggle(self) -> None:
         if self.session.playing:

@@ -1,0 +1,129 @@
+"""Worlds from maps of points: occupied voxels as boxes, and a start and a goal where there is room."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_viz.errors import UserError
+from aero_viz.scenes.map_files import read_points
+from aero_viz.scenes.world import World
+
+__all__ = ["map_world"]
+
+HEIGHT = 2.0
+"""Of a start and a goal that are not given, over the local ground [m]."""
+ROOM = 0.75
+"""Their least distance to an obstacle [m]."""
+WAY = 0.5
+"""Radius of the drone that can fly from such a start to such a goal [m]."""
+DISTANCE = 45.0
+"""Such a goal is no farther from the start than this [m]."""
+_FAR = 10_000.0  # [m]; beyond, float32 has millimetres left
+_TILE = 4.0  # [m]; the local ground is the low end of the points in a square of this edge
+_CELL = 0.5  # [m] of the search for a start and a goal ..
+_CELLS = 400  # .. or so many cells along the map
+_WIDE = 1.5  # [m]; wider is no better for a start
+
+Array = NDArray[np.float64]
+
+
+def map_world(
+    path: str | Path, *, voxel: float = 0.2, start: ArrayLike | None = None, goal: ArrayLike | None = None
+) -> World:
+    """Return a world of boxes, the occupied voxels of a map; see `World.from_map`."""
+    if not 0.0 < voxel < math.inf:
+        raise UserError(f"The voxels of the map {path} have an edge of {voxel!r} m; it must be positive.")
+    points = read_points(path)
+    ends = [None if end is None else _position(end, name) for end, name in ((start, "start"), (goal, "goal"))]
+    if np.abs(points).max() > _FAR:
+        origin = np.floor(points.min(axis=0))
+        points, ends = points - origin, [None if end is None else end - origin for end in ends]
+    boxes = _merge(np.unique(np.floor(points / voxel).astype(np.int64), axis=0), voxel)
+    if ends[0] is None or ends[1] is None:
+        ends = _find_ends(points, boxes, *ends, where=path)
+    return World(Path(path).stem, ends[0], ends[1], boxes=boxes)
+
+
+def _position(value: ArrayLike, name: str) -> Array:
+    position = np.array(value, dtype=np.float64)
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise UserError(f"The {name} {np.asarray(value).tolist()} is no position; give three finite numbers.")
+    return position
+
+
+def _merge(voxels: NDArray[np.int64], edge: float) -> Array:
+    """Return boxes [n, 7] that together fill the voxels [m, 3] exactly: runs along x, of runs along y, of runs along z.
+
+    A wall or floor takes a tenth of the boxes then; rays, distances and drawings gain as much.
+    """
+    low, high = voxels, voxels + 1
+    for axis in range(3):
+        others = [i for i in range(3) if i != axis]
+        # Equal in both other axes: sorted next to each other, in order along this one.
+        keys = [low[:, axis], *(side[:, i] for i in others for side in (low, high))]
+        order = np.lexsort(keys)
+        low, high = low[order], high[order]
+        follows = (low[1:, axis] == high[:-1, axis]) & np.all(low[1:, others] == low[:-1, others], axis=1)
+        follows &= np.all(high[1:, others] == high[:-1, others], axis=1)
+        first = np.concatenate([[True], ~follows])
+        last = np.concatenate([~follows, [True]])
+        low, high = low[first], high[last]
+    return np.column_stack([0.5 * edge * (low + high), edge * (high - low), np.zeros(len(low))])
+
+
+def _find_ends(points: Array, boxes: Array, start: Array | None, goal: Array | None, *, where: str | Path) -> list:
+    """Choose what is None of start and goal, see `World.from_map`."""
+    from aero_viz.scenes.passable import ClearanceGrid
+
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    cell = max(_CELL, float((upper - lower).max()) / _CELLS)
+    # The world's start only anchors the grid here.
+    anchor = np.rint(0.5 * (lower + upper)) if start is None else start
+    world = World("", anchor, anchor if goal is None else goal, boxes=boxes)
+    grid = ClearanceGrid.of(
+        world, cell=cell, reach=_WIDE, band=(lower[2], upper[2] + HEIGHT), region=[lower[:2], upper[:2]]
+    )
+    index = np.moveaxis(np.indices(grid.distance.shape), 0, -1)
+    places = grid.corner + cell * index
+    over_ground = places[..., 2] - _ground(points, places[:, :, 0, :2])[..., None]
+    free = (grid.distance >= ROOM) & (np.abs(over_ground - HEIGHT) <= 0.5 * cell + 1e-9)
+    inside = np.all((lower[:2] <= 0.0) & (upper[:2] >= 0.0))
+    origin = np.zeros(2) if inside else 0.5 * (lower + upper)[:2]
+    if start is None:
+        near = origin if goal is None else goal[:2]
+        away = np.linalg.norm(places[..., :2] - near, axis=-1)
+        if goal is not None:
+            away = np.abs(away - DISTANCE)
+        start = _best(places, free, grid.distance - 0.05 * away, "start", where)
+    if goal is None:
+        reached = grid.reached(start, threshold=math.hypot(WAY, 0.5 * cell))
+        away = np.linalg.norm(places - start, axis=-1)
+        goal = _best(places, free & reached & (away <= DISTANCE), away, "goal", where)
+    return [start, goal]
+
+
+def _best(places: Array, allowed: NDArray[np.bool_], score: Array, what: str, where: str | Path) -> Array:
+    if not allowed.any():
+        raise UserError(
+            f"The map {where} has no free place {HEIGHT:g} m over its ground for the {what}; give start and goal."
+        )
+    return places[np.unravel_index(np.argmax(np.where(allowed, score, -np.inf)), score.shape)]
+
+
+def _ground(points: Array, places: Array) -> Array:
+    """Return the height of the ground below `places` [X, Y, 2], shape [X, Y] [m]: the fifth percentile of z in each
+    square of 4 m, and of all points where a square has none."""
+    lower = points[:, :2].min(axis=0)
+    tiles = np.floor((points[:, :2] - lower) / _TILE).astype(int)
+    shape = np.maximum(tiles.max(axis=0), np.floor((places.max(axis=(0, 1)) - lower) / _TILE).astype(int)) + 1
+    height = np.full(shape, np.percentile(points[:, 2], 5))
+    key = tiles[:, 0] * shape[1] + tiles[:, 1]
+    order = np.lexsort([points[:, 2], key])
+    present, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    height.ravel()[present] = points[order, 2][first + count // 20]
+    at = np.clip(np.floor((places - lower) / _TILE).astype(int), 0, shape - 1)
+    return height[at[..., 0], at[..., 1]]
