@@ -1,4 +1,4 @@
-"""The command line: `aero-viz demo`, `play`, `inspect`, `fly`, `snapshot`, `doctor`."""
+"""The command line: `aero-viz demo`, `play`, `inspect`, `fly`, `snapshot`, `doctor`; more verbs in `cli_bench`."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from aero_viz import cli_bench
 from aero_viz.cli_config import ConfigFlags
 from aero_viz.errors import UserError
 
@@ -60,6 +61,7 @@ def demo(
     *,
     count: int | None = None,
     lidar: str = "mid360",
+    log: Path | None = None,
     server: Inline[ServerFlags] = _SERVER,
     flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
@@ -68,11 +70,12 @@ def demo(
     Args:
         scene: name of a scene, such as forest, verticals or inclines, or a world's JSON file.
         count: number of obstacles; the scene's own when left out.
-        lidar: mid360, sphere or spinning64.
+        lidar: mid360, full-sphere or spinning64.
+        log: MCAP file to write while flying, for `play`, Foxglove, RViz and PlotJuggler.
         server: the page.
         flags: the planner's configuration.
     """
-    _serve(scene, server, flags, count=count, lidar=lidar)
+    _serve(scene, server, flags, log=log, count=count, lidar=lidar)
 
 
 @app.command
@@ -136,6 +139,7 @@ def fly(
     headless: bool = True,
     json: bool = False,
     trajectory: Path | None = None,
+    log: Path | None = None,
     flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Fly a scene or a world once, as fast as this machine can, and report how it went.
@@ -144,33 +148,41 @@ def fly(
         world: name of a scene, such as forest, verticals or inclines, or a world's JSON file.
         speed: speed limit [m/s]; replaces vehicle.speed_limit.
         count: number of obstacles; the scene's own when left out.
-        lidar: mid360, sphere or spinning64.
+        lidar: mid360, full-sphere or spinning64.
         seed: of the scene, the LiDAR and the planner's noise.
         device: Warp device, such as cpu or cuda:0.
         headless: without the page; --no-headless flies in the browser instead, as demo does.
         json: print one JSON object.
         trajectory: CSV file to write, t,x,y,z,vx,vy,vz.
+        log: MCAP file to write while flying, for `play`, Foxglove, RViz and PlotJuggler.
         flags: the planner's configuration.
     """
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory belong to a headless flight; leave out --no-headless.")
         changes = {} if speed is None else {"vehicle.speed_limit": speed}
-        return _serve(world, ServerFlags(seed=seed, device=device), flags, changes, count=count, lidar=lidar)
+        server = ServerFlags(seed=seed, device=device)
+        return _serve(world, server, flags, changes, log=log, count=count, lidar=lidar)
     from aero_viz.catalog import load_world
     from aero_viz.flight import fly as fly_once
     from aero_viz.sensors import lidar_model
 
-    result = fly_once(
-        load_world(world, seed=seed, count=count),
-        config=flags.load(),
-        config_name=flags.config,
-        seed=seed,
-        device=device,
-        lidar=lidar_model(lidar),
-        speed=speed,
-        trajectory=trajectory,
-    )
+    options: dict[str, Any] = {
+        "config": flags.load(),
+        "config_name": flags.config,
+        "seed": seed,
+        "device": device,
+        "lidar": lidar_model(lidar),
+        "speed": speed,
+        "trajectory": trajectory,
+    }
+    loaded = load_world(world, seed=seed, count=count)
+    if log is None:
+        result = fly_once(loaded, **options)
+    else:
+        from aero_viz.logs import fly_and_log
+
+        result = fly_and_log(loaded, log, **options)
     if json:
         _print_json(result.to_dict())
     else:
@@ -237,8 +249,18 @@ def doctor(*, json: bool = False) -> None:
         raise SystemExit(2)
 
 
+for verb in cli_bench.VERBS:
+    app.command(verb)
+
+
 def _serve(
-    spec: str, server: ServerFlags, flags: ConfigFlags, changes: dict[str, Any] | None = None, **options: Any
+    spec: str,
+    server: ServerFlags,
+    flags: ConfigFlags,
+    changes: dict[str, Any] | None = None,
+    *,
+    log: Path | None = None,
+    **options: Any,
 ) -> None:
     """Serve the page until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import open_source, source_choices
@@ -256,7 +278,12 @@ def _serve(
     try:
         choices = [(f"{name}: {text}", name) for name, text in source_choices().items()]
         dashboard = Dashboard(session, host=server.host, port=server.port, open_source=open_other, choices=choices)
+        stack = contextlib.ExitStack()
         try:
+            if log is not None:
+                from aero_viz.logs import record
+
+                stack.enter_context(record(session, log))
             print(f"AERO-Viz shows {spec} at {dashboard.url} (Ctrl-C ends it)", flush=True)
             if server.open:
                 webbrowser.open(dashboard.url)
@@ -265,6 +292,7 @@ def _serve(
                 _play_when_seen(session, dashboard)
             stopped.wait()
         finally:
+            stack.close()
             dashboard.close()
     finally:
         session.close()

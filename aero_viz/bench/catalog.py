@@ -92,8 +92,7 @@ def _success() -> Benchmark:
     return Benchmark(
         "success",
         "Success over the velocity limit",
-        "300 verticals rather than the 1000 of the paper's text: see `table2`. A flight at 1 m/s takes 45 s of the 60 s "
-        "that a flight may take.",
+        "300 verticals rather than the 1000 of the paper's text: see `table2`. At 1 m/s a flight needs 45 of its 60 s.",
         tuple(rows),
         x_label="velocity limit [m/s]",
     )
@@ -174,9 +173,9 @@ def _default() -> Benchmark:
             count,
             lidar=lidar,
             series=lidar,
-            target=target if lidar == "sphere" else None,
+            target=target if lidar == "full-sphere" else None,
         )
-        for lidar in ("sphere", "mid360")
+        for lidar in ("full-sphere", "mid360")
         for (scene, count), target in targets.items()
     ]
     return Benchmark(

@@ -89,8 +89,8 @@ def run_benchmark(
     """Fly what of a benchmark is not in the folder `output` yet, and return all of it.
 
     World i of every row has the seed `seed` + i; flights, in the order of flying, have the seeds `seed`, `seed` + 1, ..
-    for LiDAR and planner, so that batches of any size give the same results. Each batch is written when it is over:
-    after a Ctrl-C, `resume` goes on with the next one.
+    for LiDAR and planner, so that batches of any size give the same results. Each batch is written when it is over, or
+    interrupted: after a Ctrl-C, `resume` goes on with the flights that were not over.
 
     Args:
         benchmark: what to fly.
@@ -131,39 +131,40 @@ def run_benchmark(
     header = json.loads(json.dumps(header))
     planned = list(_plan(benchmark, base, flights=flights, seed=seed_0, lidar=lidar, rules=rules))
     folder = Path(output)
-    done = _open(folder, header, resume=resume)
+    header, done = _open(folder, header, resume=resume)
     run = Run(benchmark, header, done, len(planned))
     finished = {(flight["row"], flight["index"]) for flight in done}
     pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
-    passable: dict[str, bool] = {}
+    shelf = _Shelf(rules.radius)
     number = 1 + max((flight["batch"] for flight in done), default=-1)
     report = progress or (lambda over, total, text: None)
     for part in _batches(pending, size):
         report(len(done), run.total, f"{part[0].row.label}: building {len(part)} worlds")
         started = time.perf_counter()
-        worlds = _worlds(part)
-        found = [_is_passable(world, rules.radius, passable) for world in worlds]
+        worlds, found = zip(*(shelf.take(flight.row, flight.world_seed) for flight in part), strict=True)
         model = sensor or lidar_model(lidar or part[0].row.lidar)
         flown = _build(part, worlds, device=device, lidar=model, rules=rules)
         built = time.perf_counter()
-        _fly(flown, report, over=len(done), total=run.total, labels=[flight.row.label for flight in part])
-        ended = time.perf_counter()
-        records = [
-            {
-                "row": flight.row.label,
-                "index": flight.index,
-                "world_seed": flight.world_seed,
-                **result.to_dict(),
-                "passable": is_passable,
-                "batch": number,
-                "batch_size": len(part),
-                "build_s": built - started,
-                "run_s": ended - built,
-            }
-            for flight, result, is_passable in zip(part, flown.results(), found, strict=True)
-        ]
-        flown.planner.close()
-        _append(folder, records)
+        try:
+            _fly(flown, report, over=len(done), total=run.total, labels=[flight.row.label for flight in part])
+        finally:  # after a Ctrl-C, too: flights that are over stay
+            seconds = {"build_s": built - started, "run_s": time.perf_counter() - built}
+            records = [
+                {
+                    "row": flight.row.label,
+                    "index": flight.index,
+                    "world_seed": flight.world_seed,
+                    **result.to_dict(),
+                    "passable": passable,
+                    "batch": number,
+                    "batch_size": len(part),
+                    **seconds,
+                }
+                for flight, result, passable in zip(part, flown.results(), found, strict=True)
+                if result.reason is not None
+            ]
+            flown.planner.close()
+            _append(folder, records)
         done += records
         number += 1
         report(len(done), run.total, part[-1].row.label)
@@ -214,26 +215,25 @@ def _batches(pending: Iterable[_Flight], size: int) -> Iterator[list[_Flight]]:
             yield group[first : first + limit]
 
 
-def _worlds(part: Sequence[_Flight]) -> list[World]:
-    """Return the worlds of a batch; equal ones are one object, which the device keeps once."""
-    made: dict[tuple[str, int | None, int], World] = {}
-    keys = [(flight.row.scene, flight.row.count, flight.world_seed) for flight in part]
-    for key in keys:
-        if key not in made:
-            made[key] = scene(key[0], count=key[1], seed=key[2])
-    return [made[key] for key in keys]
+class _Shelf:
+    """Worlds and whether they can be passed, made once: rows share worlds, and the device keeps equal objects once."""
 
+    def __init__(self, radius: float) -> None:
+        self._radius = radius
+        self._made: dict[tuple[str, int | None, int], tuple[World, bool]] = {}
 
-def _is_passable(world: World, radius: float, known: dict[str, bool]) -> bool:
-    from aero_viz.scenes.passable import is_passable
+    def take(self, row: Row, seed: int) -> tuple[World, bool]:
+        from aero_viz.scenes.passable import is_passable
 
-    if world.name not in known:
-        known[world.name] = is_passable(world, radius=radius)
-    return known[world.name]
+        key = (row.scene, row.count, seed)
+        if key not in self._made:
+            world = scene(row.scene, count=row.count, seed=seed)
+            self._made[key] = (world, is_passable(world, radius=self._radius))
+        return self._made[key]
 
 
 def _build(
-    part: Sequence[_Flight], worlds: list[World], *, device: str, lidar: LidarModel, rules: FlightRules
+    part: Sequence[_Flight], worlds: Sequence[World], *, device: str, lidar: LidarModel, rules: FlightRules
 ) -> FlightBatch:
     try:
         return FlightBatch(
@@ -260,15 +260,15 @@ def _fly(batch: FlightBatch, report: Progress, *, over: int, total: int, labels:
             batch.step()
 
 
-def _open(folder: Path, header: dict[str, Any], *, resume: bool) -> list[dict[str, Any]]:
-    """Return the flights that are done; writes the header of a new run."""
+def _open(folder: Path, header: dict[str, Any], *, resume: bool) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return the header that holds, `header` or that of the run to go on with, and the flights that are done."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         before, flights = _read(folder)
         if before is None:
             (folder / _FLIGHTS).unlink(missing_ok=True)
             (folder / _HEADER).write_text(json.dumps(header, indent=1) + "\n", encoding="utf-8")
-            return []
+            return header, []
         if not resume:
             raise UserError(f"{folder} holds results already; add --resume to go on, or choose another --output.")
         for key in _SAME:
@@ -280,7 +280,7 @@ def _open(folder: Path, header: dict[str, Any], *, resume: bool) -> list[dict[st
         # Without what a crash may have left of a line.
         text = "".join(json.dumps(flight) + "\n" for flight in flights)
         (folder / _FLIGHTS).write_text(text, encoding="utf-8")
-        return flights
+        return before, flights
     except OSError as error:
         raise UserError(f"Cannot write the results to {folder}: {error.strerror or error}.") from error
 

@@ -72,9 +72,7 @@ def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -
     """Return the line of these flights: records of `Run.flights` or of an included table."""
     arrived = [flight for flight in flights if flight["arrived"]]
     low, high = wilson(len(arrived), len(flights))
-    values = {
-        name: [float(flight[name]) for flight in arrived if flight.get(name) is not None] for name in METRICS
-    }
+    values = {name: [float(flight[name]) for flight in arrived if flight.get(name) is not None] for name in METRICS}
     passable = [bool(flight["passable"]) for flight in flights if flight.get("passable") is not None]
     batches = {flight["batch"]: flight for flight in flights if "batch" in flight}
     seconds = sum(batch["run_s"] * _share(batch, flights) for batch in batches.values())

@@ -3,9 +3,23 @@
 from __future__ import annotations
 
 from aero_viz.flight.batch import FlightBatch, fly
+from aero_viz.flight.estimate import StateNoise
+from aero_viz.flight.memory import memory_per_flight
 from aero_viz.flight.metrics import FlightResult
+from aero_viz.flight.progress import ProgressBar
 from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.source import FlightSource
 from aero_viz.flight.vehicle import VehicleModel
 
-__all__ = ["FlightBatch", "FlightResult", "FlightRules", "FlightSource", "Simulator", "VehicleModel", "fly"]
+__all__ = [
+    "FlightBatch",
+    "FlightResult",
+    "FlightRules",
+    "FlightSource",
+    "ProgressBar",
+    "Simulator",
+    "StateNoise",
+    "VehicleModel",
+    "fly",
+    "memory_per_flight",
+]

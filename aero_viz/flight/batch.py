@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +13,21 @@ import warp as wp
 
 from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
+from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.simulator import FlightRules, Record, Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel, livox_mid360
 
-__all__ = ["SWEEPS", "FlightBatch", "fly"]
+__all__ = ["SWEEPS", "FlightBatch", "Progress", "fly"]
 
 wp.set_module_options({"enable_backward": False})
 
 SWEEPS = 10
 """Number of sweeps that the planner sees at once."""
+Progress = Callable[[int, int, float], None]
+"""Takes the number of flights that are over, the number of flights, and the simulated time [s]."""
 _CHECK_TICKS = 25  # on CUDA the host waits for the device only this often
 
 
@@ -62,7 +65,8 @@ class FlightBatch:
         seed: flight b draws LiDAR pattern, noise and samples as a single flight with seed + b does.
         lidar: of all drones; None is the Livox Mid-360.
         vehicle: of all drones; None is the vehicle that the first configuration assumes.
-        rules: when flights end; the period is the planner's.
+        rules: when flights end, and how often is planned.
+        noise: of the state estimates; None shows the planner the true states.
         config_names: names of the configurations in the results, one per flight; None finds preset names.
         threads: CPU threads of the planner; None for one per core.
 
@@ -72,6 +76,7 @@ class FlightBatch:
     Attributes:
         simulator: states, outcomes, records.
         planner: its inputs, points and outputs are those of the last plan.
+        interrupted: whether the last `run` was ended by Ctrl-C.
     """
 
     def __init__(
@@ -84,6 +89,7 @@ class FlightBatch:
         lidar: LidarModel | None = None,
         vehicle: VehicleModel | None = None,
         rules: FlightRules | None = None,
+        noise: StateNoise | None = None,
         config_names: Sequence[str] | None = None,
         threads: int | None = None,
     ) -> None:
@@ -97,6 +103,12 @@ class FlightBatch:
         self._seeds = [seed + b for b in range(len(worlds))]
         self._plan_ms: list[float] = []
         self._pending: list[tuple[wp.Event, wp.Event]] = []
+        self.interrupted = False
+        rules = rules or FlightRules()
+        steps = {one.sampling.dt for one in configs}
+        if rules.ticks_per_plan > 1 and len(steps) > 1:
+            raise ValueError("the configurations differ in sampling.dt; plans flown for several ticks need one for all.")
+        self._phase_step = rules.period / steps.pop()
 
         self.planner = Planner(configs[0], device=device, seed=seed, batch=len(worlds), threads=threads)
         if not isinstance(config, PlannerConfig):
@@ -105,9 +117,10 @@ class FlightBatch:
             worlds,
             lidar=lidar or livox_mid360(),
             vehicle=vehicle or VehicleModel.from_config(configs[0]),
-            rules=rules or FlightRules(),
+            rules=rules,
             seeds=self._seeds,
             device=device,
+            noise=noise,
         )
         self.planner.reserve(SWEEPS * self.simulator.lidar.model.points_per_sweep)
         for sweep in range(-SWEEPS, 0):
@@ -115,24 +128,39 @@ class FlightBatch:
             self._publish(sweep)
 
     def step(self) -> None:
-        """Plan and fly one tick; flights that are over stay as they are."""
-        self._observe()
-        self._plan()
-        sweep, _, end = self.simulator.advance(self.planner.command)
+        """Plan, where it is time to, and fly one tick; flights that are over stay as they are."""
+        part = self.simulator.tick % int(self.simulator.rules.ticks_per_plan)
+        if part == 0:
+            self._observe()
+            self._plan()
+        sweep, _, end = self.simulator.advance(self.planner.command, phase=part * self._phase_step)
         if end == self.simulator.lidar.model.points_per_sweep:
             self._publish(sweep)
 
     def is_done(self) -> bool:
         """Return whether all flights are over; waits for the device."""
-        return bool((self.simulator.outcome.numpy() != 0).all())
+        return self._count_finished() == len(self._worlds)
 
-    def run(self) -> list[FlightResult]:
-        """Fly until all flights are over."""
+    def run(self, *, progress: Progress | None = None) -> list[FlightResult]:
+        """Fly until all flights are over, or until Ctrl-C: flights under way then have the reason None.
+
+        Args:
+            progress: called now and then, and at the end.
+        """
         ticks = _CHECK_TICKS if self.simulator.device.is_cuda else 1
-        while not self.is_done():
-            for _ in range(ticks):
-                self.step()
-            self._collect_times()
+        total = len(self._worlds)
+        self.interrupted = False
+        try:
+            while (finished := self._count_finished()) < total:
+                if progress is not None:
+                    progress(finished, total, self.simulator.time)
+                for _ in range(ticks):
+                    self.step()
+                self._collect_times()
+        except KeyboardInterrupt:
+            self.interrupted = True
+        if progress is not None:
+            progress(self._count_finished(), total, self.simulator.time)
         return self.results()
 
     def results(self) -> list[FlightResult]:
@@ -148,9 +176,12 @@ class FlightBatch:
             plan_ms=statistics.median(self._plan_ms) if self._plan_ms else None,
         )
 
+    def _count_finished(self) -> int:
+        return int((self.simulator.outcome.numpy() != 0).sum())
+
     def _observe(self) -> None:
-        vehicle, inputs = self.simulator.vehicle, self.planner.inputs
-        state = [vehicle.position, vehicle.velocity, vehicle.acceleration, vehicle.quaternion]
+        estimate, inputs = self.simulator.estimate, self.planner.inputs
+        state = [estimate.position, estimate.velocity, self.simulator.vehicle.acceleration, estimate.quaternion]
         outputs = [inputs.time, inputs.goal_position]
         outputs += [inputs.position, inputs.velocity, inputs.acceleration, inputs.quaternion]
         wp.launch(
@@ -197,6 +228,7 @@ def fly(
     lidar: LidarModel | None = None,
     vehicle: VehicleModel | None = None,
     rules: FlightRules | None = None,
+    noise: StateNoise | None = None,
     speed: float | None = None,
     trajectory: str | Path | None = None,
     config_name: str | None = None,
@@ -208,12 +240,13 @@ def fly(
         config: of the planner; None is the default.
         seed: of LiDAR and planner; same seed and device, same flight.
         device: Warp device.
-        lidar, vehicle, rules: as in `FlightBatch`.
+        lidar, vehicle, rules, noise: as in `FlightBatch`.
         speed: replaces vehicle.speed_limit of the configuration [m/s].
         trajectory: CSV file to write while flying, t,x,y,z,vx,vy,vz at every tick, the start included.
         config_name: name of the configuration in the result; None finds a preset's name.
 
     Raises:
+        KeyboardInterrupt: Ctrl-C; the trajectory's file holds what was flown.
         UserError: an option is out of range, the device does not exist, or the file cannot be written.
     """
     config = config or PlannerConfig()
@@ -229,12 +262,16 @@ def fly(
             lidar=lidar,
             vehicle=vehicle,
             rules=rules,
+            noise=noise,
             config_names=[name],
         )
     except ValueError as error:
         raise UserError(f"Cannot fly {world.name!r}: {error}") from error
     if trajectory is None:
-        return batch.run()[0]
+        result = batch.run()[0]
+        if batch.interrupted:
+            raise KeyboardInterrupt
+        return result
     try:
         with open(trajectory, "w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

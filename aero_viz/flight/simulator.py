@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.geometry import DeviceWorlds, Geometry, world_distance
@@ -37,7 +38,9 @@ class FlightRules:
     """When a flight ends. It ends with the tick in which a condition holds first; collision goes before arrival."""
 
     period: float = 0.02
-    """Time between two plans, one tick [s]; the LiDAR's sweep takes a whole number of ticks."""
+    """One tick: how long a command is held [s]; the LiDAR's sweep takes a whole number of ticks."""
+    ticks_per_plan: int = 1
+    """Ticks flown under one plan. 1 plans at 50 Hz; 5, as on the drone, plans at 10 Hz and executes at 50 Hz."""
     radius: float = 0.25
     """Collision: the centre comes closer than this to a surface, checked at every integration step [m]."""
     arrival_radius: float = 1.0
@@ -53,6 +56,8 @@ class FlightRules:
         for name, value in vars(self).items():
             if not value > 0.0 or (name == "period" and not math.isfinite(value)):
                 raise ValueError(f"{name} of the flight rules is {value!r}; it must be positive.")
+        if self.ticks_per_plan != int(self.ticks_per_plan):
+            raise ValueError(f"ticks_per_plan of the flight rules is {self.ticks_per_plan!r}; it must be whole.")
 
 
 @wp.struct
@@ -185,14 +190,16 @@ class Simulator:
         lidar: of all drones.
         vehicle: of all drones.
         rules: when flights end.
-        seeds: one per flight: LiDAR pattern and noise. A flight's result does not depend on the batch around it.
+        seeds: one per flight: LiDAR pattern, all noise. A flight's result does not depend on the batch around it.
         device: Warp device.
+        noise: of the state estimate; None is the true state.
 
     Raises:
         ValueError: the sweep period is no whole number of ticks.
 
     Attributes:
-        vehicle: states, see `Vehicle`.
+        vehicle: true states, see `Vehicle`.
+        estimate: estimated states, see `StateEstimate`.
         lidar: the sweep in progress, see `Lidar`.
         outcome: index into OUTCOMES, int [B], on the device.
         record: metrics, `Record` [B], on the device.
@@ -208,6 +215,7 @@ class Simulator:
         rules: FlightRules,
         seeds: Sequence[int],
         device: Any = "cpu",
+        noise: StateNoise | None = None,
     ) -> None:
         if len(worlds) == 0 or len(worlds) != len(seeds):
             raise ValueError(f"{len(worlds)} worlds and {len(seeds)} seeds; there must be one of each per flight.")
@@ -225,13 +233,13 @@ class Simulator:
         starts = np.stack([world.start for world in worlds])
         goals = np.stack([world.goal for world in worlds])
         toward = goals - starts
-        self.vehicle = Vehicle(
-            vehicle, starts, np.arctan2(toward[:, 1], toward[:, 0]), period=rules.period, device=self.device
-        )
+        headings = np.arctan2(toward[:, 1], toward[:, 0])
+        self.vehicle = Vehicle(vehicle, starts, headings, period=rules.period, device=self.device, seeds=seeds)
+        self.estimate = StateEstimate(noise, self.vehicle, period=rules.period, seeds=seeds)
         self.lidar = Lidar(lidar, self._worlds, seeds=seeds)
         self._rules = Rules()
-        for name, value in vars(rules).items():
-            setattr(self._rules, name, value)
+        for name in ("period", "radius", "arrival_radius", "stall_distance", "stall_time", "time_limit"):
+            setattr(self._rules, name, getattr(rules, name))
         records = np.zeros(len(worlds), dtype=Record.numpy_dtype())
         records["goal"] = goals
         records["clearance_min"] = np.inf
@@ -242,6 +250,7 @@ class Simulator:
             self._clearance = wp.empty(self.vehicle.trail.shape, dtype=float)
             self.record = wp.array(records, dtype=Record)
             self.outcome = wp.zeros(len(worlds), dtype=int)
+        self.estimate.update(0, finished=self.outcome)
         self._judge()
 
     @property
@@ -253,15 +262,20 @@ class Simulator:
         """Measure all of a sweep with a negative number from the first poses, as if hovering there before the start."""
         self._scan(sweep, 0, self.lidar.model.points_per_sweep)
 
-    def advance(self, commands: wp.array) -> tuple[int, int, int]:
-        """Fly one tick under `commands[:, 0]`, F_t [N] and omega [rad/s], vec4 [B, any], and scan.
+    def advance(self, commands: wp.array, *, phase: float = 0.0) -> tuple[int, int, int]:
+        """Fly one tick and scan.
+
+        Args:
+            commands: sequences of F_t [N] and omega [rad/s], vec4 [B, any].
+            phase: place in the sequence of the command to hold, see `Vehicle.fly`.
 
         Returns:
             sweep, first, end: the points first .. end - 1 of `lidar.points` are new and belong to this sweep.
         """
-        self.vehicle.fly(commands, finished=self.outcome)
+        self.vehicle.fly(commands, finished=self.outcome, phase=phase, tick=self.tick)
         sweep, part = divmod(self.tick, self.ticks_per_sweep)
         self.tick += 1
+        self.estimate.update(self.tick, finished=self.outcome)
         self._judge()
         size = self.lidar.model.points_per_sweep
         first, end = part * size // self.ticks_per_sweep, (part + 1) * size // self.ticks_per_sweep
@@ -298,8 +312,9 @@ class Simulator:
 
     def _state(self) -> list[wp.array]:
         v = self.vehicle
-        moving = [v.position, v.velocity, v.quaternion, v.acceleration, v.control]
-        return [*moving, v.position_before, v.quaternion_before, self.record, self.outcome]
+        moving = [v.position, v.velocity, v.quaternion, v.acceleration, v.control, v.recent, v.wind]
+        moving += [v.position_before, v.quaternion_before, *self.estimate.state()]
+        return [*moving, self.record, self.outcome]
 
     def _judge(self) -> None:
         v, worlds = self.vehicle, self._worlds
@@ -313,7 +328,7 @@ class Simulator:
         wp.launch(judge_kernel, count, inputs, [self.record, self.outcome], device=self.device)
 
     def _scan(self, sweep: int, first: int, end: int) -> None:
-        v = self.vehicle
+        v, e = self.vehicle, self.estimate
         self.lidar.scan(
             sweep,
             first,
@@ -321,4 +336,6 @@ class Simulator:
             poses=(v.position, v.quaternion),
             poses_before=(v.position_before, v.quaternion_before),
             finished=self.outcome,
+            believed=(e.position, e.quaternion),
+            believed_before=(e.position_before, e.quaternion_before),
         )

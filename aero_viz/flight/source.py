@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS
+from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.vehicle import VehicleModel
@@ -40,8 +41,10 @@ class FlightSource:
         world: where to fly.
         lidar: None is the Livox Mid-360.
         vehicle: None is the default vehicle.
-        rules: when the flight ends; the period is the tick.
-        seed: of the LiDAR's pattern and noise; same seed, device and plans: same flight, bit for bit.
+        rules: when the flight ends; a tick of the source is the time of one plan, `ticks_per_plan` ticks of the rules.
+        noise: of the state estimate; None shows the planner the true state.
+        control_step: dt of the plans' controls, which are interpolated where a plan is flown for several ticks [s].
+        seed: of the LiDAR's pattern and of all noise; same seed, device and plans: same flight, bit for bit.
         device: Warp device.
 
     Raises:
@@ -58,6 +61,8 @@ class FlightSource:
         lidar: LidarModel | None = None,
         vehicle: VehicleModel | None = None,
         rules: FlightRules | None = None,
+        noise: StateNoise | None = None,
+        control_step: float = 0.05,
         seed: int = 0,
         device: str = "cpu",
     ) -> None:
@@ -70,11 +75,13 @@ class FlightSource:
                 rules=rules,
                 seeds=[seed],
                 device=device,
+                noise=noise,
             )
         except ValueError as error:
             raise UserError(f"Cannot fly {world.name!r}: {error}") from error
         self.name = world.name
-        self.period = rules.period
+        self.period = rules.period * rules.ticks_per_plan
+        self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
         self.scenery = Scenery(start=world.start, world=world)
         self._seed = seed
         self._goal = world.goal
@@ -92,20 +99,21 @@ class FlightSource:
         return self._simulator
 
     def observe(self) -> Observation:
-        """Return what the planner sees now: the exact state and the last 10 whole sweeps."""
+        """Return what the planner sees now, the estimated state and the last 10 whole sweeps, and the true state."""
         return self._observation
 
     def advance(self, plan: Plan) -> None:
-        """Fly one tick under the first controls of `plan`; does nothing when the flight is over."""
-        if self.outcome is not None:
-            return
-        commands = wp.array(plan.command[None, :1], dtype=wp.vec4, device=self._simulator.device)
-        _, first, end = self._simulator.advance(commands)
-        self._parts = (*self._parts, self._new_points(first, end))
-        if end == self._simulator.lidar.model.points_per_sweep:
-            self._show((*self._sweeps[1:], _returns(self._parts)))
-            self._parts = ()
-        self._read_state()
+        """Fly the first controls of `plan` for the time of one plan; does nothing when the flight is over."""
+        commands = wp.array(plan.command[None], dtype=wp.vec4, device=self._simulator.device)
+        for phase in self._phases:
+            if self.outcome is not None:
+                return
+            _, first, end = self._simulator.advance(commands, phase=phase)
+            self._parts = (*self._parts, self._new_points(first, end))
+            if end == self._simulator.lidar.model.points_per_sweep:
+                self._show((*self._sweeps[1:], _returns(self._parts)))
+                self._parts = ()
+            self._read_state()
 
     def checkpoint(self) -> object:
         """Return all that `restore` needs; clouds are shared with the source, not copied."""
@@ -151,7 +159,7 @@ class FlightSource:
         return flight_results(
             self._simulator.records(),
             [self.outcome],
-            period=self.period,
+            period=self._simulator.rules.period,
             seeds=[self._seed],
             scenes=[self.name],
             configs=[""],
@@ -163,17 +171,19 @@ class FlightSource:
 
     def _read_state(self) -> None:
         simulator, vehicle = self._simulator, self._simulator.vehicle
-        arrays = (vehicle.position, vehicle.velocity, vehicle.quaternion, vehicle.acceleration)
-        position, velocity, quaternion, acceleration = (array.numpy()[0].astype(np.float64) for array in arrays)
-        state = VehicleState(position, velocity, quaternion, acceleration, simulator.time)
+
+        def state_of(holder: Any) -> VehicleState:
+            arrays = (holder.position, holder.velocity, holder.quaternion, vehicle.acceleration)
+            return VehicleState(*(array.numpy()[0].astype(np.float64) for array in arrays), time=simulator.time)
+
         self.outcome: str | None = simulator.outcomes()[0]
         self._observation = Observation(
             time=simulator.time,
-            state=state,
+            state=state_of(simulator.estimate),
             goal=Goal(self._goal),
             points=self._points,
             sweep_count=len(self._sweeps),
-            true_state=state,
+            true_state=state_of(vehicle),
         )
 
     def _new_points(self, first: int, end: int | None) -> Cloud:

@@ -1,9 +1,10 @@
-"""The simulated quadrotor: the planner's model at a finer step, with optional lags and drag."""
+"""The simulated quadrotor: the planner's model at a finer step, with optional lags, latency, drag and gusts."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,10 +16,12 @@ __all__ = ["Vehicle", "VehicleModel"]
 
 wp.set_module_options({"enable_backward": False})
 
+GUSTS = wp.constant(0x47757374)  # tells the gusts' random numbers from those of the other parts of a flight
+
 
 @dataclass(frozen=True)
 class VehicleModel:
-    """Parameters of the simulated vehicle; the defaults are the planner's own model, without lags and drag."""
+    """Parameters of the simulated vehicle; the defaults are the planner's own model: no lags, latency, drag, gusts."""
 
     mass: float = 1.0
     """m [kg]."""
@@ -37,14 +40,21 @@ class VehicleModel:
     rate_lag: float = 0.0
     """Time constant of the body rates' first-order response [s]; 0 follows at once."""
     drag: float = 0.0
-    """Linear drag k in dv = .. - k v [1/s]."""
+    """Linear drag k in dv = .. - k (v - w), with w the wind [1/s]."""
+    latency: float = 0.0
+    """Time from a command to its effect, rounded to whole integration steps [s]."""
+    gust_speed: float = 0.0
+    """Standard deviation of the wind in each axis [m/s]; it acts through the drag. The wind is a first-order process,
+    dw = -w / gust_time dt + noise, the longitudinal form of the Dryden spectrum with gust_time = L / V."""
+    gust_time: float = 1.0
+    """Correlation time of the wind [s]."""
     step: float = 0.005
     """Longest integration step [s]."""
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
             value = getattr(self, f.name)
-            zero_allowed = f.name not in ("mass", "step", "thrust_max")
+            zero_allowed = f.name not in ("mass", "step", "thrust_max", "gust_time")
             if not (math.isfinite(value) and (value > 0.0 or (zero_allowed and value == 0.0))):
                 sign = "not negative" if zero_allowed else "positive"
                 raise ValueError(f"{f.name} of the vehicle is {value!r}; it must be finite and {sign}.")
@@ -52,6 +62,9 @@ class VehicleModel:
             raise ValueError(
                 f"thrust_min of the vehicle, {self.thrust_min:g} N, exceeds thrust_max, {self.thrust_max:g} N."
             )
+
+        if self.gust_speed > 0.0 and self.drag == 0.0:
+            raise ValueError("gust_speed of the vehicle has no effect without drag; set drag too, such as 0.3 1/s.")
 
     @classmethod
     def from_config(cls, config: PlannerConfig, **changes: float) -> VehicleModel:
@@ -74,6 +87,11 @@ class VehicleParameters:
     rate_response: float
     drag: float
     step: float
+    latency: int
+    """Integration steps."""
+    gust_keep: float
+    """Share of the wind that is left after one step."""
+    gust_speed: float
 
 
 @wp.struct
@@ -97,21 +115,21 @@ def thrust_acceleration(q: wp.vec4, control: wp.vec4, mass: float):
 
 
 @wp.func
-def acceleration_of(v: VehicleParameters, state: Motion, control: wp.vec4):
+def acceleration_of(v: VehicleParameters, state: Motion, control: wp.vec4, wind: wp.vec3):
     gravity = wp.vec3(0.0, 0.0, v.gravity)
-    return thrust_acceleration(state.quaternion, control, v.mass) - gravity - v.drag * state.velocity
+    return thrust_acceleration(state.quaternion, control, v.mass) - gravity - v.drag * (state.velocity - wind)
 
 
 @wp.func
-def derivative(v: VehicleParameters, state: Motion, control: wp.vec4):
-    """dp = v; dv = R(q) [0, 0, F_t] / m + g - k v; dq = 1/2 q (x) [0, omega]."""
+def derivative(v: VehicleParameters, state: Motion, control: wp.vec4, wind: wp.vec3):
+    """dp = v; dv = R(q) [0, 0, F_t] / m + g - k (v - w); dq = 1/2 q (x) [0, omega]."""
     q = state.quaternion
     x = control[1]
     y = control[2]
     z = control[3]
     rate = Motion()
     rate.position = state.velocity
-    rate.velocity = acceleration_of(v, state, control)
+    rate.velocity = acceleration_of(v, state, control, wind)
     rate.quaternion = 0.5 * wp.vec4(
         -q[1] * x - q[2] * y - q[3] * z,
         q[0] * x + q[2] * z - q[3] * y,
@@ -131,13 +149,13 @@ def moved(state: Motion, rate: Motion, time: float):
 
 
 @wp.func
-def runge_kutta(v: VehicleParameters, state: Motion, control: wp.vec4):
-    """One RK4 step under constant controls; the quaternion is normalised."""
+def runge_kutta(v: VehicleParameters, state: Motion, control: wp.vec4, wind: wp.vec3):
+    """One RK4 step under constant controls and wind; the quaternion is normalised."""
     h = v.step
-    k1 = derivative(v, state, control)
-    k2 = derivative(v, moved(state, k1, 0.5 * h), control)
-    k3 = derivative(v, moved(state, k2, 0.5 * h), control)
-    k4 = derivative(v, moved(state, k3, h), control)
+    k1 = derivative(v, state, control, wind)
+    k2 = derivative(v, moved(state, k1, 0.5 * h), control, wind)
+    k3 = derivative(v, moved(state, k2, 0.5 * h), control, wind)
+    k4 = derivative(v, moved(state, k3, h), control, wind)
     mean = Motion()
     mean.position = (k1.position + 2.0 * k2.position + 2.0 * k3.position + k4.position) / 6.0
     mean.velocity = (k1.velocity + 2.0 * k2.velocity + 2.0 * k3.velocity + k4.velocity) / 6.0
@@ -157,16 +175,30 @@ def clamped(v: VehicleParameters, control: wp.vec4):
     )
 
 
+@wp.func
+def command_at(commands: wp.array2d(dtype=wp.vec4), b: int, phase: float):
+    """Controls at a place between two of the sequence, linearly; the last one after the end."""
+    last = commands.shape[1] - 1
+    i = int(phase)
+    command = commands[b, wp.min(i, last)]
+    return command + (phase - float(i)) * (commands[b, wp.min(i + 1, last)] - command)
+
+
 @wp.kernel
 def fly_kernel(
     v: VehicleParameters,
     commands: wp.array2d(dtype=wp.vec4),
+    phase: float,
+    tick: int,
+    seeds: wp.array(dtype=int),
     finished: wp.array(dtype=int),
     positions: wp.array(dtype=wp.vec3),
     velocities: wp.array(dtype=wp.vec3),
     quaternions: wp.array(dtype=wp.vec4),
     accelerations: wp.array(dtype=wp.vec3),
     controls: wp.array(dtype=wp.vec4),
+    recent: wp.array2d(dtype=wp.vec4),
+    winds: wp.array(dtype=wp.vec3),
     positions_before: wp.array(dtype=wp.vec3),
     quaternions_before: wp.array(dtype=wp.vec4),
     trail: wp.array2d(dtype=wp.vec3),
@@ -180,18 +212,30 @@ def fly_kernel(
     state.quaternion = quaternions[b]
     positions_before[b] = state.position
     quaternions_before[b] = state.quaternion
-    command = clamped(v, commands[b, 0])
+    for j in range(recent.shape[1] - 1, 0, -1):
+        recent[b, j] = recent[b, j - 1]
+    recent[b, 0] = clamped(v, command_at(commands, b, phase))
+    steps = trail.shape[1]
+    random = wp.rand_init(seeds[b] ^ GUSTS, tick)
+    wind = winds[b]
+    if tick == 0:
+        wind = v.gust_speed * wp.vec3(wp.randn(random), wp.randn(random), wp.randn(random))
+    spread = v.gust_speed * wp.sqrt(1.0 - v.gust_keep * v.gust_keep)
     response = wp.vec4(v.thrust_response, v.rate_response, v.rate_response, v.rate_response)
     control = controls[b]
-    for s in range(trail.shape[1]):
+    for s in range(steps):
+        if v.gust_speed > 0.0:
+            wind = v.gust_keep * wind + spread * wp.vec3(wp.randn(random), wp.randn(random), wp.randn(random))
+        command = recent[b, (wp.max(v.latency - s, 0) + steps - 1) // steps]
         control = control + wp.cw_mul(response, command - control)
-        state = runge_kutta(v, state, control)
+        state = runge_kutta(v, state, control, wind)
         trail[b, s] = state.position
     positions[b] = state.position
     velocities[b] = state.velocity
     quaternions[b] = state.quaternion
-    accelerations[b] = acceleration_of(v, state, control)
+    accelerations[b] = acceleration_of(v, state, control, wind)
     controls[b] = control
+    winds[b] = wind
 
 
 class Vehicle:
@@ -203,43 +247,66 @@ class Vehicle:
         headings: first yaw angles [rad], [B].
         period: time over which a command is held [s].
         device: Warp device.
+        seeds: of the gusts, one per vehicle; None is 0 for all.
 
     Attributes:
         position, velocity, acceleration: vec3 [B], world frame, SI.
         quaternion: body to world, w, x, y, z, vec4 [B].
         control: thrust [N] and body rates [rad/s] in effect, vec4 [B].
+        recent: the last commands, newest first, vec4 [B, H].
+        wind: vec3 [B], world frame [m/s].
         position_before, quaternion_before: pose before the last command.
         trail: positions after each integration step of the last command, vec3 [B, S].
     """
 
-    def __init__(self, model: VehicleModel, positions: Any, headings: Any, *, period: float, device: Any) -> None:
+    def __init__(
+        self,
+        model: VehicleModel,
+        positions: Any,
+        headings: Any,
+        *,
+        period: float,
+        device: Any,
+        seeds: Sequence[int] | None = None,
+    ) -> None:
         self.model = model
         steps = math.ceil(period / model.step - 1e-6)
         parameters = VehicleParameters()
-        for name in ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max", "drag"):
+        for name in ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max", "drag", "gust_speed"):
             setattr(parameters, name, getattr(model, name))
         parameters.step = period / steps
         for name, lag in (("thrust_response", model.thrust_lag), ("rate_response", model.rate_lag)):
             setattr(parameters, name, 1.0 - math.exp(-parameters.step / lag) if lag > 0.0 else 1.0)
+        parameters.latency = round(model.latency / parameters.step)
+        parameters.gust_keep = math.exp(-parameters.step / model.gust_time)
         self._parameters = parameters
         count = len(positions)
+        hover = wp.vec4(model.mass * model.gravity, 0.0, 0.0, 0.0)
+        known = 1 + math.ceil(parameters.latency / steps)
         attitudes = [(math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)) for yaw in headings]
         with wp.ScopedDevice(device):
             self.position = wp.array(positions, dtype=wp.vec3)
             self.velocity = wp.zeros(count, dtype=wp.vec3)
             self.quaternion = wp.array(attitudes, dtype=wp.vec4)
             self.acceleration = wp.zeros(count, dtype=wp.vec3)
-            self.control = wp.full(count, wp.vec4(model.mass * model.gravity, 0.0, 0.0, 0.0), dtype=wp.vec4)
+            self.control = wp.full(count, hover, dtype=wp.vec4)
+            self.recent = wp.full((count, known), hover, dtype=wp.vec4)
+            self.wind = wp.zeros(count, dtype=wp.vec3)
+            self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds or [0] * count], dtype=int)
             self.position_before = wp.clone(self.position)
             self.quaternion_before = wp.clone(self.quaternion)
             self.trail = wp.clone(wp.array([[p] * steps for p in positions], dtype=wp.vec3))
 
-    def fly(self, commands: wp.array, *, finished: wp.array) -> None:
-        """Hold `commands[:, 0]`, F_t [N] and omega [rad/s], vec4 [B, any], for one period.
+    def fly(self, commands: wp.array, *, finished: wp.array, phase: float = 0.0, tick: int = 0) -> None:
+        """Hold one command of a sequence, F_t [N] and omega [rad/s], vec4 [B, any], for one period.
 
-        Vehicles with anything but 0 in `finished`, int [B], stand still.
+        Args:
+            commands: sequences; the command at `phase` is held.
+            finished: int [B]; vehicles with anything but 0 stand still.
+            phase: place in the sequence, 0 for the first; between two, controls are interpolated linearly.
+            tick: number of periods flown; picks the gusts.
         """
         state = [self.position, self.velocity, self.quaternion, self.acceleration, self.control]
-        outputs = [*state, self.position_before, self.quaternion_before, self.trail]
-        inputs = [self._parameters, commands, finished]
+        outputs = [*state, self.recent, self.wind, self.position_before, self.quaternion_before, self.trail]
+        inputs = [self._parameters, commands, phase, tick, self._seeds, finished]
         wp.launch(fly_kernel, len(self.position), inputs, outputs, device=self.position.device)

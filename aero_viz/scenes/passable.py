@@ -105,7 +105,7 @@ def flood_kernel(
 class ClearanceGrid:
     """Exact distances to the obstacles on a regular grid, and searches in it, on the CPU.
 
-    The grid covers `region`, rounded outward to whole cells; one of its points is the world's start.
+    The grid covers band and region, rounded outward to whole cells; one of its points is the world's start.
     """
 
     corner: NDArray[np.float64]
@@ -116,6 +116,8 @@ class ClearanceGrid:
     """Distance to the nearest surface [m], shape [X, Y, Z], `reach` where it is farther."""
     reach: float
     """[m]"""
+    inside: tuple[slice, slice, slice]
+    """The points that lie within band and region."""
 
     @classmethod
     def of(
@@ -133,9 +135,9 @@ class ClearanceGrid:
             world: obstacles.
             cell: h [m].
             reach: distances are exact up to here [m].
-            band: lowest and highest z of the drone's centre [m]; None is 1.5 m below the lower and 1.5 m above the
+            band: lowest and highest z of the drone's centre, start and goal included [m]; None is 1.5 m below the lower and 1.5 m above the
                 higher of start and goal: flying over everything is no answer to how dense a field is.
-            region: corners of the x-y rectangle of the drone's centre [m], shape [2, 2]; None is the rectangle around
+            region: corners of the x-y rectangle of the drone's centre, start and goal included [m], shape [2, 2]; None is the rectangle around
                 start, goal and obstacles (bases of cylinders, centres of spheres, boxes without the ground), so that
                 nobody flies around the field.
 
@@ -154,7 +156,17 @@ class ClearanceGrid:
         around = [wp.array(b, dtype=wp.vec3, device="cpu") for b in (bounds[0] - reach, bounds[1] + reach)]
         inputs = [device_primitives(world), *around, wp.vec3(*corner), cell]
         wp.launch(distance_kernel, len(bounds[0]), inputs, [distance], device="cpu")
-        return cls(corner, cell, distance.numpy(), reach)
+        begin = np.ceil((lower - corner) / cell - 1e-6).astype(int)
+        end = np.floor((upper - corner) / cell + 1e-6).astype(int) + 1
+        x, y, z = (slice(int(a), int(b)) for a, b in zip(begin, end, strict=True))
+        return cls(corner, cell, distance.numpy(), reach, (x, y, z))
+
+    def cut(self) -> ClearanceGrid:
+        """Return the grid without the points outside band and region."""
+        begin = [part.start for part in self.inside]
+        distance = np.ascontiguousarray(self.distance[self.inside])
+        x, y, z = (slice(0, n) for n in distance.shape)
+        return ClearanceGrid(self.corner + self.cell * np.array(begin), self.cell, distance, self.reach, (x, y, z))
 
     def index(self, point: ArrayLike) -> tuple[int, int, int]:
         """Return the index of the grid's nearest point to `point` [m], shape [3]."""
@@ -212,7 +224,7 @@ def is_passable(
     for h in (4.0 * cell, 2.0 * cell, cell):
         enough, least = math.hypot(radius, 0.5 * h), radius - 0.5 * math.sqrt(3.0) * h
         grid = ClearanceGrid.of(world, cell=h, reach=1.01 * enough, band=band, region=region)
-        if grid.connects(world.start, world.goal, threshold=enough):
+        if grid.cut().connects(world.start, world.goal, threshold=enough):
             return True
         if not grid.connects(world.start, world.goal, threshold=least):
             return False
@@ -234,7 +246,7 @@ def widest_radius(
     """
     limit = min(limit, float(world.distance([world.start, world.goal]).min()))
     grid = ClearanceGrid.of(world, cell=cell, reach=1.01 * math.hypot(max(limit, 0.0), 0.5 * cell), band=band,
-                            region=region)  # fmt: skip
+                            region=region).cut()  # fmt: skip
 
     def is_proven(radius: float) -> bool:
         return grid.connects(world.start, world.goal, threshold=math.hypot(radius, 0.5 * cell))
@@ -255,10 +267,11 @@ def _search_box(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     ends = np.stack([world.start, world.goal])
     low, high = band or (ends[:, 2].min() - _BAND, ends[:, 2].max() + _BAND)
+    low, high = min(low, ends[:, 2].min()), max(high, ends[:, 2].max())
     if region is None:
         box_lower, box_upper = primitive_bounds(np.zeros((0, 8)), world.boxes[~world.ground], np.zeros((0, 4)))
         corners = [ends, world.cylinders[:, :3], world.spheres[:, :3], box_lower, box_upper]
         corners = np.vstack(corners)[:, :2]
     else:
-        corners = np.asarray(region, dtype=np.float64).reshape(2, 2)
+        corners = np.vstack([ends[:, :2], np.asarray(region, dtype=np.float64).reshape(2, 2)])
     return np.array([*corners.min(axis=0), low]), np.array([*corners.max(axis=0), high])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from aero_viz.sensors.coverage import coverage
 from aero_viz.sensors.geometry import DeviceWorlds
 from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, full_sphere, lidar_model, livox_mid360, spinning64
 from aero_viz.sensors.raycast import cast
@@ -12,6 +13,7 @@ __all__ = [
     "Lidar",
     "LidarModel",
     "cast",
+    "coverage",
     "full_sphere",
     "lidar_model",
     "livox_mid360",

@@ -29,7 +29,7 @@ INVERSE_2_24 = wp.constant(2.0**-24)
 
 @dataclass(frozen=True)
 class LidarModel:
-    """A LiDAR fixed to the body; sensor frame = body frame.
+    """A LiDAR fixed to the body; sensor frame = body frame unless it is mounted otherwise.
 
     With `rings` = 0 the pattern never repeats: rays follow a low-discrepancy sequence that covers the field of view
     evenly per solid angle and goes on from sweep to sweep, so that gaps close the longer one looks. Otherwise `rings`
@@ -53,6 +53,10 @@ class LidarModel:
     dropout: float = 0.02
     """Fraction of the returns that are lost."""
     rings: int = 0
+    mount_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the sensor, body frame [m]."""
+    mount_angles: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw, sensor to body, R = R_z(yaw) R_y(pitch) R_x(roll) [deg]; (180, 0, 0) looks downward."""
 
     def __post_init__(self) -> None:
         checks = {
@@ -62,6 +66,8 @@ class LidarModel:
             "range_min and range_max": 0.0 <= self.range_min < self.range_max < math.inf,
             "range_noise": 0.0 <= self.range_noise < math.inf,
             "dropout": 0.0 <= self.dropout <= 1.0,
+            "mount_position": len(self.mount_position) == 3 and all(map(math.isfinite, self.mount_position)),
+            "mount_angles": len(self.mount_angles) == 3 and all(map(math.isfinite, self.mount_angles)),
             "rings": self.rings >= 0 and (self.rings == 0 or self.points_per_sweep % self.rings == 0),
         }
         for what, holds in checks.items():
@@ -126,6 +132,29 @@ class Beams:
     range_noise: float
     dropout: float
     rings: int
+    mount_position: wp.vec3
+    mount_attitude: wp.quat
+    """Sensor to body."""
+
+
+def pack_beams(model: LidarModel) -> Any:
+    """Return the `Beams` of a model."""
+    beams: Any = Beams()
+    beams.elevation_min = math.radians(model.elevation_min)
+    beams.elevation_max = math.radians(model.elevation_max)
+    beams.height_min, beams.height_max = math.sin(beams.elevation_min), math.sin(beams.elevation_max)
+    for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout", "rings"):
+        setattr(beams, name, getattr(model, name))
+    beams.mount_position = wp.vec3(*model.mount_position)
+    half = [0.5 * math.radians(angle) for angle in model.mount_angles]
+    (cr, cp, cy), (sr, sp, sy) = [math.cos(a) for a in half], [math.sin(a) for a in half]
+    beams.mount_attitude = wp.quat(
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+    return beams
 
 
 @wp.func
@@ -173,6 +202,10 @@ def scan_kernel(
     position: wp.array(dtype=wp.vec3),
     quaternion_before: wp.array(dtype=wp.vec4),
     quaternion: wp.array(dtype=wp.vec4),
+    believed_position_before: wp.array(dtype=wp.vec3),
+    believed_position: wp.array(dtype=wp.vec3),
+    believed_quaternion_before: wp.array(dtype=wp.vec4),
+    believed_quaternion: wp.array(dtype=wp.vec4),
     sweep: int,
     first: int,
     count: int,
@@ -183,15 +216,19 @@ def scan_kernel(
         return
     index = sweep * beams.points_per_sweep + first + i
     share = (float(i) + 0.5) / float(count)
-    origin = wp.lerp(position_before[b], position[b], share)
+    beam = wp.quat_rotate(beams.mount_attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
     attitude = attitude_between(quaternion_before[b], quaternion[b], share)
-    direction = wp.quat_rotate(attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
+    origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
+    direction = wp.quat_rotate(attitude, beam)
     distance = ray_range(geometry, world[b], origin, direction, beams.range_max)
     point = wp.vec3(wp.nan, wp.nan, wp.nan)
     if distance <= beams.range_max and distance >= beams.range_min:
         random = wp.rand_init(seeds[b], index)
         if wp.randf(random) >= beams.dropout:
-            point = origin + (distance + beams.range_noise * wp.randn(random)) * direction
+            in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
+            believed = attitude_between(believed_quaternion_before[b], believed_quaternion[b], share)
+            place = wp.lerp(believed_position_before[b], believed_position[b], share)
+            point = place + wp.quat_rotate(believed, in_body)
     points[b, first + i] = point
 
 
@@ -204,20 +241,14 @@ class Lidar:
         seeds: one per flight; the seed and the count of rays fix a sensor's pattern and noise, whatever the batch.
 
     Attributes:
-        points: the sweep in progress [m], vec3 [B, points_per_sweep], world frame by the pose at each point's time;
-            NaN is no return.
+        points: the sweep in progress [m], vec3 [B, points_per_sweep], world frame by the believed pose at each
+            point's time; NaN is no return.
     """
 
     def __init__(self, model: LidarModel, worlds: DeviceWorlds, *, seeds: Sequence[int]) -> None:
         self.model = model
         self._worlds = worlds
-        beams = Beams()
-        beams.elevation_min = math.radians(model.elevation_min)
-        beams.elevation_max = math.radians(model.elevation_max)
-        beams.height_min, beams.height_max = math.sin(beams.elevation_min), math.sin(beams.elevation_max)
-        for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout", "rings"):
-            setattr(beams, name, getattr(model, name))
-        self._beams = beams
+        self._beams = pack_beams(model)
         with wp.ScopedDevice(worlds.device):
             self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds], dtype=int)
             self.points = wp.full((len(seeds), model.points_per_sweep), wp.vec3(math.nan), dtype=wp.vec3)
@@ -231,6 +262,8 @@ class Lidar:
         poses: tuple[wp.array, wp.array],
         poses_before: tuple[wp.array, wp.array],
         finished: wp.array,
+        believed: tuple[wp.array, wp.array] | None = None,
+        believed_before: tuple[wp.array, wp.array] | None = None,
     ) -> None:
         """Measure the points first .. end - 1 of a sweep into `points`.
 
@@ -241,9 +274,12 @@ class Lidar:
             poses: positions [m], vec3 [B], and quaternions w, x, y, z, vec4 [B], at the end of the scan, world frame.
             poses_before: at its beginning; the sensor moves evenly in between.
             finished: int [B]; sensors with anything but 0 measure nothing, their points stay.
+            believed, believed_before: the estimated poses that place the points in the world; None for the true ones.
         """
         worlds = self._worlds
         positions, quaternions = zip(poses_before, poses, strict=True)
-        inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, finished, *positions, *quaternions]
+        places, attitudes = zip(believed_before or poses_before, believed or poses, strict=True)
+        inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, finished]
+        inputs += [*positions, *quaternions, *places, *attitudes]
         inputs += [sweep, first, end - first]
         wp.launch(scan_kernel, (len(self._seeds), end - first), inputs, [self.points], device=worlds.device)

@@ -8,11 +8,11 @@ derive from the fields below. Symbols are the paper's.
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
+
+from aero_planner.parameter import ParameterInfo, Value, choice, did_you_mean, live, structural, switch
 
 __all__ = [
     "AnchorConfig",
@@ -25,70 +25,6 @@ __all__ = [
     "VehicleConfig",
     "parameters",
 ]
-
-Value = float | int | bool | str
-
-
-@dataclass(frozen=True)
-class ParameterInfo:
-    """What is known of one parameter besides its value."""
-
-    section: str
-    name: str
-    default: Value
-    unit: str
-    help: str
-    low: float = -math.inf
-    high: float = math.inf
-    scale: Literal["linear", "log"] = "linear"
-    choices: tuple[str, ...] = ()
-    live: bool = True
-    symbol: str = ""
-
-    @property
-    def path(self) -> str:
-        """Name with its section, such as "costs.q_track"."""
-        return f"{self.section}.{self.name}"
-
-    def check(self, value: Any) -> Value:
-        """Return `value` in this parameter's type; NumPy scalars count as numbers, and 128.0 as a whole one.
-
-        Raises:
-            ValueError: the value has the wrong type or lies outside the bounds; names field, value and range.
-        """
-        kind = type(self.default)
-        if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
-            value = value.item()
-        if self.choices:
-            valid, wanted = isinstance(value, str) and value in self.choices, f"one of {', '.join(self.choices)}"
-        elif kind is bool:
-            valid, wanted = isinstance(value, bool), "true or false"
-        else:
-            valid = isinstance(value, int | float) and not isinstance(value, bool)
-            valid = valid and self.low <= value <= self.high and (kind is float or value == int(value))
-            wanted = f"{'a whole' if kind is int else 'a'} number in [{self.low:g}, {self.high:g}] {self.unit}".rstrip()
-        if not valid:
-            raise ValueError(f"{self.path} is {value!r}; it must be {wanted}.")
-        return kind(value)
-
-
-def _live(
-    default: Any, unit: str, low: float, high: float, help: str, *, scale: str = "linear", symbol: str = ""
-) -> Any:
-    info = dict(unit=unit, low=low, high=high, help=help, scale=scale, symbol=symbol, live=True)
-    return field(default=default, metadata=info)
-
-
-def _switch(default: bool, help: str, *, live: bool = True) -> Any:
-    return field(default=default, metadata=dict(unit="", help=help, live=live, low=0.0, high=1.0))
-
-
-def _choice(default: str, choices: tuple[str, ...], help: str) -> Any:
-    return field(default=default, metadata=dict(unit="", help=help, choices=choices, live=True))
-
-
-def _structural(default: int, low: float, high: float, help: str, *, symbol: str = "") -> Any:
-    return field(default=default, metadata=dict(unit="", low=low, high=high, help=help, symbol=symbol, live=False))
 
 
 @dataclass(frozen=True)
@@ -105,13 +41,13 @@ class _Section:
 class VehicleConfig(_Section):
     """The quadrotor."""
 
-    mass: float = _live(1.0, "kg", 0.05, 50.0, "Mass.", scale="log", symbol="m")
-    gravity: float = _live(9.81, "m/s^2", 0.0, 30.0, "Gravity.", symbol="g")
-    thrust_min: float = _live(0.3, "N", 0.0, 500.0, "Smallest total thrust.", symbol="F_min")
-    thrust_max: float = _live(16.35, "N", 0.1, 1000.0, "Largest total thrust.", symbol="F_max")
-    rate_xy_max: float = _live(3.0, "rad/s", 0.1, 20.0, "Largest roll and pitch rate.", symbol="omega_xy")
-    rate_z_max: float = _live(2.0, "rad/s", 0.1, 20.0, "Largest yaw rate.", symbol="omega_z")
-    speed_limit: float = _live(
+    mass: float = live(1.0, "kg", 0.05, 50.0, "Mass.", scale="log", symbol="m")
+    gravity: float = live(9.81, "m/s^2", 0.0, 30.0, "Gravity.", symbol="g")
+    thrust_min: float = live(0.3, "N", 0.0, 500.0, "Smallest total thrust.", symbol="F_min")
+    thrust_max: float = live(16.35, "N", 0.1, 1000.0, "Largest total thrust.", symbol="F_max")
+    rate_xy_max: float = live(3.0, "rad/s", 0.1, 20.0, "Largest roll and pitch rate.", symbol="omega_xy")
+    rate_z_max: float = live(2.0, "rad/s", 0.1, 20.0, "Largest yaw rate.", symbol="omega_z")
+    speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay under. It bounds the look-ahead by 0.6 T v, the length at which a guide asks for no more speed, "
         "and costs.q_speed prices what exceeds it.",
@@ -122,54 +58,56 @@ class VehicleConfig(_Section):
 class PartitionConfig(_Section):
     """Spherical partition of the cloud."""
 
-    range_max: float = _live(10.0, "m", 1.0, 100.0, "Points farther than this are ignored.", symbol="r_max")
-    range_min: float = _live(
+    range_max: float = live(10.0, "m", 1.0, 100.0, "Points farther than this are ignored.", symbol="r_max")
+    range_min: float = live(
         0.1, "m", 0.0, 5.0, "Points nearer than this are ignored: returns from the drone itself. The paper has none."
     )
-    cloud_age_max: float = _live(0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, where told.")
-    fine_cells: int = _structural(
+    cloud_age_max: float = live(0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, where told.")
+    fine_cells: int = structural(
         6, 2, 18, "Fine cells along each side of a coarse cell; 6 gives 3 deg in 18 deg.", symbol="n"
     )
-    coarse_columns: int = _structural(20, 8, 40, "Coarse cells around the horizon; 20 gives 18 deg.")
-    coarse_rows: int = _structural(10, 4, 20, "Coarse cells from straight down to straight up; 10 gives 18 deg.")
+    coarse_columns: int = structural(20, 8, 40, "Coarse cells around the horizon; 20 gives 18 deg.")
+    coarse_rows: int = structural(10, 4, 20, "Coarse cells from straight down to straight up; 10 gives 18 deg.")
 
 
 @dataclass(frozen=True)
 class AnchorConfig(_Section):
     """Anchors: where the guides lead."""
 
-    columns: int = _structural(5, 1, 15, "Directions side by side.", symbol="M_h")
-    rows: int = _structural(3, 1, 9, "Directions one above the other.", symbol="M_v")
-    spacing: float = _live(18.0, "deg", 1.0, 45.0, "Angle between two directions.")
-    lookahead: float = _live(5.0, "m", 0.2, 30.0, "Distance of the anchors; never beyond the goal.", symbol="l")
-    lookahead_rest: float = _live(
+    columns: int = structural(5, 1, 15, "Directions side by side.", symbol="M_h")
+    rows: int = structural(3, 1, 9, "Directions one above the other.", symbol="M_v")
+    spacing: float = live(18.0, "deg", 1.0, 45.0, "Angle between two directions.")
+    lookahead: float = live(5.0, "m", 0.2, 30.0, "Distance of the anchors; never beyond the goal.", symbol="l")
+    lookahead_rest: float = live(
         1.5, "m", 0.1, 30.0,
         "Distance at rest, growing by 0.6 T v with the speed v up to the look-ahead: from rest a full-length guide "
         "asks for an acceleration that saturates the thrust. At or above the look-ahead this is off, as in the paper.",
     )  # fmt: skip
-    slow_spread: float = _live(
+    slow_spread: float = live(
         2.0, "", 1.0, 5.0, "Factor on the spacing below slow_speed, to find a way round; 1 as in the paper."
     )
-    slow_speed: float = _live(3.0, "m/s", 0.0, 20.0, "Speed below which slow_spread applies.")
-    refine: bool = _switch(True, "Move each anchor to the safe direction of its coarse cell.")
-    arrival_speed: float = _live(0.0, "m/s", 0.0, 20.0, "Speed at the end of a guide, along its anchor.", symbol="v_1")
+    slow_speed: float = live(3.0, "m/s", 0.0, 20.0, "Speed below which slow_spread applies.")
+    refine: bool = switch(True, "Move each anchor to the safe direction of its coarse cell.")
+    arrival_speed: float = live(0.0, "m/s", 0.0, 20.0, "Speed at the end of a guide, along its anchor.", symbol="v_1")
 
 
 @dataclass(frozen=True)
 class CandidateConfig(_Section):
     """Instances beside the anchors."""
 
-    previous: bool = _switch(
+    previous: bool = switch(
         True, "Add the previous best plan, shifted in time and free of the tracking cost: it keeps a way once found.",
         live=False,
     )  # fmt: skip
-    brake: bool = _switch(True, "Add a guide that brakes, for when all others cross an obstacle.", live=False)
-    safe_clearance: float = _live(
-        0.25, "m", 0.0, 5.0,
-        "A candidate that comes nearer than this is not safe; if none is safe, the drone brakes. "
-        "The drone's radius; d_min in the paper preset.",
+    brake: bool = switch(True, "Add a guide that brakes, for when all others cross an obstacle.", live=False)
+    safe_clearance: float = live(
+        0.25, "m", 0.0, 5.0, "A candidate that comes nearer than this is not safe: the drone's radius."
+    )
+    prefer_safe: bool = switch(
+        True, "Let a safe candidate win over any other, and brake when none is safe. Off as in the paper: the least S2 "
+        "wins, and the drone brakes when that one is not safe.",
     )  # fmt: skip
-    brake_reach: float = _live(
+    brake_reach: float = live(
         0.35, "", 0.1, 1.0, "End of the braking guide, as a fraction of v T; the smaller, the harder it brakes."
     )
 
@@ -178,57 +116,57 @@ class CandidateConfig(_Section):
 class SamplingConfig(_Section):
     """MPPI: samples, horizon, noise, weights."""
 
-    samples: int = _structural(128, 1, 4096, "Rollouts of each instance.", symbol="K")
-    steps: int = _structural(25, 2, 200, "Steps of the horizon.", symbol="N")
-    dt: float = _live(0.05, "s", 0.005, 0.5, "Length of a step.", symbol="dt")
-    temperature: float = _live(0.1, "", 1e-3, 1e3, "Softness of the weights.", scale="log", symbol="lambda")
-    variance_thrust: float = _live(1.0, "N^2", 0.0, 100.0, "Noise variance of the thrust.", symbol="Sigma_F")
-    variance_rate_xy: float = _live(
+    samples: int = structural(128, 1, 4096, "Rollouts of each instance.", symbol="K")
+    steps: int = structural(25, 2, 200, "Steps of the horizon.", symbol="N")
+    dt: float = live(0.05, "s", 0.005, 0.5, "Length of a step.", symbol="dt")
+    temperature: float = live(0.1, "", 1e-3, 1e3, "Softness of the weights.", scale="log", symbol="lambda")
+    variance_thrust: float = live(1.0, "N^2", 0.0, 100.0, "Noise variance of the thrust.", symbol="Sigma_F")
+    variance_rate_xy: float = live(
         1.0, "rad^2/s^2", 0.0, 100.0, "Noise variance of roll and pitch rate.", symbol="Sigma_xy"
     )
-    variance_rate_z: float = _live(0.5, "rad^2/s^2", 0.0, 100.0, "Noise variance of the yaw rate.", symbol="Sigma_z")
-    correlation: float = _live(
+    variance_rate_z: float = live(0.5, "rad^2/s^2", 0.0, 100.0, "Noise variance of the yaw rate.", symbol="Sigma_z")
+    correlation: float = live(
         0.8, "", 0.0, 0.99, "Correlation of the noise from step to step, AR(1): smooth detours; 0 as in the paper."
     )
-    keep_nominal: bool = _switch(True, "Let the first sample be the nominal itself, noise-free; off as in the paper.")
-    fresh_noise: bool = _switch(True, "Draw new noise at every plan; otherwise every plan draws the same.")
-    nominal: str = _choice(
+    keep_nominal: bool = switch(True, "Let the first sample be the nominal itself, noise-free; off as in the paper.")
+    fresh_noise: bool = switch(True, "Draw new noise at every plan; otherwise every plan draws the same.")
+    nominal: str = choice(
         "guide", ("guide", "hover"), "Nominal controls: the guide's by differential flatness, or hovering."
     )
-    replan_period: float = _live(0.02, "s", 0.001, 1.0, "Time between two plans when the states carry no time.")
+    replan_period: float = live(0.02, "s", 0.001, 1.0, "Time between two plans when the states carry no time.")
 
 
 @dataclass(frozen=True)
 class CostConfig(_Section):
     """Weights of the costs. Stage I: S1 = J_track + J_vnorm + J_ctrl + S2. Stage II: S2 = J_goal + J_col."""
 
-    q_position: float = _live(3.0, "1/m", 0.0, 1e3, "Distance to the goal.", symbol="Q_p")
-    q_velocity: float = _live(0.25, "s/m", 0.0, 1e3, "Difference to the goal's velocity.", symbol="Q_v")
-    q_attitude: float = _live(1.0, "", 0.0, 1e3, "Difference to the goal's attitude.", symbol="Q_q")
-    q_vnorm: float = _live(0.15, "s^2/m^2", 0.0, 1e3, "Squared speed.", symbol="Q_vnorm")
-    q_track: float = _live(5.0, "1/m", 0.0, 1e3, "Distance to the guide; 15 in the paper.", symbol="Q_track")
-    q_control: float = _live(0.5, "", 0.0, 1e3, "Squared controls.", symbol="Q_c")
-    q_control_rate: float = _live(0.5, "", 0.0, 1e3, "Squared change of the controls.", symbol="Q_cd")
-    q_speed: float = _live(10.0, "s^2/m^2", 0.0, 1e5, "Squared excess over the speed limit; 0 as in the paper.")
-    distance_min: float = _live(
+    q_position: float = live(3.0, "1/m", 0.0, 1e3, "Distance to the goal.", symbol="Q_p")
+    q_velocity: float = live(0.25, "s/m", 0.0, 1e3, "Difference to the goal's velocity.", symbol="Q_v")
+    q_attitude: float = live(1.0, "", 0.0, 1e3, "Difference to the goal's attitude.", symbol="Q_q")
+    q_vnorm: float = live(0.15, "s^2/m^2", 0.0, 1e3, "Squared speed.", symbol="Q_vnorm")
+    q_track: float = live(5.0, "1/m", 0.0, 1e3, "Distance to the guide; 15 in the paper.", symbol="Q_track")
+    q_control: float = live(0.5, "", 0.0, 1e3, "Squared controls.", symbol="Q_c")
+    q_control_rate: float = live(0.5, "", 0.0, 1e3, "Squared change of the controls.", symbol="Q_cd")
+    q_speed: float = live(10.0, "s^2/m^2", 0.0, 1e5, "Squared excess over the speed limit; 0 as in the paper.")
+    distance_min: float = live(
         0.28, "m", 0.0, 5.0, "Clearance below which the full penalty applies; 0.4 in the paper.", symbol="d_min"
     )
-    distance_max: float = _live(
+    distance_max: float = live(
         0.55, "m", 0.05, 5.0, "Clearance above which nothing is paid; 1.0 in the paper.", symbol="d_max"
     )
-    penalty: float = _live(1e5, "", 0.0, 1e9, "Penalty of a step below d_min; 1e6 in the paper.", symbol="C")
-    shape: str = _choice(
+    penalty: float = live(1e5, "", 0.0, 1e9, "Penalty of a step below d_min; 1e6 in the paper.", symbol="C")
+    shape: str = choice(
         "quadratic", ("quadratic", "exponential"),
         "Penalty between d_min and d_max: soft_weight s^2 with s = (d_max - d) / (d_max - d_min), or the paper's "
         "C exp(-a (d - d_min)), whose step at d_max makes a wall of every gap narrower than 2 d_max.",
     )  # fmt: skip
-    decay: float = _live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
-    soft_weight: float = _live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty.")
-    q_blocked: float = _live(
+    decay: float = live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
+    soft_weight: float = live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty.")
+    q_blocked: float = live(
         100.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the way from the last state to the goal; 0 in the paper."
     )
-    blocked_range: float = _live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
-    blocked_radius: float = _live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
+    blocked_range: float = live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
+    blocked_radius: float = live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
 
 
 @dataclass(frozen=True)
@@ -345,7 +283,7 @@ _PAPER: dict[str, Value] = {
     "anchors.slow_spread": 1.0,
     "candidates.previous": False,
     "candidates.brake": False,
-    "candidates.safe_clearance": 0.4,
+    "candidates.prefer_safe": False,
     "sampling.correlation": 0.0,
     "sampling.keep_nominal": False,
     "sampling.fresh_noise": False,
@@ -363,12 +301,6 @@ _PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
     "paper": ("The literal paper: every number and every formula.", _PAPER),
     "fast-cpu": ("The default with a quarter of the samples, for slow machines.", {"sampling.samples": 32}),
 }
-
-
-def did_you_mean(name: Any, known: Iterable[str]) -> str:
-    """Return ", did you mean ..?" with the known name nearest to `name`, or nothing when none is near."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def check_section(name: Any) -> None:

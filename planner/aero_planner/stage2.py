@@ -128,7 +128,7 @@ def select(
     best: wp.array(dtype=int),
     status: wp.array(dtype=int),
 ):
-    """Stage II: the least S2 among the safe instances; among all of them when none is safe. Launched over [B].
+    """Stage II: the least S2, by `prefer_safe` among the safe instances where there are any. Launched over [B].
 
     An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer already,
     when it does not come nearer still.
@@ -160,7 +160,10 @@ def select(
             clearance,
         ):
             is_safe = 1
-        if is_safe > chosen_safe or (is_safe == chosen_safe and S2[b, m] < S2[b, chosen]):
+        better = S2[b, m] < S2[b, chosen]
+        if c.prefer_safe != 0 and is_safe != chosen_safe:
+            better = is_safe > chosen_safe
+        if m == 0 or better:
             chosen = m
             chosen_safe = is_safe
     best[b] = chosen

@@ -40,7 +40,8 @@ def test_stage1_rollouts_are_rk4(device: str):
 
 
 def test_quaternions_need_not_be_unit(device: str):
-    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False, candidates__previous=False))
+    config = config_of(sampling__fresh_noise=False, candidates__previous=False)
+    case, planner = random_case(0), Planner(config, device=device)
     one = case.plan(planner)
     case.quaternion = 4.0 * case.quaternion  # a power of two: the normalised quaternion has the same bits
     np.testing.assert_array_equal(case.plan(planner).controls, one.controls)

@@ -193,6 +193,14 @@ def test_best_is_the_least_S2_among_the_safe(device: str, seed: int):
         assert all(m == plan.best for m in safe)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_the_papers_best_is_the_least_S2_of_all(device: str, seed: int):
+    case = random_case(seed, nearest=0.5, count=1500)
+    plan = case.plan(Planner(config_of("paper"), device=device))
+    if plan.status == PlanStatus.OK:
+        assert plan.best == np.argmin(plan.stage2_cost)
+
+
 def test_cost_to_go_counts_blocked_metres(device: str):
     """A wall across the way: half a metre of the five beyond the last state is blocked per blocked probe."""
     config = config_of(costs__q_blocked=100.0, costs__blocked_radius=0.5, sampling__variance_thrust=0.0,

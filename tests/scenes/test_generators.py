@@ -4,21 +4,44 @@ import numpy as np
 import pytest
 
 from aero_viz.errors import UserError
-from aero_viz.scenes import SCENES, forest, inclines, scene, verticals
+from aero_viz.scenes import SCENES, World, density, forest, inclines, scene, verticals
+
+OUTDOOR = ("forest", "verticals", "inclines", "density", "density-6m")
+COUNTED = [name for name, kind in SCENES.items() if kind.counted]
+
+
+def tables(world: World):
+    return np.concatenate([table.ravel() for table in (world.cylinders, world.boxes, world.spheres)])
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_same_seed_same_world(name):
-    first, again, other = (scene(name, seed=seed, count=30) for seed in (4, 4, 5))
-    np.testing.assert_array_equal(first.cylinders, again.cylinders)
-    np.testing.assert_array_equal(first.spheres, again.spheres)
-    assert not np.array_equal(first.cylinders, other.cylinders)
+    first, again, other = (scene(name, seed=seed) for seed in (4, 4, 5))
+    np.testing.assert_array_equal(tables(first), tables(again))
+    assert not np.array_equal(tables(first), tables(other))
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_start_and_goal_are_clear_and_obstacles_stand_in_the_area(name):
+def test_start_and_goal_are_clear(name):
+    for seed in range(3):
+        world = scene(name, seed=seed, ground=False)
+        assert world.distance([world.start, world.goal]).min() >= SCENES[name].clear_radius
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_json_round_trip(name, tmp_path):
+    world = scene(name, seed=1)
+    world.save(tmp_path / "w.json")
+    loaded = World.load(tmp_path / "w.json")
+    np.testing.assert_array_equal(tables(loaded), tables(world))
+    np.testing.assert_array_equal(loaded.bounds, world.bounds)
+    assert loaded.name == world.name
+
+
+@pytest.mark.parametrize("name", OUTDOOR)
+def test_obstacles_stand_in_the_area(name):
     world = scene(name, seed=1, ground=False)
-    assert world.distance([world.start, world.goal]).min() >= 2.5
+    assert SCENES[name].clear_radius == 2.5
     base = world.cylinders[:, :3]
     assert np.all((base[:, 0] >= 2.5) & (base[:, 0] <= 42.5) & (np.abs(base[:, 1]) <= 20.0) & (base[:, 2] == 0.0))
     np.testing.assert_array_equal([world.start, world.goal], [[0, 0, 2], [45, 0, 2]])
@@ -46,17 +69,38 @@ def test_inclines_lean():
     np.testing.assert_allclose(np.linalg.norm(cylinders[:, 3:6], axis=1), 1.0, atol=1e-12)
 
 
+def test_density_has_random_or_fixed_heights_of_the_same_cylinders():
+    varied, fixed = (density(seed=3, count=400, height=height).cylinders for height in ((1.0, 6.0), (6.0, 6.0)))
+    assert 1.0 <= varied[:, 7].min() < 1.1 and 5.9 < varied[:, 7].max() <= 6.0
+    assert np.all(fixed[:, 7] == 6.0) and np.all(fixed[:, 5] == 1.0)
+    # A start or goal that a short cylinder leaves clear may refuse a tall one: all but a few stand in both.
+    np.testing.assert_array_equal(varied[:100, :7], fixed[:100, :7])
+    assert scene("density-6m", seed=3, count=7).name == "density-6m-7-3"
+    assert scene("density", seed=3, count=7).name == "density-7-3"
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_ground_is_an_option(name):
-    with_ground, without = (scene(name, seed=0, count=5, ground=ground) for ground in (True, False))
-    assert with_ground.ground.tolist() == [True] and len(without.boxes) == 0
-    assert with_ground.boxes[0, 2] + 0.5 * with_ground.boxes[0, 5] == 0.0
+    with_ground, without = (scene(name, seed=0, ground=ground) for ground in (True, False))
+    assert with_ground.ground.sum() == 1 and not without.ground.any()
+    (ground,) = with_ground.boxes[with_ground.ground]
+    assert ground[2] + 0.5 * ground[5] == 0.0
     np.testing.assert_array_equal(with_ground.cylinders, without.cylinders)
+    np.testing.assert_array_equal(with_ground.boxes[~with_ground.ground], without.boxes)
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_count_may_be_zero(name):
-    assert len(scene(name, seed=0, count=0).cylinders) == 0
+@pytest.mark.parametrize("name", COUNTED)
+def test_count_is_the_number_of_obstacles_and_may_be_zero(name):
+    none, four = (scene(name, seed=0, count=count, ground=False) for count in (0, 4))
+    per_obstacle = 5 if name == "forest" else 1
+    added = [len(getattr(four, key)) - len(getattr(none, key)) for key in ("cylinders", "boxes", "spheres")]
+    assert sum(added) == 4 * per_obstacle
+
+
+@pytest.mark.parametrize("name", ["wall", "double_wall_trap"])
+def test_scenes_without_a_count_refuse_one(name):
+    with pytest.raises(UserError, match="leave the count out"):
+        scene(name, seed=0, count=3)
 
 
 def test_unknown_scene_suggests_the_nearest():

@@ -25,7 +25,7 @@ class ObstacleLayer(Layer):
         empty, face = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
         self._nodes = {
             shape: scene.add_mesh_simple(
-                f"/obstacles/{shape}", empty, face, color=palette.OBSTACLE, opacity=0.55, visible=False
+                f"/obstacles/{shape}", empty, face, color=palette.OBSTACLE, material="toon5", visible=False
             )
             for shape in _SHAPES
         }
@@ -51,10 +51,20 @@ class GroundLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self._height: float | None = None
         self._grid = scene.add_grid(
-            "/ground/grid", infinite_grid=True, cell_size=1.0, section_size=5.0, cell_thickness=0.7,
-            section_thickness=1.0, cell_color=palette.GRID_CELL, section_color=palette.GRID_SECTION, fade_distance=90.0, fade_strength=1.5,
-            plane_color=palette.GROUND, plane_opacity=1.0, shadow_opacity=0.0,
-        )  # fmt: skip
+            "/ground/grid",
+            infinite_grid=True,
+            cell_size=1.0,
+            cell_thickness=0.7,
+            cell_color=palette.GRID_CELL,
+            section_size=5.0,
+            section_thickness=1.0,
+            section_color=palette.GRID_SECTION,
+            plane_color=palette.GROUND,
+            plane_opacity=1.0,
+            shadow_opacity=0.0,
+            fade_distance=90.0,
+            fade_strength=1.5,
+        )
 
     def enter(self, source: Source) -> list[Change]:
         self._height = 0.0 if source.scenery.world is not None else None

@@ -81,4 +81,5 @@ def orientation(position: NDArray[np.float64], look_at: NDArray[np.float64]) -> 
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right = right / np.linalg.norm(right) if np.linalg.norm(right) > 1e-6 else np.array([0.0, -1.0, 0.0])
-    return viser.transforms.SO3.from_matrix(np.stack((right, np.cross(forward, right), forward), axis=1)).wxyz
+    rotation = np.stack((right, np.cross(forward, right), forward), axis=1)
+    return np.asarray(viser.transforms.SO3.from_matrix(rotation).wxyz, dtype=np.float64)

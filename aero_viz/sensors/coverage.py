@@ -1,0 +1,61 @@
+"""How much of its field of view a LiDAR looks into as time goes on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_viz.sensors.lidar import Beams, LidarModel, beam_direction, pack_beams
+
+__all__ = ["coverage"]
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def hit_kernel(beams: Beams, seed: int, first: int, cell: float, hits: wp.array2d(dtype=int)):
+    """Mark the cell of each ray from `first` on; cell: edge [rad]."""
+    i = wp.tid()
+    d = beam_direction(beams, first + i, wp.rand_init(seed))
+    row = int((wp.asin(wp.clamp(d[2], -1.0, 1.0)) + 0.5 * wp.pi) / cell)
+    column = int((wp.atan2(d[1], d[0]) + wp.pi) / cell)
+    hits[wp.clamp(row, 0, hits.shape[0] - 1), wp.clamp(column, 0, hits.shape[1] - 1)] = 1
+
+
+def coverage(
+    model: LidarModel, *, times: Sequence[float] = (0.1, 0.5, 1.0), cell: float = 3.0, seed: int = 0
+) -> NDArray[np.float64]:
+    """Return the fraction of the cells within the field of view that rays went into after each time, shape [T].
+
+    The cells are those of the planner's fine partition, in the sensor frame, and count where they lie wholly between
+    the lower and the upper edge of the field of view.
+
+    Args:
+        model: of the LiDAR.
+        times: since the first ray, ascending [s].
+        cell: edge of a cell, a divisor of 180 [deg].
+        seed: of the sensor, which chooses where its pattern begins.
+
+    Raises:
+        ValueError: `cell` is no divisor of 180 or larger than the field of view, or the times do not ascend.
+    """
+    rows = round(180.0 / cell) if cell > 0.0 else 0
+    if rows < 1 or not math.isclose(rows * cell, 180.0) or any(b < a for a, b in zip([0.0, *times], times, strict=False)):
+        raise ValueError(f"cell is {cell!r} and times {times!r}; cell must divide 180 deg and times ascend from 0.")
+    edges = -90.0 + cell * np.arange(rows + 1)
+    seen = (edges[:-1] >= model.elevation_min - 1e-9) & (edges[1:] <= model.elevation_max + 1e-9)
+    if not seen.any():
+        raise ValueError(f"no cell of {cell:g} deg fits the field of view of the LiDAR {model.name!r}; make it smaller.")
+    hits = wp.zeros((rows, 2 * rows), dtype=int, device="cpu")
+    shares, first = [], 0
+    for time in times:
+        end = math.floor(time * model.sweep_rate * model.points_per_sweep + 1e-6)
+        inputs = [pack_beams(model), seed & 0x7FFFFFFF, first, math.radians(cell)]
+        wp.launch(hit_kernel, end - first, inputs, [hits], device="cpu")
+        first = end
+        shares.append(hits.numpy()[seen].mean())
+    return np.array(shares)

@@ -1,0 +1,124 @@
+"""What layers send, without a browser: a real server and a real plan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard.layers import LAYERS, apply
+from aero_viz.dashboard.layers.base import Lines, polylines
+from aero_viz.dashboard.layers.cells import _centers, _direction, _facing
+from aero_viz.dashboard.layers.cloud import CloudLayer, _thinned
+from aero_viz.dashboard.layers.rollouts import cost_scale
+from aero_viz.dashboard.quadrotor import quadrotor
+from aero_viz.dashboard.server import LocalServer
+from aero_viz.flight import FlightSource
+from aero_viz.scenes import scene
+from aero_viz.session import Session
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = LocalServer(port=0)
+    yield server
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def frame():
+    session = Session(FlightSource(scene("forest", seed=0)))
+    session.set_samples(True)
+    for _ in range(3):
+        frame = session.tick()
+    session.close()
+    return frame
+
+
+def test_lines_keep_their_size_and_hide_the_rest_under_the_last_point(server):
+    lines = Lines(server.scene, "/test/lines", thickness=0.01, capacity=8)
+    segments = np.arange(18, dtype=np.float32).reshape(3, 2, 3)
+    apply(lines.show(segments, (200, 100, 50)))
+    points = lines.node.points
+    assert points.shape == (8, 2, 3)
+    np.testing.assert_array_equal(points[:3], segments)
+    np.testing.assert_array_equal(points[3:], np.broadcast_to(segments[-1, 1], (5, 2, 3)))
+    apply(lines.show(np.zeros((9, 2, 3)), (0, 0, 0)))
+    assert lines.node.points.shape == (16, 2, 3)
+    apply(lines.show(segments[:1], (0, 0, 0)))
+    assert lines.node.points.shape == (16, 2, 3), "a buffer never shrinks"
+    apply(lines.show(segments[:0], (0, 0, 0)))
+    assert not lines.node.visible
+
+
+def test_polylines_join_neighbours_only():
+    vertices = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
+    segments = polylines(vertices)
+    assert segments.shape == (6, 2, 3)
+    np.testing.assert_array_equal(segments[2], vertices[0, 2:4])
+    np.testing.assert_array_equal(segments[3], vertices[1, 0:2])
+
+
+def test_the_cloud_is_thinned_evenly_and_sent_once(server, frame):
+    cloud = np.random.default_rng(0).normal(size=(150_001, 3)).astype(np.float32)
+    cloud[::1000] = np.nan
+    points = _thinned(cloud)
+    assert len(points) <= 60_000 + 4096
+    assert len(points) % 4096 == 0
+    assert np.isfinite(points).all()
+    layer = CloudLayer(server)
+    assert layer.update(frame)
+    assert layer.update(frame) == [], "the same cloud is not sent again"
+    layer.color_by = "range"
+    assert layer.update(frame)
+
+
+def test_cells_face_their_direction():
+    azimuth, elevation = _centers((6, 12))
+    w, x, y, z = _facing(azimuth, elevation).T
+    turned = np.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), axis=1)
+    np.testing.assert_allclose(turned, _direction(azimuth, elevation), atol=1e-6)
+
+
+def test_fine_cells_lie_where_the_filtered_points_are(server, frame):
+    layer = next(kind for kind in LAYERS if kind.name == "fine_cells")(server)
+    changes = {name: value for _, name, value in layer.update(frame)}
+    shown = changes["batched_scales"].max(axis=1) > 0.0
+    assert shown.sum() == len(frame.plan.filtered_points)
+    reach = np.linalg.norm(changes["batched_positions"][shown], axis=1)
+    state = frame.observation.state
+    nearest = np.linalg.norm(frame.plan.filtered_points - np.asarray(state.position), axis=1)
+    np.testing.assert_allclose(np.sort(reach), np.sort(nearest), atol=1e-3)
+
+
+@pytest.mark.parametrize("by", ["rank", "log cost"])
+def test_cost_scale_runs_from_the_worst_to_the_best(frame, by):
+    scale = cost_scale(frame.plan, by=by)
+    cost = np.asarray(frame.plan.stage2_cost)
+    assert scale[cost.argmin()] == 1.0
+    assert scale[cost.argmax()] == 0.0
+    assert (np.diff(scale[np.argsort(cost)]) <= 0.0).all()
+
+
+@pytest.mark.parametrize("kind", LAYERS, ids=[kind.name for kind in LAYERS])
+def test_a_layer_follows_a_change_of_structure(server, kind):
+    layer = kind(server)
+    session = Session(FlightSource(scene("forest", seed=0)))
+    apply(layer.enter(session.source))
+    session.set_samples(True)
+    try:
+        apply(layer.update(session.tick()))
+        session.configure({"anchors.columns": 7, "sampling.steps": 12, "partition.fine_cells": 4})
+        apply(layer.update(session.tick()))
+        session.configure(PlannerConfig.preset("paper"))
+        apply(layer.update(session.tick()))
+    finally:
+        session.close()
+
+
+def test_the_quadrotor_fits_its_rotors():
+    vertices = np.concatenate([mesh.vertices for mesh, _, _ in quadrotor().values()])
+    assert np.linalg.norm(vertices[:, :2], axis=1).max() == pytest.approx(0.25, abs=0.005)
+    for mesh, _, _ in quadrotor().values():
+        assert mesh.faces.min() >= 0
+        assert mesh.faces.max() < len(mesh.vertices)

@@ -1,0 +1,48 @@
+"""Colours: the tables, and the way through the page's film curve."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.dashboard import palette
+
+LINES = {
+    name: getattr(palette, name) for name in ("CHOSEN", "GUIDE", "ANCHOR", "ENDPOINT", "TRAIL", "GOAL", "RECORDED")
+}
+
+
+def film(linear: np.ndarray) -> np.ndarray:
+    """What three.js shows for linear light: ACES filmic as published by Stephen Hill, then sRGB."""
+    light = linear / 0.6 @ palette._ACES_IN.T
+    curved = (light * (light + 0.0245786) - 0.000090537) / (light * (0.983729 * light + 0.432951) + 0.238081)
+    shown = np.clip(curved @ palette._ACES_OUT.T, 0.0, 1.0)
+    return 255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1.0 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize("color", LINES.values(), ids=LINES.keys())
+def test_line_colours_arrive_on_screen(color):
+    sent = palette.unmapped(np.array([color])) / 255.0
+    np.testing.assert_allclose(film(sent)[0], color, atol=10.0)
+
+
+def test_the_cost_map_arrives_on_screen():
+    np.testing.assert_allclose(film(palette.unmapped(palette.COST) / 255.0), palette.COST, atol=22.0)
+
+
+def test_layers_differ_in_colour():
+    colors = np.array(list(LINES.values()), dtype=float)
+    apart = np.abs(colors[:, None] - colors[None]).max(axis=-1)
+    assert apart[~np.eye(len(colors), dtype=bool)].min() > 35
+
+
+@pytest.mark.parametrize("table", [palette.VIRIDIS, palette.PLASMA], ids=["viridis", "plasma"])
+def test_sequential_maps_rise_in_lightness(table):
+    lightness = table @ (0.2126, 0.7152, 0.0722)
+    assert (np.diff(lightness) > -1.0).all()
+    assert lightness[-1] - lightness[0] > 150
+
+
+def test_colorize_runs_from_the_first_to_the_last_row():
+    table = np.arange(30, dtype=np.uint8).reshape(10, 3)
+    np.testing.assert_array_equal(palette.colorize([-5.0, 0.0, 9.0, 99.0], 0.0, 9.0, table), table[[0, 0, 9, 9]])

@@ -1,0 +1,69 @@
+"""Controls and texts of the panels, without a browser."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import viser
+
+from aero_planner import PlannerConfig
+from aero_planner.config import find_parameter, parameters
+from aero_planner.config_file import format_config
+from aero_viz.dashboard.layers import apply
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.configuration import _uploaded
+from aero_viz.dashboard.panels.parameters import Control, add_control
+from aero_viz.dashboard.server import LocalServer
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = LocalServer(port=0)
+    yield server
+    server.stop()
+
+
+@pytest.mark.parametrize("preset", PlannerConfig.presets())
+def test_every_parameter_has_a_control_that_shows_its_value(server, preset):
+    config = PlannerConfig.preset(preset)
+    for info in parameters():
+        control = add_control(server.gui, info, info.default)
+        apply(control.show(config.get(info.path)))
+        value, shown = config.get(info.path), control.value
+        close = shown == value or (info.scale == "log" and math.isclose(float(shown), float(value), rel_tol=0.02))
+        assert close, f"{info.path} is {value} and shows {shown}"
+        info.check(shown)
+
+
+def slider(server: LocalServer, path: str) -> tuple[Control, viser.GuiSliderHandle]:
+    info = find_parameter(path)
+    control = add_control(server.gui, info, info.default)
+    assert isinstance(control.handle, viser.GuiSliderHandle)
+    return control, control.handle
+
+
+def test_a_slider_grows_to_a_value_beyond_its_end(server):
+    control, handle = slider(server, "costs.penalty")
+    before = handle.max
+    apply(control.show(1e6))
+    assert before < 1e6 <= handle.max <= control.info.high
+    assert handle.value == 1e6
+
+
+def test_a_slider_over_the_logarithm_stays_in_its_bounds(server):
+    control, handle = slider(server, "sampling.temperature")
+    for end in (handle.min, handle.max):
+        handle.value = end
+        control.info.check(control.value)
+
+
+def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
+    config = PlannerConfig.preset("paper")
+    assert _uploaded(viser.UploadedFile("mine.yaml", format_config(config).encode())) == config
+    with pytest.raises(ValueError, match=r"^mine\.yaml.*q_trak"):
+        _uploaded(viser.UploadedFile("../../mine.yaml", b"costs:\n  q_trak: 3\n"))
+
+
+def test_names_from_outside_cannot_become_markup():
+    assert "<script>" not in markup.block(markup.pill("<script>", (1, 2, 3)), markup.heading("<script>", "<script>"))
