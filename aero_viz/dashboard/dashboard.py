@@ -6,6 +6,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
+import viser
+
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.panels import Page
 from aero_viz.dashboard.panels.layout import build
@@ -57,7 +59,7 @@ class Dashboard:
         self._camera, self._panels = build(page, open_source=open_source, choices=choices)
         self._sink = session.subscribe(self._show, name="dashboard")
         self._notices = session.subscribe_notices(self._notify)
-        self.server.on_client_connect(lambda client: self.refresh())
+        self.server.on_client_connect(self._greet)
 
     @property
     def url(self) -> str:
@@ -101,6 +103,14 @@ class Dashboard:
         self._session.unsubscribe(self._notices)
         self.server.stop()
 
+    def _greet(self, client: viser.ClientHandle) -> None:
+        self.refresh()
+
+        @client.camera.on_update
+        def _(_: viser.CameraHandle) -> None:
+            if self._camera.is_settling(client):
+                self.refresh()
+
     def _show(self, frame: Frame) -> None:
         """Runs in the sink's thread: what waits meanwhile is the newest frame, so nothing old is ever shown.
 
@@ -108,6 +118,7 @@ class Dashboard:
         """
         clients = list(self.server.get_clients().values())
         if not clients:
+            apply(self._camera.follow(frame))
             return
         started = time.perf_counter()
         changes = self._changes(frame)

@@ -64,7 +64,7 @@ class LocalServer(viser.ViserServer):
         scene.configure_default_lights(False)
         scene.add_light_hemisphere("/light/sky", sky_color=(214, 226, 255), ground_color=(54, 58, 72), intensity=1.9)
         scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.2, position=(-4.0, 6.0, 10.0))
-        scene.configure_fog(25.0, 110.0, color=palette.FOG)
+        scene.configure_fog(14.0, 62.0, color=palette.FOG)
         scene.world_axes.visible = False
         self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
 

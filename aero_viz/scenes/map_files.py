@@ -115,6 +115,8 @@ def _read_pcd(path: Path) -> Points:
             raise ValueError(f"it has no field {axis} among {', '.join(fields)}")
     kinds = [f"<{'f' if t == 'F' else t.lower()}{size}" for t, size in zip(types, sizes, strict=True)]
     body, data = raw[found.end() :], found.group(1).decode()
+    if count == 0:
+        return np.zeros((0, 3))
     if data == "ascii":
         columns = np.cumsum([0, *counts])[[fields.index(axis) for axis in "xyz"]]
         return np.loadtxt(body.decode("ascii", "replace").splitlines(), usecols=columns, max_rows=count, ndmin=2)

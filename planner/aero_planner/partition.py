@@ -39,12 +39,12 @@ def approximate_atan2(y: float, x: float) -> float:
 @wp.func
 def angle_cell(y: float, x: float, cells_per_radian: float, offset: float) -> int:
     """floor(atan2(y, x) cells_per_radian + offset), exactly: the approximation decides only away from an edge."""
+    # Never negative but for the approximation's error, so that int() is floor().
     coordinate = approximate_atan2(y, x) * cells_per_radian + offset
-    cell = wp.floor(coordinate)
-    margin = 1.0e-4 * cells_per_radian
-    if wp.abs(coordinate - cell - 0.5) > 0.5 - margin:
-        cell = wp.floor(wp.atan2(y, x) * cells_per_radian + offset)
-    return int(cell)
+    cell = int(coordinate)
+    if wp.abs(coordinate - float(cell) - 0.5) > 0.5 - 1.0e-4 * cells_per_radian:
+        cell = int(wp.floor(wp.atan2(y, x) * cells_per_radian + offset))
+    return cell
 
 
 @wp.func
@@ -90,12 +90,12 @@ def scatter_points(
     if i >= point_count[b]:
         return
     x = points[b, i]
-    if not (wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])):
-        wp.atomic_add(dropped, lane, b, 1)
-        return
     d = x - position[b]
     r = wp.length(d)
-    if r > params[b].range_max or r < params[b].range_min:
+    # NaN compares false, so that only what is out of range has to be looked at closely.
+    if not (r <= params[b].range_max and r >= params[b].range_min):
+        if not (wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])):
+            wp.atomic_add(dropped, lane, b, 1)
         return
     row, column = cell_of_direction(quat_inverse_rotate(quaternion[b], d), rows, columns)
     # The bits of a non-negative float sort like the float.

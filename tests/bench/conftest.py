@@ -28,6 +28,7 @@ def benchmark_of_three() -> Benchmark:
             Row("few samples", "forest", 4, changes={"sampling.samples": 4}, series="a", x=4.0),
             Row("fast", "verticals", 5, speed=7.0, series="b", x=7.0, arrival_radius=1.0),
         ),
+        x_label="velocity limit [m/s]",
         first_seed=100,
     )
 

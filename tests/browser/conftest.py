@@ -56,7 +56,7 @@ class Desk:
         self.page.get_by_role("tab", name=name).click()
 
     def render(
-        self, position: ArrayLike, look_at: ArrayLike, *, width: int = 480, height: int = 320
+        self, position: ArrayLike, look_at: ArrayLike, *, width: int = 640, height: int = 600
     ) -> NDArray[np.uint8]:
         """What the page's camera sees from there, shape [height, width, 4]; alpha is 0 where nothing is."""
         assert self.dashboard.drain()
@@ -75,7 +75,7 @@ def open_desk(browser: Browser, *, ticks: int, config: PlannerConfig | None = No
         session.tick()
     session.start(play=False)
     dashboard = Dashboard(session, port=0, open_source=_open_source, choices=[("Verticals", "verticals")])
-    context = browser.new_context(viewport={"width": 1000, "height": 900})
+    context = browser.new_context(viewport={"width": 1000, "height": 600})
     page = context.new_page()
     desk = Desk(session, dashboard, page)
     page.on("console", lambda message: desk.console.append(message.text) if message.type == "error" else None)

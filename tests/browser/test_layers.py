@@ -52,7 +52,7 @@ def test_the_goal_is_drawn_at_the_goal(desk):
     goal = np.asarray(desk.session.frame.observation.goal.position)
     desk.dashboard.show_only(["goal"])
     image = desk.render(np.add(goal, (-5.0, 0.0, 0.5)), goal)
-    assert image[160, 240, 0] > 100, "red at the middle of the picture"
+    assert image[300, 320, 0] > 100, "red at the middle of the picture"
     assert count(image, palette.GOAL) > 50
 
 
@@ -61,7 +61,7 @@ def test_all_fifteen_rollouts_are_on_screen_each_in_its_colour(desk):
     assert len(plan.positions) == 15
     desk.dashboard.show_only(["rollouts"])
     position, look_at = behind(desk)
-    image = desk.render(position, look_at, width=960, height=640)
+    image = desk.render(position, look_at)
     expected = palette.colorize(cost_scale(plan), 0.0, 1.0, palette.COST).astype(int)
     expected[plan.best] = palette.CHOSEN
     found = [

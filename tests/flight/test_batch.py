@@ -5,13 +5,15 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import signal
 
 import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightBatch, FlightRules, fly
+from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel, fly, memory_per_flight
+from aero_viz.flight.memory import device_bytes
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 
@@ -80,6 +82,89 @@ def test_batch_flies_as_one_by_one():
             alone.simulator.vehicle.position.numpy()[0], together.simulator.vehicle.position.numpy()[b]
         )
         assert dataclasses.replace(result, plan_ms_median=None) == dataclasses.replace(results[b], plan_ms_median=None)
+
+
+REAL = {
+    "vehicle": VehicleModel(drag=0.2, gust_speed=1.0, latency=0.01, thrust_lag=0.03, rate_lag=0.02),
+    "noise": StateNoise(position=0.03, velocity=0.05, attitude=0.5),
+    "rules": dataclasses.replace(SHORT, ticks_per_plan=5),
+}
+
+
+def test_batch_with_everything_that_disturbs_flies_as_one_by_one(sparse):
+    worlds = [sparse, scene("inclines", seed=2, count=60)]
+    together = FlightBatch(worlds, config=CONFIG, seed=3, lidar=LIDAR, **REAL)
+    together.run()
+    for b, world in enumerate(worlds):
+        alone = FlightBatch([world], config=CONFIG, seed=3 + b, lidar=LIDAR, **REAL)
+        alone.run()
+        for holder in ("vehicle", "estimate"):
+            a, t = (getattr(batch.simulator, holder).position.numpy() for batch in (alone, together))
+            np.testing.assert_array_equal(a[0], t[b])
+
+
+def test_a_disturbed_flight_still_arrives(sparse):
+    rules = dataclasses.replace(REAL["rules"], time_limit=60.0)
+    result = fly(sparse, config=CONFIG, seed=1, lidar=LIDAR, **(REAL | {"rules": rules}))
+    assert result.arrived
+
+
+def test_ten_plans_per_second_fly_their_controls_at_fifty():
+    world = World("empty", np.zeros(3), np.array([30.0, 0, 0]))
+    batch = FlightBatch([world], config=CONFIG, lidar=LIDAR, rules=REAL["rules"])
+    step = CONFIG.sampling.dt
+    ticks = []
+    for tick in range(10):
+        batch.step()
+        plan = batch.planner.command.numpy()[0].astype(float)
+        ticks.append(int(batch.planner.history().tick[0]))
+        place = tick % 5 * 0.02 / step
+        i = int(place)
+        expected = plan[i] + (place - i) * (plan[i + 1] - plan[i])
+        np.testing.assert_allclose(batch.simulator.vehicle.control.numpy()[0], expected, atol=1e-5)
+    assert ticks == [1] * 5 + [2] * 5
+
+
+def test_configurations_that_differ_in_dt_need_a_plan_per_tick(sparse):
+    configs = [CONFIG, CONFIG.replace({"sampling.dt": 0.04})]
+    with pytest.raises(ValueError, match=r"sampling\.dt"):
+        FlightBatch([sparse, sparse], config=configs, lidar=LIDAR, rules=REAL["rules"])
+
+
+def test_progress_counts_flights(sparse):
+    near = World("near", np.zeros(3), np.array([0.5, 0, 0]))
+    calls = []
+    FlightBatch([sparse, near], config=CONFIG, lidar=LIDAR, rules=FlightRules(time_limit=0.09)).run(
+        progress=lambda *call: calls.append(call)
+    )
+    assert [finished for finished, _, _ in calls] == [1] * 5 + [2]
+    np.testing.assert_allclose([time for *_, time in calls], 0.02 * np.arange(6))
+
+
+def test_ctrl_c_keeps_what_is_finished(sparse):
+    near = World("near", np.zeros(3), np.array([0.5, 0, 0]))
+    batch = FlightBatch([sparse, near], config=CONFIG, lidar=LIDAR)
+
+    def press_at_a_tenth(finished, total, simulated):
+        if simulated >= 0.1 and not batch.interrupted:
+            signal.raise_signal(signal.SIGINT)
+
+    results = batch.run(progress=press_at_a_tenth)
+    assert batch.interrupted and [result.reason for result in results] == [None, "arrived"]
+    assert results[0].flight_time_s == pytest.approx(0.1)
+    # It can go on.
+    batch.step()
+    assert batch.simulator.time == pytest.approx(0.12)
+
+
+def test_memory_per_flight_is_what_a_batch_grows_by(sparse):
+    config, lidar = CONFIG, LIDAR
+    share = memory_per_flight(config=config, lidar=lidar)
+    two, five = (device_bytes(FlightBatch([sparse] * n, config=config, lidar=lidar, threads=1)) for n in (2, 5))
+    assert five - two == pytest.approx(3 * share, rel=1e-3)
+    # Ten sweeps for the planner and the one in progress, 12 bytes a point, are part of it.
+    larger = dataclasses.replace(lidar, points_per_sweep=lidar.points_per_sweep + 1000)
+    assert memory_per_flight(config=config, lidar=larger) - share == pytest.approx(11 * 1000 * 12, abs=64)
 
 
 def test_one_configuration_per_flight(sparse):

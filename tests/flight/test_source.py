@@ -7,7 +7,7 @@ import pytest
 
 from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightRules, FlightSource
+from aero_viz.flight import FlightRules, FlightSource, StateNoise
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 from aero_viz.source import Source
@@ -125,6 +125,36 @@ def test_arrived_flight_stays_until_the_goal_moves(planner):
     source.set_goal([9.0, 0.0, 2.0])
     source.advance(plan)
     assert source.outcome is None and source.observe().time == pytest.approx(0.02)
+
+
+def test_noise_separates_estimated_and_true_state(planner):
+    noise = StateNoise(position=0.2, velocity=0.1, attitude=1.0)
+    source = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4, noise=noise)
+    np.testing.assert_array_equal(source.observe().true_state.position, [0.0, 0.0, 2.0])
+    for _ in range(3):
+        now = source.observe()
+        apart = np.linalg.norm(now.state.position - now.true_state.position)
+        assert 0.01 < apart < 1.0 and not np.array_equal(now.state.quaternion, now.true_state.quaternion)
+        source.advance(planner.plan(now.state, now.goal, now.points))
+    checkpoint, history = source.checkpoint(), planner.history()
+    first = fly(source, planner, 6)
+    source.restore(checkpoint)
+    planner.restore(history)
+    for a, b in zip(first, fly(source, planner, 6), strict=True):
+        np.testing.assert_array_equal(a[1], b[1])
+
+
+def test_one_plan_for_five_ticks(planner):
+    rules = FlightRules(ticks_per_plan=5)
+    source = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4, rules=rules)
+    assert source.period == pytest.approx(0.1)
+    now = source.observe()
+    plan = planner.plan(now.state, now.goal, now.points)
+    source.advance(plan)
+    assert source.observe().time == pytest.approx(0.1) and source.result().flight_time_s == pytest.approx(0.1)
+    # At the last of the five ticks, 0.08 s into controls 0.05 s apart.
+    expected = plan.command[1] + 0.6 * (plan.command[2] - plan.command[1])
+    np.testing.assert_allclose(source.simulator.vehicle.control.numpy()[0], expected, atol=1e-4)
 
 
 def test_flights_have_no_time_line(source):

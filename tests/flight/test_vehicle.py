@@ -111,6 +111,67 @@ def test_lags_are_first_order():
         np.testing.assert_allclose(control[1:], np.array([1.0, -1.0, 0.5]) * (1 - np.exp(-0.02 * k / 0.05)), rtol=1e-5)
 
 
+@pytest.mark.parametrize(("latency", "late_steps"), [(0.0, 0), (0.01, 2), (0.02, 4), (0.034, 7)])
+def test_latency_delays_commands_by_whole_steps(latency, late_steps):
+    # Thrust steps from g to 14 N at time 0 and on to 12 N after 20 ms; steps of 5 ms.
+    late, prompt = VehicleModel(latency=latency), VehicleModel()
+    vehicle = Vehicle(late, np.zeros((1, 3)), [0.0], period=0.02, device="cpu")
+    heights = []
+    for thrust in (14.0, 12.0, 12.0, 12.0):
+        vehicle.fly(wp.array([[(thrust, 0.0, 0.0, 0.0)]], dtype=wp.vec4), finished=wp.zeros(1, dtype=int))
+        heights += vehicle.trail.numpy()[0, :, 2].tolist()
+    thrusts = [G] * late_steps + [14.0] * 4 + [12.0] * 12
+    expected = run(prompt, [(t, 0.0, 0.0, 0.0) for t in thrusts[:16]], period=0.005)[0][:, 2]
+    np.testing.assert_allclose(heights, expected, atol=1e-7)
+
+
+@pytest.mark.parametrize(("phase", "thrust"), [(0.0, 8.0), (0.4, 9.6), (1.0, 12.0), (1.5, 11.0), (2.0, 10.0), (7.3, 10.0)])
+def test_controls_are_interpolated_between_those_of_the_plan(phase, thrust):
+    vehicle = Vehicle(VehicleModel(), np.zeros((1, 3)), [0.0], period=0.02, device="cpu")
+    plan = wp.array([[(f, 0.1 * f, 0.0, 0.0) for f in (8.0, 12.0, 10.0)]], dtype=wp.vec4)
+    vehicle.fly(plan, finished=wp.zeros(1, dtype=int), phase=phase)
+    np.testing.assert_allclose(vehicle.control.numpy()[0], [thrust, 0.1 * thrust, 0.0, 0.0], rtol=1e-6)
+
+
+def gusts(model, seeds, ticks):
+    """Wind at each tick [ticks, B, 3] and vertical speed at the end [B] of hovering vehicles."""
+    count = len(seeds)
+    vehicle = Vehicle(model, np.zeros((count, 3)), [0.0] * count, period=0.02, device="cpu", seeds=seeds)
+    commands, winds = wp.array([[HOVER]] * count, dtype=wp.vec4), []
+    for tick in range(ticks):
+        vehicle.fly(commands, finished=wp.zeros(count, dtype=int), tick=tick)
+        winds.append(vehicle.wind.numpy().copy())
+    return np.array(winds, dtype=float), vehicle.velocity.numpy()
+
+
+def test_gusts_are_a_first_order_process():
+    winds, _ = gusts(VehicleModel(drag=0.3, gust_speed=2.0, gust_time=0.5), range(300), 40)
+    flat = winds.reshape(40, -1)  # 900 independent processes
+    for k in (0, 10, 39):  # stationary from the first tick on
+        assert flat[k].std() == pytest.approx(2.0, rel=4 / np.sqrt(2 * 900))
+        assert abs(flat[k].mean()) < 4 * 2.0 / np.sqrt(900)
+    for lag in (1, 25):
+        expected = np.exp(-lag * 0.02 / 0.5)
+        assert np.corrcoef(flat[5], flat[5 + lag])[0, 1] == pytest.approx(
+            expected, abs=4 * (1 - expected**2) / np.sqrt(900)
+        )
+
+
+def test_a_steady_gust_carries_the_drone_along():
+    # A gust that lasts: dv = k (w - v), so v = w (1 - exp(-k t)).
+    wind, velocity = gusts(VehicleModel(drag=0.8, gust_speed=3.0, gust_time=1e9), [11], 100)
+    np.testing.assert_allclose(wind[-1], wind[0], rtol=1e-3)
+    np.testing.assert_allclose(velocity[0], wind[0, 0] * (1 - np.exp(-0.8 * 2.0)), rtol=2e-3)
+
+
+def test_gusts_depend_on_the_seed_not_on_the_batch():
+    model = VehicleModel(drag=0.3, gust_speed=1.0)
+    together, alone = gusts(model, [4, 5, 6], 5), gusts(model, [5], 5)
+    np.testing.assert_array_equal(together[0][:, 1], alone[0][:, 0])
+    np.testing.assert_array_equal(together[1][1], alone[1][0])
+    assert not np.array_equal(together[0][:, 0], together[0][:, 1])
+
+
 def test_commands_are_clamped():
     model = VehicleModel()
     wild = run(model, [(99.0, 9.0, -9.0, 9.0), (-5.0, 0.0, 0.0, -9.0)])
@@ -152,7 +213,8 @@ def test_vehicle_of_a_configuration():
     assert (model.mass, model.thrust_max, model.drag) == (2.5, 50.0, 0.2)
 
 
-@pytest.mark.parametrize("changes", [{"mass": 0.0}, {"drag": -1.0}, {"step": float("nan")}, {"thrust_min": 20.0}])
+@pytest.mark.parametrize("changes", [{"mass": 0.0}, {"drag": -1.0}, {"step": float("nan")}, {"thrust_min": 20.0},
+    {"latency": -0.1}, {"gust_speed": 1.0}, {"gust_time": 0.0}])
 def test_impossible_vehicles_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         VehicleModel(**changes)

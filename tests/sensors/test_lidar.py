@@ -128,6 +128,41 @@ def test_attitude_turns_the_pattern(shell):
     np.testing.assert_allclose(turned, np.column_stack([-level[:, 1], level[:, 0], level[:, 2]]), atol=1e-5)
 
 
+def test_mounting_angles_turn_the_field_of_view(shell):
+    # Upside down: what looked up to 52 degrees now looks down to -52.
+    model = exact(livox_mid360())
+    upright, turned = (sweep(exact(model, mount_angles=angles), shell)[0] for angles in ((0, 0, 0), (180, 0, 0)))
+    np.testing.assert_allclose(directions(turned), directions(upright) * [1, -1, -1], atol=1e-5)
+    # Yaw after pitch: the sensor's x axis, pitched down by 30 degrees, then toward the left.
+    ring = exact(spinning64(), mount_angles=(0.0, 30.0, 90.0))
+    first = directions(sweep(ring, shell)[0])[32::64][0]  # ring 32 of 64, near the horizon, at azimuth 0
+    elevation = np.radians(-30.0 + (-22.5 + 32 * 45 / 63))
+    np.testing.assert_allclose(first, [0.0, np.cos(elevation), np.sin(elevation)], atol=2e-3)
+
+
+def test_mounting_position_moves_with_the_body(shell):
+    model = exact(full_sphere(), mount_position=(0.5, 0.0, 0.2))
+    half = np.sqrt(0.5)
+    mounted = sweep(model, shell, position=(1.0, 0.0, 0.0), quaternion=(half, 0.0, 0.0, half))
+    # Yaw of 90 degrees: 0.5 m ahead is 0.5 m to the left.
+    expected = sweep(exact(full_sphere()), shell, position=(1.0, 0.5, 0.2), quaternion=(half, 0.0, 0.0, half))
+    np.testing.assert_allclose(mounted, expected, atol=1e-4)
+
+
+def test_points_are_placed_by_the_believed_pose(shell):
+    # The drone believes to be 1 m off and turned by 90 degrees: the cloud is the true one, moved and turned.
+    model, half = exact(full_sphere()), np.sqrt(0.5)
+    worlds = DeviceWorlds([shell])
+    lidar = Lidar(model, worlds, seeds=[0])
+    true = wp.array([(0.0, 0.0, 0.0)], dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
+    believed = wp.array([(0.0, 1.0, 0.0)], dtype=wp.vec3), wp.array([(half, 0.0, 0.0, half)], dtype=wp.vec4)
+    options = {"poses": true, "poses_before": true, "finished": wp.zeros(1, dtype=int)}
+    lidar.scan(0, 0, 20_000, believed=believed, believed_before=believed, **options)
+    points = sweep(model, shell)[0]
+    expected = np.column_stack([-points[:, 1], points[:, 0] + 1.0, points[:, 2]])
+    np.testing.assert_allclose(lidar.points.numpy()[0], expected, atol=1e-4)
+
+
 def test_seed_decides_and_the_batch_does_not(shell):
     model = livox_mid360()
     together = sweep(model, shell, seeds=(5, 6))
@@ -150,7 +185,8 @@ def test_point_times_span_the_sweep():
 
 
 @pytest.mark.parametrize(
-    "changes", [{"points_per_sweep": 0}, {"rings": 3}, {"range_max": 0.05}, {"dropout": 1.5}, {"elevation_min": 60.0}]
+    "changes", [{"points_per_sweep": 0}, {"rings": 3}, {"range_max": 0.05}, {"dropout": 1.5}, {"elevation_min": 60.0},
+    {"mount_angles": (0.0, np.nan, 0.0)}, {"mount_position": (0.0, 0.0)}]
 )
 def test_impossible_models_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):

@@ -144,6 +144,42 @@ def test_obstacles_far_apart_share_a_bounded_grid():
     np.testing.assert_allclose(found, [9_995.0, 9_999.0], rtol=1e-6)
 
 
+@pytest.fixture
+def voxel_map() -> World:
+    """A floor, a wall and scattered voxels: small boxes, too many for columns."""
+    rng = np.random.default_rng(5)
+    scattered = np.floor(rng.uniform([-20, -20, 0], [20, 20, 6], (4000, 3)) / 0.2)
+    floor = np.stack(np.meshgrid(np.arange(-40, 40), np.arange(-40, 40), [-1]), axis=-1).reshape(-1, 3)
+    voxels = np.unique(np.vstack([scattered, floor]), axis=0)
+    rows = np.column_stack([0.2 * (voxels + 0.5), np.full((len(voxels), 3), 0.2), np.zeros(len(voxels))])
+    return make(boxes=[*rows, [12.0, 0.0, 2.0, 0.2, 30.0, 4.0, 0.3]])
+
+
+def test_cubes_match_the_float64_reference(monkeypatch):
+    monkeypatch.setattr("aero_viz.sensors.geometry._MANY", 0)
+    rng = np.random.default_rng(3)
+    places = rng.uniform([-6, -6, 0], [6, 6, 5], (250, 3))
+    world = make(boxes=np.column_stack([places, rng.uniform(0.1, 0.6, (250, 3)), rng.uniform(-3, 3, 250)]))
+    assert DeviceWorlds([world]).geometry.grids.numpy()["layers"][0] > 3
+    for origin in ([0.0, 0.0, 2.0], [-12.0, 3.0, 9.0]):
+        directions = rng.uniform([-6, -6, 0], [6, 6, 5], (800, 3)) - origin
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        expected = march(world, np.array(origin), directions, 60.0)
+        found = ranges(world, origin, directions, range_max=60.0)
+        same = np.isclose(found, expected, atol=2e-3) | (np.isinf(found) & np.isinf(expected))
+        assert same.mean() > 0.997 and np.isfinite(found).mean() > 0.3
+
+
+def test_cubes_and_columns_find_the_same_hits(voxel_map, monkeypatch):
+    directions = np.vstack([random_directions(np.random.default_rng(2), 20_000), np.eye(3), -np.eye(3)])
+    origin = [1.0, 0.5, 2.0]
+    assert DeviceWorlds([voxel_map]).geometry.grids.numpy()["layers"][0] > 5
+    in_cubes = ranges(voxel_map, origin, directions, range_max=40.0)
+    monkeypatch.setattr("aero_viz.sensors.geometry._MANY", 1_000_000)
+    assert DeviceWorlds([voxel_map]).geometry.grids.numpy()["layers"][0] == 1
+    np.testing.assert_array_equal(ranges(voxel_map, origin, directions, range_max=40.0), in_cubes)
+
+
 def test_every_flight_sees_its_own_world():
     near, far = make(spheres=[[5, 0, 0, 1]]), make(spheres=[[9, 0, 0, 1]])
     worlds = DeviceWorlds([near, far, make(), near])

@@ -27,7 +27,7 @@ class AnchorLayer(Layer):
             "/anchors/refined", nothing, palette.ANCHOR, point_size=0.08, point_shape="circle", precision="float32",
             point_shading="flat",
         )  # fmt: skip
-        self._moves = Lines(scene, "/anchors/moves", thickness=0.016)
+        self._moves = Lines(scene, "/anchors/moves", thickness=1.4)
 
     def update(self, frame: Frame) -> list[Change]:
         count = frame.config.anchor_count
@@ -46,7 +46,7 @@ class GuideLayer(Layer):
     name, title = "guides", "Guides"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._lines = Lines(scene, "/guides/lines", thickness=0.012, capacity=512)
+        self._lines = Lines(scene, "/guides/lines", thickness=1.2, capacity=512)
 
     def update(self, frame: Frame) -> list[Change]:
         return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), palette.GUIDE)

@@ -62,8 +62,8 @@ class CoarseCellLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self._pose = scene.add_frame("/coarse_cells/body", show_axes=False)
         self._shape: tuple[int, ...] = ()
-        self._borders = Lines(scene, "/coarse_cells/body/borders", thickness=0.006)
-        self._directions = Lines(scene, "/coarse_cells/body/directions", thickness=0.02, capacity=256)
+        self._borders = Lines(scene, "/coarse_cells/body/borders", thickness=1.0)
+        self._directions = Lines(scene, "/coarse_cells/body/directions", thickness=2.5, capacity=256)
 
     def update(self, frame: Frame) -> list[Change]:
         ranges, directions = frame.plan.safe_range, frame.plan.safe_direction

@@ -47,7 +47,7 @@ class TrailLayer(Layer):
     name, title = "trail", "Flown trail"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._lines = Lines(scene, "/trail/line", thickness=0.024, capacity=_TRAIL_SEGMENTS)
+        self._lines = Lines(scene, "/trail/line", thickness=3.0, capacity=_TRAIL_SEGMENTS)
 
     def update(self, frame: Frame) -> list[Change]:
         trail = frame.trail

@@ -13,7 +13,7 @@ __all__ = ["GoalLayer"]
 
 
 class GoalLayer(Layer):
-    """A ball in a ring on a pole."""
+    """A ball in a ring."""
 
     name, title = "goal", "Goal"
 
@@ -22,9 +22,8 @@ class GoalLayer(Layer):
         scene.add_icosphere("/goal/pose/ball", radius=0.3, color=palette.GOAL, subdivisions=3)
         angle = 2.0 * np.pi * np.arange(49) / 48
         ring = 0.8 * np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
-        pole = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -50.0]]])
-        segments = np.concatenate((np.stack((ring[:-1], ring[1:]), axis=1), pole))
-        apply(Lines(scene, "/goal/pose/ring", thickness=0.05).show(segments, palette.GOAL))
+        segments = np.stack((ring[:-1], ring[1:]), axis=1)
+        apply(Lines(scene, "/goal/pose/ring", thickness=3.0).show(segments, palette.GOAL))
 
     def update(self, frame: Frame) -> list[Change]:
         return [(self._pose, "position", np.asarray(frame.observation.goal.position, dtype=np.float64))]

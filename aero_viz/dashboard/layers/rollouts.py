@@ -36,8 +36,8 @@ class RolloutLayer(Layer):
 
     def create(self, scene: viser.SceneApi) -> None:
         self.color_by = self.colors[0]
-        self._all = Lines(scene, "/rollouts/all", thickness=0.022, capacity=512)
-        self._chosen = Lines(scene, "/rollouts/chosen", thickness=0.07, capacity=32)
+        self._all = Lines(scene, "/rollouts/all", thickness=2.2, capacity=512)
+        self._chosen = Lines(scene, "/rollouts/chosen", thickness=5.0, capacity=32)
 
     def update(self, frame: Frame) -> list[Change]:
         plan = frame.plan

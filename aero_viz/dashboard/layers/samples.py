@@ -22,7 +22,7 @@ class SampleLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self.instance = BEST
         """Which instance is shown; BEST follows the chosen one."""
-        self._lines = Lines(scene, "/samples/lines", thickness=0.006, capacity=4096)
+        self._lines = Lines(scene, "/samples/lines", thickness=1.0, capacity=4096)
 
     def update(self, frame: Frame) -> list[Change]:
         plan = frame.plan

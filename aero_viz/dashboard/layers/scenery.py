@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply, polylines
 from aero_viz.session import Frame
 from aero_viz.source import Source
 
@@ -50,36 +51,38 @@ class GroundLayer(Layer):
 
     def create(self, scene: viser.SceneApi) -> None:
         self._height: float | None = None
-        self._grid = scene.add_grid(
-            "/ground/grid",
-            infinite_grid=True,
-            cell_size=1.0,
-            cell_thickness=0.7,
-            cell_color=palette.GRID_CELL,
-            section_size=5.0,
-            section_thickness=1.0,
-            section_color=palette.GRID_SECTION,
-            plane_color=palette.GROUND,
-            plane_opacity=1.0,
-            shadow_opacity=0.0,
-            fade_distance=90.0,
-            fade_strength=1.5,
-        )
+        self._grid = scene.add_frame("/ground/grid", show_axes=False)
+        fine = _grid(1.0, 25.0)
+        coarse = _grid(5.0, 60.0)
+        apply(Lines(scene, "/ground/grid/fine", thickness=0.7).show(fine, palette.GRID_CELL))
+        apply(Lines(scene, "/ground/grid/coarse", thickness=1.0).show(coarse, palette.GRID_SECTION))
 
     def enter(self, source: Source) -> list[Change]:
         self._height = 0.0 if source.scenery.world is not None else None
-        return [] if self._height is None else [(self._grid, "position", (0.0, 0.0, self._height))]
+        return []
 
     def update(self, frame: Frame) -> list[Change]:
-        if self._height is not None:
-            return []
-        # A recording does not say where its ground is: below nearly all points of its first cloud.
-        heights = frame.observation.points[::8, 2]
-        heights = heights[np.isfinite(heights)]
-        if not len(heights):
-            return []
-        self._height = float(np.percentile(heights, 1.0)) - 0.05
-        return [(self._grid, "position", (0.0, 0.0, self._height))]
+        if self._height is None:
+            # A recording does not say where its ground is: below nearly all points of its first cloud.
+            heights = frame.observation.points[::8, 2]
+            heights = heights[np.isfinite(heights)]
+            if not len(heights):
+                return []
+            self._height = float(np.percentile(heights, 1.0)) - 0.05
+        # The grid goes with the drone in whole sections, so that its lines seem to stand.
+        x, y = np.round(np.asarray(frame.observation.state.position)[:2] / 5.0) * 5.0
+        return [(self._grid, "position", (float(x), float(y), self._height))]
+
+
+def _grid(cell: float, reach: float) -> NDArray[np.float32]:
+    """Return the lines of a square grid in the xy plane [m], shape [n, 2, 3], in pieces that fade with distance."""
+    at = np.arange(-reach, reach + 1e-6, cell)
+    piece = np.linspace(-reach, reach, 9)
+    starts, across = np.meshgrid(piece[:-1], at)
+    along = np.zeros((starts.size, 2, 3), dtype=np.float32)
+    along[:, 0, 0], along[:, 1, 0] = starts.ravel(), starts.ravel() + (piece[1] - piece[0])
+    along[:, :, 1] = across.ravel()[:, None]
+    return np.concatenate((along, along[:, :, (1, 0, 2)]))
 
 
 class RecordedPathLayer(Layer):
@@ -88,7 +91,7 @@ class RecordedPathLayer(Layer):
     name, title = "recorded_path", "Recorded path"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._lines = Lines(scene, "/recorded_path/line", thickness=0.03)
+        self._lines = Lines(scene, "/recorded_path/line", thickness=2.5)
 
     def enter(self, source: Source) -> list[Change]:
         path = source.scenery.recorded_path

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import viser
 import viser.transforms
@@ -19,6 +21,8 @@ FIELD_OF_VIEW = float(np.radians(58.0))
 VIEWS = ("follow", "top", "side")
 _OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0)}
 _AHEAD = 1.6
+_SETTLE = 1.5
+"""A page that has just been opened still moves its camera by itself for about this long [s]."""
 
 
 def view(
@@ -37,7 +41,7 @@ class CameraPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._mode = "follow"
-        self._placed: set[int] = set()
+        self._settled: dict[int, float] = {}
         self.page.server.initial_camera.fov = FIELD_OF_VIEW
         modes = gui.add_button_group(
             "Camera", ("follow", "top", "side", "free"), hint="Orbit and zoom with the mouse in every one of them."
@@ -46,11 +50,11 @@ class CameraPanel(Panel):
         @modes.on_click
         async def _(_: viser.GuiEvent) -> None:
             self._mode = modes.value
-            self._placed.clear()
+            self._settled.clear()
             self.page.refresh()
 
     def enter(self, source: Source) -> list[Change]:
-        self._placed.clear()
+        self._settled.clear()
         return []
 
     def follow(self, frame: Frame) -> list[Change]:
@@ -60,19 +64,25 @@ class CameraPanel(Panel):
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         start, target = view(self._mode if self._mode in VIEWS else "follow", position, goal)
         changes: list[Change] = []
-        if not self._placed:
-            initial = self.page.server.initial_camera
-            changes += [(initial, "position", start), (initial, "look_at", target)]
-            self._placed.add(-1)
+        if not self._settled:
+            changes += self.begin(start, target)
         for number, client in self.page.server.get_clients().items():
             camera = client.camera
-            if number not in self._placed:
-                self._placed.add(number)
+            if time.monotonic() < self._settled.setdefault(number, time.monotonic() + _SETTLE):
                 changes += [(camera, "position", start), (camera, "look_at", target)]
             elif self._mode != "free":
                 away = np.asarray(camera.position) - np.asarray(camera.look_at)
                 changes += [(camera, "position", target + away), (camera, "look_at", target)]
         return changes
+
+    def begin(self, position: NDArray[np.float64], look_at: NDArray[np.float64]) -> list[Change]:
+        """Return the changes that let pages opened from now on begin here."""
+        initial = self.page.server.initial_camera
+        return [(initial, "position", position), (initial, "look_at", look_at)]
+
+    def is_settling(self, client: viser.ClientHandle) -> bool:
+        """Whether the page is still moving its camera to where it begins."""
+        return time.monotonic() < self._settled.get(client.client_id, np.inf)
 
 
 def orientation(position: NDArray[np.float64], look_at: NDArray[np.float64]) -> NDArray[np.float64]:

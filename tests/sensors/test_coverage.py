@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+
+from aero_viz.scenes import World
+from aero_viz.sensors import DeviceWorlds, Lidar, coverage, full_sphere, livox_mid360, spinning64
+
+
+def test_mid360_sees_all_cells_of_three_degrees_within_the_first_sweep():
+    # 20 000 even rays into 19 rows of 120 cells: almost nine each.
+    first, half, second = coverage(livox_mid360())
+    assert 0.995 <= first <= half <= second == 1.0
+
+
+def test_coverage_of_fine_cells_grows_to_all():
+    # 59 x 360 cells of 1 deg. Even rays per solid angle: a cell of elevation e gets 20 000 cos(e) / (2 pi 0.91) rays of
+    # 3.05e-4 sr, 1.07 at the horizon; that many random rays would hit 1 - exp(-n), even ones more.
+    shares = coverage(livox_mid360(), cell=1.0, times=(0.05, 0.1, 0.5, 1.0))
+    edges = np.sin(np.radians(np.arange(-7.0, 53.0)))
+    per_cell = 20_000 * np.diff(edges) / (np.sin(np.radians(52.0)) - np.sin(np.radians(-7.0))) / 360.0
+    assert np.mean(1.0 - np.exp(-per_cell)) < shares[1] <= np.minimum(per_cell, 1.0).mean()
+    assert shares[0] < shares[1] < shares[2] and shares[2] >= 0.999 and shares[3] == 1.0
+
+
+def test_a_spinning_lidar_never_sees_between_its_rings():
+    # 64 rings over 45 degrees in 90 rows of half a degree: no more rows than rings, however long it turns.
+    shares = coverage(spinning64(), cell=0.5)
+    assert shares[0] == shares[-1] <= 64 / 90 + 1e-9
+
+
+def test_poles_of_the_full_sphere_stay_thin():
+    # 2.4e-6 of the sphere is in a cell at the pole: half a hit expected there after a second.
+    first, half, second = coverage(full_sphere())
+    assert 0.85 < first < half < second < 1.0
+
+
+def test_agrees_with_the_points_of_the_sensor():
+    model = dataclasses.replace(livox_mid360(), points_per_sweep=3000, range_noise=0.0, dropout=0.0)
+    walls = [[s * 15.0 * (k == i) for k in range(3)] for i in range(3) for s in (-1, 1)]
+    shell = World(
+        "", np.zeros(3), np.ones(3), boxes=np.array([[*c, *[10.0 if v else 60.0 for v in c], 0.0] for c in walls])
+    )
+    lidar = Lidar(model, DeviceWorlds([shell]), seeds=[9])
+    poses = wp.zeros(1, dtype=wp.vec3), wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4)
+    lidar.scan(0, 0, 3000, poses=poses, poses_before=poses, finished=wp.zeros(1, dtype=int))
+    points = lidar.points.numpy()[0].astype(float)
+    row = np.floor((np.degrees(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1))) + 90.0) / 3.0)
+    column = np.floor((np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0) / 3.0)
+    within = (row >= 28) & (row < 47)  # -6 .. 51 deg
+    hit = len(np.unique(row[within] * 120 + column[within])) / (19 * 120)
+    (share,) = coverage(model, times=[0.1], seed=9)
+    assert share == pytest.approx(hit, abs=3 / (19 * 120))  # rays on an edge may fall to either side
+
+
+@pytest.mark.parametrize("options", [{"cell": 0.0}, {"cell": 7.0}, {"cell": 60.0}, {"times": (0.5, 0.1)}])
+def test_impossible_arguments(options):
+    with pytest.raises(ValueError, match="cell"):
+        coverage(livox_mid360(), **options)
