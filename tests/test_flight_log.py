@@ -4,8 +4,10 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +52,13 @@ def decoded(path):
         for _, channel, message, ros in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             messages.setdefault(channel.topic, []).append((message.log_time, ros))
     return messages
+
+
+def wait_for(condition, timeout: float = 10.0) -> bool:
+    deadline = time.monotonic() + timeout
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return bool(condition())
 
 
 def attachments(path):
@@ -159,14 +168,8 @@ def test_play_sees_the_flight_that_was_logged(tmp_path):
         source.seek(1.0)
         seen = source.observe()
         assert np.abs(world.distance(seen.points + recording.poses.offset)).max() < 0.15  # 6 sigma of the range noise
-        with Session(source, config=CONFIG) if hasattr(Session, "__enter__") else _closing(source) as session:
+        with closing(Session(source, config=CONFIG)) as session:
             assert len(session.tick().plan.kinds) == len(CONFIG.kinds)
-
-
-def _closing(source):
-    from contextlib import closing
-
-    return closing(Session(source, config=CONFIG))
 
 
 def test_logging_does_not_change_the_flight(tmp_path):
@@ -191,7 +194,7 @@ def test_time_runs_on_when_the_session_goes_back(session, tmp_path):
     assert (counts["/plan"], counts["/odometry"]) == (2, 1)  # planned twice, at one place
 
 
-def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path):
+def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path, monkeypatch):
     with record(session, tmp_path / "a.mcap") as log:
         for _ in range(10):
             session.tick()
@@ -200,36 +203,43 @@ def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path):
 
     notices = []
     session.subscribe_notices(notices.append)
+    gate = threading.Event()
     with record(session, tmp_path / "b.mcap") as log:
-        slow, log.write = log.write, lambda frame: (time.sleep(0.2), slow(frame))
-        frame = session.frame
-        started = time.monotonic()
-        for _ in range(300):
-            session._engine._publish(frame) if hasattr(session, "_engine") else session._publish(frame)
-        assert time.monotonic() - started < 0.2  # nobody waited
-        log.write = lambda frame: slow(frame)
+        write = log.write
+        monkeypatch.setattr(log, "write", lambda frame: (gate.wait(), write(frame)))  # a disk that takes its time
+        for step in range(280):
+            session.configure({"costs.q_track": 5.0 + 0.001 * (step + 1)})  # planned and published at once
+        gate.set()
     kept = metadata(tmp_path / "b.mcap")["flight_log"]
-    assert int(kept["dropped"]) > 0 and int(kept["frames"]) + int(kept["dropped"]) == 301
+    assert int(kept["dropped"]) >= 20 and int(kept["frames"]) + int(kept["dropped"]) == 281
+    assert wait_for(lambda: any("cannot keep up" in notice.text for notice in notices))
 
 
-def test_a_full_disk_ends_the_log_and_not_the_flight(session):
-    if not Path("/dev/full").exists():
-        pytest.skip("there is no /dev/full here")
+def test_a_full_disk_ends_the_log_and_not_the_flight(session, tmp_path):
+    resource = pytest.importorskip("resource", reason="files of limited size need POSIX")
     notices = []
     session.subscribe_notices(notices.append)
-    with record(session, "/dev/full"):
-        for _ in range(30):
-            frame = session.tick()
-    assert frame.index == 29
-    deadline = time.monotonic() + 10.0
-    while not notices and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert "The flight log /dev/full ends here: No space left on device" in notices[0].text
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with record(session, tmp_path / "a.mcap"):
+        session.tick()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+        try:
+            for _ in range(100):
+                session.tick()
+            assert wait_for(lambda: notices)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert session.tick().index == 101
+    assert notices[0].text == f"The flight log {tmp_path / 'a.mcap'} ends here: File too large."
+    assert len(notices) == 1
 
 
 def test_a_file_that_cannot_be_written(tmp_path):
     with pytest.raises(UserError, match="Cannot write the flight log"):
         FlightLog(tmp_path / "none" / "a.mcap")
+    if Path("/dev/full").exists():
+        with pytest.raises(UserError, match="Cannot write the flight log /dev/full: No space left on device"):
+            FlightLog("/dev/full", world=scene("wall"))
     with pytest.raises(UserError, match="Cannot write"):
         fly_and_log(scene("wall"), tmp_path / "a.mcap", lidar=LIDAR, trajectory=tmp_path / "none" / "a.csv")
 

@@ -38,9 +38,7 @@ def assert_same(scored: FlightResult, flown: FlightResult) -> None:
 )  # fmt: skip
 def test_a_simulated_flight_scores_as_it_was_flown(world, speed, reason, tmp_path):
     rules = FlightRules(time_limit=60.0 if reason else 0.9)
-    flown = fly(
-        world, config=CONFIG, seed=4, lidar=LIDAR, speed=speed, rules=rules, trajectory=tmp_path / "flight.csv"
-    )
+    flown = fly(world, config=CONFIG, seed=4, lidar=LIDAR, speed=speed, rules=rules, trajectory=tmp_path / "flight.csv")
     assert flown.reason == (reason or "timeout")
     assert_same(score(load_trajectory(tmp_path / "flight.csv"), world, rules=rules), flown)
 
@@ -93,8 +91,8 @@ def test_smoothness_of_a_constant_acceleration():
     ("trajectory", "world", "rules", "reason", "time"),
     [
         (straight(), dataclasses.replace(BALL, spheres=np.array([[4.0, 0.5, 0.0, 0.5]])), FlightRules(), "collision",
-         1.80),
-        (straight(), BALL, FlightRules(radius=0.6), "collision", 1.68),
+         1.74),
+        (straight(), BALL, FlightRules(radius=0.6), "collision", 1.78),
         (straight(), BALL, FlightRules(time_limit=2.0), "timeout", 2.0),
         (straight(until=3.0), BALL, FlightRules(), None, 3.0),
         (straight(speed=0.1), BALL, FlightRules(), "stall", 5.0),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from aero_viz.bench.catalog import Benchmark
+from aero_viz.bench.published import PUBLISHED
 from aero_viz.bench.statistics import Summary
 
 __all__ = ["plot"]
@@ -33,7 +34,10 @@ def plot(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, *, su
             _curves(benchmark, own, others, folder / "success.png", subtitle, "success rate"),
             _curves(benchmark, own, others, folder / "speed.png", subtitle, "speed of arrived flights [m/s]"),
         ]
-    return [_bars(summaries, folder / "success.png", f"{benchmark.title}\n{subtitle}", ours)]
+    files = [_bars(summaries, folder / "success.png", f"{benchmark.title}\n{subtitle}", ours)]
+    if any(row.published for row in benchmark.rows):
+        files.append(_beside_published(benchmark, own, others, folder / "speed.png", subtitle))
+    return files
 
 
 def _figure(title: str, size: tuple[float, float] = _SIZE) -> tuple[Any, Any]:
@@ -43,6 +47,7 @@ def _figure(title: str, size: tuple[float, float] = _SIZE) -> tuple[Any, Any]:
     axes = figure.add_subplot()
     axes.set_title(title, fontsize=10)
     axes.grid(alpha=0.3)
+    axes.set_axisbelow(True)
     return figure, axes
 
 
@@ -57,6 +62,8 @@ def _curves(
             (row.x, by_label[row.label]) for row in benchmark.rows if row.series == series and row.label in by_label
         ]
         x = [place for place, _ in points]
+        if not points:
+            continue
         if success:
             rates = [line.success_rate for _, line in points]
             below = [max(line.success_rate - line.success_low, 0.0) for _, line in points]
@@ -95,6 +102,31 @@ def _bars(summaries: Sequence[Summary], path: Path, title: str, ours: str) -> Pa
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.03)
     axes.set_xlabel("success rate, with its 95 % interval")
+    return _save(figure, path)
+
+
+def _beside_published(
+    benchmark: Benchmark, own: Sequence[Summary], others: Sequence[Summary], path: Path, subtitle: str
+) -> Path:
+    """Mean speeds, a group of bars per row: ours, the published ones, those of included planners."""
+    figure, axes = _figure(f"{benchmark.title}\n{subtitle}")
+    rows = {row.label: row for row in benchmark.rows}
+    bars: dict[str, dict[int, float]] = {}
+    for place, line in enumerate(own):
+        row = rows[line.row]
+        speeds = [(line.planner, line.mean["mean_speed"])]
+        speeds += [(f"{other.planner}, published", other.mean_speed) for other in PUBLISHED
+                   if other.scene == row.published]  # fmt: skip
+        speeds += [(other.planner, other.mean["mean_speed"]) for other in others if other.row == row.name_prefix]
+        for planner, speed in speeds:
+            bars.setdefault(planner, {})[place] = speed or 0.0
+    width = 0.8 / max(len(bars), 1)
+    for i, (planner, speeds) in enumerate(bars.items()):
+        places = [place + width * (i - 0.5 * (len(bars) - 1)) for place in speeds]
+        axes.bar(places, list(speeds.values()), width, label=planner)
+    axes.set_xticks(range(len(own)), [line.row for line in own])
+    axes.set_ylabel("mean speed of arrived flights [m/s]")
+    axes.legend(fontsize=8)
     return _save(figure, path)
 
 

@@ -111,7 +111,7 @@ def _metrics_table(benchmark: Benchmark, summaries: Sequence[Summary]) -> str:
         rows.append([line.row, line.planner, *values, _number(line.plan_ms_median, 2)])
         for other in PUBLISHED:
             if line.planner == OURS and other.scene == published.get(line.row):
-                rows.append([line.row, f"{other.planner}, published", *(f"{value:g}" for value in other[2:]), "", ""])
+                rows.append([line.row, f"{other.planner}, published", *(_number(value) for value in other[2:]), "", ""])
     return _table(header, rows)
 
 

@@ -8,6 +8,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,6 @@ __all__ = ["Progress", "Run", "default_batch", "load_run", "run_benchmark"]
 
 _HEADER, _FLIGHTS = "run.json", "flights.jsonl"
 _SAME = ("benchmark", "versions", "seed", "flights", "device", "lidar", "config_name", "config", "rows")
-_TICKS = 25  # between two looks at how many flights are over
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of flights that are over, of all, and what is going on."""
@@ -145,26 +145,27 @@ def run_benchmark(
         model = sensor or lidar_model(lidar or part[0].row.lidar)
         flown = _build(part, worlds, device=device, lidar=model, rules=rules)
         built = time.perf_counter()
-        try:
-            _fly(flown, report, over=len(done), total=run.total, labels=[flight.row.label for flight in part])
-        finally:  # after a Ctrl-C, too: flights that are over stay
-            seconds = {"build_s": built - started, "run_s": time.perf_counter() - built}
-            records = [
-                {
-                    "row": flight.row.label,
-                    "index": flight.index,
-                    "world_seed": flight.world_seed,
-                    **result.to_dict(),
-                    "passable": passable,
-                    "batch": number,
-                    "batch_size": len(part),
-                    **seconds,
-                }
-                for flight, result, passable in zip(part, flown.results(), found, strict=True)
-                if result.reason is not None
-            ]
-            flown.planner.close()
-            _append(folder, records)
+        label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
+        results = flown.run(progress=partial(_tell, report, label, len(done), run.total))
+        seconds = {"build_s": built - started, "run_s": time.perf_counter() - built}
+        records = [
+            {
+                "row": flight.row.label,
+                "index": flight.index,
+                "world_seed": flight.world_seed,
+                **result.to_dict(),
+                "passable": passable,
+                "batch": number,
+                "batch_size": len(part),
+                **seconds,
+            }
+            for flight, result, passable in zip(part, results, found, strict=True)
+            if result.reason is not None  # after a Ctrl-C, those that are over stay
+        ]
+        flown.planner.close()
+        _append(folder, records)
+        if flown.interrupted:
+            raise KeyboardInterrupt
         done += records
         number += 1
         report(len(done), run.total, part[-1].row.label)
@@ -249,15 +250,9 @@ def _build(
         raise UserError(f"Cannot fly {part[0].row.label!r}: {error}") from error
 
 
-def _fly(batch: FlightBatch, report: Progress, *, over: int, total: int, labels: Sequence[str]) -> None:
-    rows = " + ".join(dict.fromkeys(labels))
-    while True:
-        finished = sum(outcome is not None for outcome in batch.simulator.outcomes())
-        report(over + finished, total, f"{rows}: {batch.simulator.time:.1f} s")
-        if finished == len(labels):
-            return
-        for _ in range(_TICKS):
-            batch.step()
+def _tell(report: Progress, label: str, over: int, total: int, finished: int, batch: int, seconds: float) -> None:
+    """Pass on how a batch goes, as part of the whole."""
+    report(over + finished, total, f"{label}: {seconds:.1f} s, {finished} of {batch} over")
 
 
 def _open(folder: Path, header: dict[str, Any], *, resume: bool) -> tuple[dict[str, Any], list[dict[str, Any]]]:

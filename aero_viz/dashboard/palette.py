@@ -25,7 +25,7 @@ FOG: Rgb = (22, 28, 39)
 GROUND: Rgb = (23, 29, 40)
 GRID_CELL: Rgb = (36, 45, 60)
 GRID_SECTION: Rgb = (54, 67, 88)
-OBSTACLE: Rgb = (66, 78, 98)
+OBSTACLE: Rgb = (78, 92, 114)
 BRAND: Rgb = (58, 134, 255)
 
 PANEL: dict[int, Rgb] = {

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
@@ -154,6 +155,6 @@ class StateEstimate:
         inputs = [self._noise, tick, self._seeds, finished, v.position, v.velocity, v.quaternion]
         wp.launch(estimate_kernel, len(self._seeds), inputs, [self._errors, *self._own], device=v.position.device)
 
-    def state(self) -> list[wp.array]:
+    def state(self) -> list[Any]:
         """Return the arrays that a checkpoint holds."""
         return [] if self._noise is None else [self._errors, *self._own]

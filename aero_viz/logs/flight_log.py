@@ -54,19 +54,27 @@ class FlightLog:
         self._channels: dict[str, int] = {}
         self._base = self._stamp = time.time_ns()
         self._last: Frame | None = None
+        self._torn = False
         self._cloud: NDArray[np.float32] | None = None
-        self._flushed = time.monotonic()
         try:
             self._file = self.path.open("wb")
+            self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._writer.start(profile="ros2", library="aero-viz")
+            if world is not None:
+                self._attach("world.json", "application/json", json.dumps(world.to_dict()))
+            self._flush()
         except OSError as error:
             raise UserError(f"Cannot write the flight log {path}: {error.strerror or error}.") from error
-        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library="aero-viz")
-        if world is not None:
-            self._attach("world.json", "application/json", json.dumps(world.to_dict()))
 
     def write(self, frame: Frame) -> None:
-        """Append a frame; raises OSError when the disk does not take it."""
+        """Append a frame; raises OSError when the disk does not take it, after which only `close` makes sense."""
+        try:
+            self._write(frame)
+        except OSError:
+            self._torn = True
+            raise
+
+    def _write(self, frame: Frame) -> None:
         before = self._last
         stamp = self._next_stamp(frame)
         if before is None or before.config is not frame.config:
@@ -83,10 +91,11 @@ class FlightLog:
             self._flush()
 
     def close(self, *, dropped: int = 0) -> None:
-        """Finish the file; `dropped` frames never reached it, which its metadata says."""
+        """Finish the file; `dropped` frames never reached it, which its metadata says. A torn file just ends."""
         try:
-            self._writer.add_metadata("flight_log", {"frames": str(self.frames), "dropped": str(dropped)})
-            self._writer.finish()
+            if not self._torn:
+                self._writer.add_metadata("flight_log", {"frames": str(self.frames), "dropped": str(dropped)})
+                self._writer.finish()
         finally:
             self._file.close()
 

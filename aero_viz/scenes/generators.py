@@ -1,4 +1,4 @@
-"""Seeded synthetic scenes: 40 m x 40 m of obstacles between a start and a goal 45 m apart; the registry of all scenes."""
+"""Seeded synthetic scenes: 40 m x 40 m of obstacles between a start and a goal 45 m apart; all scenes by name."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def _read_las(path: Path) -> Points:
 
 def _read_laz(path: Path) -> Points:
     try:
-        import laspy
+        import laspy  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise UserError(
             f"{path} is compressed: install a reader with `pip install 'laspy[lazrs]'`, or convert the file to LAS."
@@ -118,14 +118,14 @@ def _read_pcd(path: Path) -> Points:
     if count == 0:
         return np.zeros((0, 3))
     if data == "ascii":
-        columns = np.cumsum([0, *counts])[[fields.index(axis) for axis in "xyz"]]
+        columns = [sum(counts[: fields.index(axis)]) for axis in "xyz"]
         return np.loadtxt(body.decode("ascii", "replace").splitlines(), usecols=columns, max_rows=count, ndmin=2)
     # Names may repeat, such as the padding "_"; positions do not.
     names = [f"f{i}" for i in range(len(fields))]
     wanted = [names[fields.index(axis)] for axis in "xyz"]
     record = np.dtype([(name, kind, (n,)) for name, kind, n in zip(names, kinds, counts, strict=True)])
     if data == "binary":
-        table = np.frombuffer(body, record, count)
+        table: NDArray[Any] = np.frombuffer(body, record, count)
         return np.column_stack([table[name][:, 0] for name in wanted])
     if data == "binary_compressed":
         packed, size = struct.unpack_from("<II", body)

@@ -38,14 +38,15 @@ def map_world(
     if not 0.0 < voxel < math.inf:
         raise UserError(f"The voxels of the map {path} have an edge of {voxel!r} m; it must be positive.")
     points = read_points(path)
-    ends = [None if end is None else _position(end, name) for end, name in ((start, "start"), (goal, "goal"))]
-    if np.abs(points).max() > _FAR:
-        origin = np.floor(points.min(axis=0))
-        points, ends = points - origin, [None if end is None else end - origin for end in ends]
+    # A map in geographic coordinates moves to the origin.
+    shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _FAR else np.zeros(3)
+    points = points - shift
+    first = None if start is None else _position(start, "start") - shift
+    last = None if goal is None else _position(goal, "goal") - shift
     boxes = _merge(np.unique(np.floor(points / voxel).astype(np.int64), axis=0), voxel)
-    if ends[0] is None or ends[1] is None:
-        ends = _find_ends(points, boxes, *ends, where=path)
-    return World(Path(path).stem, ends[0], ends[1], boxes=boxes)
+    if first is None or last is None:
+        first, last = _find_ends(points, boxes, first, last, where=path)
+    return World(Path(path).stem, first, last, boxes=boxes)
 
 
 def _position(value: ArrayLike, name: str) -> Array:
@@ -72,10 +73,13 @@ def _merge(voxels: NDArray[np.int64], edge: float) -> Array:
         first = np.concatenate([[True], ~follows])
         last = np.concatenate([~follows, [True]])
         low, high = low[first], high[last]
-    return np.column_stack([0.5 * edge * (low + high), edge * (high - low), np.zeros(len(low))])
+    rows = np.column_stack([0.5 * edge * (low + high), edge * (high - low), np.zeros(len(low))])
+    return rows.astype(np.float64)
 
 
-def _find_ends(points: Array, boxes: Array, start: Array | None, goal: Array | None, *, where: str | Path) -> list:
+def _find_ends(
+    points: Array, boxes: Array, start: Array | None, goal: Array | None, *, where: str | Path
+) -> tuple[Array, Array]:
     """Choose what is None of start and goal, see `World.from_map`."""
     from aero_viz.scenes.passable import ClearanceGrid
 
@@ -103,7 +107,7 @@ def _find_ends(points: Array, boxes: Array, start: Array | None, goal: Array | N
         reached = grid.reached(start, threshold=math.hypot(WAY, 0.5 * cell))
         away = np.linalg.norm(places - start, axis=-1)
         goal = _best(places, free & reached & (away <= DISTANCE), away, "goal", where)
-    return [start, goal]
+    return start, goal
 
 
 def _best(places: Array, allowed: NDArray[np.bool_], score: Array, what: str, where: str | Path) -> Array:

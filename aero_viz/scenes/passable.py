@@ -135,11 +135,11 @@ class ClearanceGrid:
             world: obstacles.
             cell: h [m].
             reach: distances are exact up to here [m].
-            band: lowest and highest z of the drone's centre, start and goal included [m]; None is 1.5 m below the lower and 1.5 m above the
-                higher of start and goal: flying over everything is no answer to how dense a field is.
-            region: corners of the x-y rectangle of the drone's centre, start and goal included [m], shape [2, 2]; None is the rectangle around
-                start, goal and obstacles (bases of cylinders, centres of spheres, boxes without the ground), so that
-                nobody flies around the field.
+            band: lowest and highest z of the drone's centre, widened to start and goal [m]; None is 1.5 m below the
+                lower and 1.5 m above the higher of them: flying over everything is no answer to how dense a field is.
+            region: corners of the x-y rectangle of the drone's centre, widened to start and goal [m], shape [2, 2];
+                None is the rectangle around start, goal and obstacles (bases of cylinders, centres of spheres, boxes
+                without the ground), so that nobody flies around the field.
 
         Raises:
             ValueError: the grid would have more than 50 million points.

@@ -40,7 +40,7 @@ def pillars(
         seed: same seed, same room.
         count: number of pillars.
         radius: range of the radii [m], uniform.
-        ceiling: height of the ceiling [m]; None leaves the room open above.
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
         ground: add the floor, a box whose top is z = 0.
 
     Raises:
@@ -62,7 +62,7 @@ def wall(
     Args:
         seed: same seed, same room: the wall's place, within 0.3 m of the middle, and its width.
         width: range of the wall's width [m], uniform.
-        ceiling: height of the ceiling [m]; None leaves the room open above.
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
         ground: add the floor, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
@@ -88,7 +88,7 @@ def double_wall_trap(
         seed: same seed, same room: the side of the first passage, the walls' places and the passages' widths.
         passage: range of the passages' widths [m], uniform.
         spacing: range of the distance between the walls [m], uniform.
-        ceiling: height of the ceiling [m]; None leaves the room open above.
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
         ground: add the floor, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
@@ -113,7 +113,7 @@ def random_clutter(
         seed: same seed, same room.
         count: number of things; box, pole and ball in turn.
         size: range of the radius around a thing, seen from above [m], uniform.
-        ceiling: height of the ceiling [m]; None leaves the room open above.
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
         ground: add the floor, a box whose top is z = 0.
 
     Raises:
@@ -159,6 +159,8 @@ def _spread(rng: np.random.Generator, count: int, radius: tuple[float, float], w
 
 
 def _room(name: str, ceiling: float | None, ground: bool, **tables: Rows) -> World:
+    if ceiling is not None and not START[2] + CLEAR_RADIUS <= ceiling < np.inf:
+        raise UserError(f"The ceiling is at {ceiling!r} m; it must be at {START[2] + CLEAR_RADIUS:g} m or higher.")
     height = ceiling or HEIGHT
     (x0, y0), (x1, y1) = LOWER, UPPER
     x, y, t = 0.5 * (x0 + x1), 0.5 * (y0 + y1), THICKNESS

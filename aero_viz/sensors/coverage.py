@@ -44,12 +44,12 @@ def coverage(
         ValueError: `cell` is no divisor of 180 or larger than the field of view, or the times do not ascend.
     """
     rows = round(180.0 / cell) if cell > 0.0 else 0
-    if rows < 1 or not math.isclose(rows * cell, 180.0) or any(b < a for a, b in zip([0.0, *times], times, strict=False)):
+    if rows < 1 or not math.isclose(rows * cell, 180.0) or np.any(np.diff([0.0, *times]) < 0.0):
         raise ValueError(f"cell is {cell!r} and times {times!r}; cell must divide 180 deg and times ascend from 0.")
     edges = -90.0 + cell * np.arange(rows + 1)
     seen = (edges[:-1] >= model.elevation_min - 1e-9) & (edges[1:] <= model.elevation_max + 1e-9)
     if not seen.any():
-        raise ValueError(f"no cell of {cell:g} deg fits the field of view of the LiDAR {model.name!r}; make it smaller.")
+        raise ValueError(f"the cell of {cell:g} deg does not fit the field of view of {model.name!r}; make it smaller.")
     hits = wp.zeros((rows, 2 * rows), dtype=int, device="cpu")
     shares, first = [], 0
     for time in times:

@@ -1,8 +1,7 @@
 """Ray casting: the nearest solid along a ray, batched over flights, each in its own world.
 
-Obstacle fields are wide and flat and a ray ends at its first hit, so a grid, of columns or in maps of cubes, walked cell
-by cell from the sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in
-scenes.
+Obstacle fields are wide and flat and a ray ends at its first hit, so a grid (columns, or cubes in maps), walked cell by
+cell from the sensor outward, beats a bounding volume hierarchy: two to ten times on a CPU core in the built-in scenes.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import warp as wp
 
 from aero_planner.clearance import GRID
 from aero_planner.config import PlannerConfig
-from aero_planner.mppi import PROBES
+from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 
 __all__ = ["Block", "input_block", "output_block", "work_arrays"]
 
@@ -149,11 +149,13 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             probed=wp.zeros((batch * M, rows, 1), dtype=wp.vec3),
             distance=wp.zeros((batch * M, rows, 1), dtype=wp.float32),
             J_speed=wp.zeros((batch, M), dtype=wp.float32),
+            noise=wp.zeros((N, NOISE_ROWS), dtype=wp.vec4),
             seed=wp.zeros(batch, dtype=wp.int32),
             tick=wp.zeros(batch, dtype=wp.int32),
             previous_controls=wp.zeros((batch, N), dtype=wp.vec4),
             previous_end=wp.zeros(batch, dtype=wp.vec3),
             previous_time=wp.zeros(batch, dtype=wp.float64),
         )
+        wp.launch(fill_noise, dim=work.noise.shape, inputs=[work.noise])
         work.keys.fill_(0xFFFFFFFFFFFFFFFF)
     return work

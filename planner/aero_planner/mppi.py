@@ -20,12 +20,41 @@ from aero_planner.costs import (
 from aero_planner.dynamics import clamp_control, rk4_step
 from aero_planner.params import Params
 
-__all__ = ["PROBES", "clearance_cost", "probe", "sample_rollouts", "score_samples", "update", "weigh"]
+__all__ = [
+    "NOISE_ROWS",
+    "PROBES",
+    "clearance_cost",
+    "fill_noise",
+    "probe",
+    "sample_rollouts",
+    "score_samples",
+    "update",
+    "weigh",
+]
 
 wp.set_module_options({"enable_backward": False})
 
+NOISE_ROWS = wp.constant(16384)
+"""Sequences of noise that are drawn once. Drawing afresh would take most of a rollout's time on a CPU; instead the
+samples of an instance take successive sequences from a random one on, with random signs, so that they stay independent
+of each other, and equal noise meets again at random after thousands of plans only."""
+
 PROBES = wp.constant(10)
 """Positions on the line from the last state toward the goal, at which the cost-to-go looks for obstacles."""
+
+
+@wp.kernel
+def fill_noise(noise: wp.array2d(dtype=wp.vec4)):
+    """White noise of unit variance, shape [N, NOISE_ROWS]. Launched over its shape."""
+    t, row = wp.tid()
+    random = wp.rand_init(20509, t * noise.shape[1] + row)
+    noise[t, row] = wp.vec4(wp.randn(random), wp.randn(random), wp.randn(random), wp.randn(random))
+
+
+@wp.func
+def random_sign(bits: int, i: int) -> float:
+    """-1 or 1 by the i-th bit."""
+    return float(1 - 2 * ((bits >> i) & 1))
 
 
 @wp.func
@@ -58,6 +87,7 @@ def sample_rollouts(
     params: wp.array(dtype=Params),
     seed: wp.array(dtype=int),
     tick: wp.array(dtype=int),
+    noise_table: wp.array2d(dtype=wp.vec4),
     guide: wp.array3d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
     controls: wp.array3d(dtype=wp.vec4),
@@ -78,14 +108,16 @@ def sample_rollouts(
     draw = int(0)
     if c.fresh_noise != 0:
         draw = tick[b]
-    random = wp.rand_init(seed[b] + 7919 * draw, m * cost.shape[1] + k)
-    sigma_thrust = wp.sqrt(c.variance_thrust)
-    sigma_xy = wp.sqrt(c.variance_rate_xy)
-    sigma_z = wp.sqrt(c.variance_rate_z)
+    bits = int(wp.rand_init(seed[b] + 7919 * draw, m) & wp.uint32(0x7FFFFFFF))
+    row = (bits + k) % NOISE_ROWS
+    sigma = wp.vec4(
+        random_sign(bits, 16) * wp.sqrt(c.variance_thrust),
+        random_sign(bits, 17) * wp.sqrt(c.variance_rate_xy),
+        random_sign(bits, 18) * wp.sqrt(c.variance_rate_xy),
+        random_sign(bits, 19) * wp.sqrt(c.variance_rate_z),
+    )
     if k == 0 and c.keep_nominal != 0:
-        sigma_thrust = float(0.0)
-        sigma_xy = float(0.0)
-        sigma_z = float(0.0)
+        sigma = wp.vec4(0.0, 0.0, 0.0, 0.0)
     track = float(1.0)
     if m == previous_index:
         track = float(0.0)
@@ -101,13 +133,9 @@ def sample_rollouts(
     S = float(0.0)
     for t in range(steps):
         # AR(1) with the variance of its innovations scaled to keep the noise's own.
-        white = wp.vec4(wp.randn(random), wp.randn(random), wp.randn(random), wp.randn(random))
-        noise = c.correlation * noise + fresh * white
+        noise = c.correlation * noise + fresh * noise_table[t, row]
         fresh = wp.sqrt(1.0 - c.correlation * c.correlation)
-        u = nominal[b, m, t] + wp.vec4(
-            sigma_thrust * noise[0], sigma_xy * noise[1], sigma_xy * noise[2], sigma_z * noise[3]
-        )
-        u = clamp_control(u, c)
+        u = clamp_control(nominal[b, m, t] + wp.cw_mul(sigma, noise), c)
         controls[i, t, k] = u
         if t < steps - 1:
             S += control_cost(u, c)

@@ -147,7 +147,8 @@ class Pipeline:
                 continue
             launches = [
                 ("rollouts", launch(
-                    mppi.sample_rollouts, (n, K), first, M, previous, *state, *goal, params, w.seed, w.tick, o.guide,
+                    mppi.sample_rollouts, (n, K), first, M, previous, *state, *goal, params, w.seed, w.tick, w.noise,
+                    o.guide,
                     w.nominal, w.sample_controls, w.sample_positions, o.cost,
                 )),
                 ("clearance", launch(

@@ -62,7 +62,7 @@ def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     assert content["config"]["sampling"]["samples"] == 8
     report = (folder / "report.md").read_text(encoding="utf-8")
     assert "| forest-4 | EGO | 1/2 | 50 % | 9 to 91 % |  | 1 arrived, 1 incomplete |" in report
-    assert "| slow | AERO-MPPI (paper), published | 5.6 | 7.74 |" in report
+    assert "| slow | AERO-MPPI (paper), published | 5.60 | 7.74 |" in report
     assert "| slow | 50 % at 1 m/s | 0 % at  m/s | no |" in report
     for name in ("warp-lang", "cores", "seeds of the worlds | from 100", "samples: 8"):
         assert name in report
@@ -73,7 +73,9 @@ def test_report_of_bars_without_flights_of_others(fly, tmp_path, benchmark_of_th
     run = fly(benchmark=replace(benchmark_of_three, x_label=""))
     write_report(replace(run, flights=run.flights[:3]), tmp_path / "out")
     assert (tmp_path / "out" / "success.png").read_bytes().startswith(PNG)
-    assert not (tmp_path / "out" / "speed.png").exists()
+    assert (tmp_path / "out" / "speed.png").read_bytes().startswith(PNG)  # beside the published planners
+    report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+    assert "(success.png)" in report and "(speed.png)" in report
     assert "Incomplete: 3 of 6" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
 
 

@@ -57,17 +57,17 @@ def test_a_flight_is_what_fly_gives(fly):
 
 def test_interrupted_run_keeps_finished_batches_and_resumes(fly, tmp_path, benchmark_of_three):
     def interrupt(over, total, text):
-        if over >= 3:
+        if over == 2 and "0.1 s, 0 of 1 over" in text:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         fly("cut", batch=1, progress=interrupt)
     kept = load_run(tmp_path / "cut", benchmark_of_three)
-    assert len(kept.flights) == 3 and kept.total == 6 and not kept.is_complete
+    assert len(kept.flights) == 2 and kept.total == 6 and not kept.is_complete
     told = []
     resumed = fly("cut", batch=2, resume=True, progress=lambda over, total, text: told.append((over, total)))
-    assert told[0] == (3, 6) and told[-1] == (6, 6)
-    assert resumed.flights[:3] == kept.flights and resumed.header["date"] == kept.header["date"]
+    assert told[0] == (2, 6) and told[-1] == (6, 6)
+    assert resumed.flights[:2] == kept.flights and resumed.header["date"] == kept.header["date"]
     assert without_timing(resumed) == without_timing(fly("whole"))
 
 
@@ -115,7 +115,7 @@ def test_user_errors(fly, tmp_path, benchmark_of_three):
     with pytest.raises(UserError, match="at least 1"):
         fly(flights=0)
     wrong = Benchmark("w", "W", "", (Row("r", "forest", changes={"sampling.samples": 0}),))
-    with pytest.raises(UserError, match="'r' of w does not fit the configuration: sampling.samples"):
+    with pytest.raises(UserError, match=r"'r' of w does not fit the configuration: sampling.samples"):
         fly(benchmark=wrong)
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(UserError, match="Cannot write the results"):
@@ -126,9 +126,7 @@ def test_user_errors(fly, tmp_path, benchmark_of_three):
 
 def test_scaling_flies_each_row_in_one_batch(fly):
     scaling = BENCHMARKS["scaling"]
-    small = [
-        dataclasses.replace(row, batch=size, count=2) for row, size in zip(scaling.rows[:2], (1, 3), strict=True)
-    ]
+    small = [dataclasses.replace(row, batch=size, count=2) for row, size in zip(scaling.rows[:2], (1, 3), strict=True)]
     run = fly(benchmark=dataclasses.replace(scaling, rows=tuple(small)), batch=2)
     assert [(flight["row"], flight["batch"], flight["batch_size"]) for flight in run.flights] == [
         ("batch 1", 0, 1),

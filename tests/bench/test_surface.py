@@ -80,7 +80,7 @@ def test_export_as_json_gives_the_world(tmp_path):
 
 def test_user_errors(tmp_path):
     forest = scene("forest", seed=2, count=3)
-    with pytest.raises(UserError, match="must end with one of .pcd"):
+    with pytest.raises(UserError, match=r"must end with one of .pcd"):
         export_world(forest, tmp_path / "w.xyz")
     with pytest.raises(UserError, match="must be positive"):
         surface_points(forest, spacing=0.0)

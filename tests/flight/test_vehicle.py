@@ -125,7 +125,9 @@ def test_latency_delays_commands_by_whole_steps(latency, late_steps):
     np.testing.assert_allclose(heights, expected, atol=1e-7)
 
 
-@pytest.mark.parametrize(("phase", "thrust"), [(0.0, 8.0), (0.4, 9.6), (1.0, 12.0), (1.5, 11.0), (2.0, 10.0), (7.3, 10.0)])
+@pytest.mark.parametrize(
+    ("phase", "thrust"), [(0.0, 8.0), (0.4, 9.6), (1.0, 12.0), (1.5, 11.0), (2.0, 10.0), (7.3, 10.0)]
+)
 def test_controls_are_interpolated_between_those_of_the_plan(phase, thrust):
     vehicle = Vehicle(VehicleModel(), np.zeros((1, 3)), [0.0], period=0.02, device="cpu")
     plan = wp.array([[(f, 0.1 * f, 0.0, 0.0) for f in (8.0, 12.0, 10.0)]], dtype=wp.vec4)
@@ -213,8 +215,18 @@ def test_vehicle_of_a_configuration():
     assert (model.mass, model.thrust_max, model.drag) == (2.5, 50.0, 0.2)
 
 
-@pytest.mark.parametrize("changes", [{"mass": 0.0}, {"drag": -1.0}, {"step": float("nan")}, {"thrust_min": 20.0},
-    {"latency": -0.1}, {"gust_speed": 1.0}, {"gust_time": 0.0}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"mass": 0.0},
+        {"drag": -1.0},
+        {"step": float("nan")},
+        {"thrust_min": 20.0},
+        {"latency": -0.1},
+        {"gust_speed": 1.0},
+        {"gust_time": 0.0},
+    ],
+)
 def test_impossible_vehicles_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         VehicleModel(**changes)

@@ -138,7 +138,7 @@ def test_laz_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
         ("m.pcd", pcd("binary").replace(b"DATA binary", b"DATA zipped"), "zipped"),
         ("m.pcd", pcd("binary").replace(b"FIELDS a x y _ z _", b"FIELDS a x y _ w _"), "no field z"),
         ("m.pcd", pcd("binary_compressed")[:-300], "compressed data"),
-        ("m.pcd", pcd("ascii", np.zeros((0, 3))), "no finite points"),
+        ("m.pcd", pcd("ascii", POINTS[:0]), "no finite points"),
         ("m.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n", "no map|no vertices"),
         ("m.ply", b"PK", "does not start with ply"),
         ("m.las", b"LASF", "unpack"),

@@ -81,7 +81,7 @@ def test_given_start_and_goal_are_kept(hall):
 
 
 def test_geographic_coordinates_move_to_the_origin(hall, tmp_path):
-    far = save(tmp_path / "far.npy", np.load(hall) + [500_000.0, 4_000_000.0, 300.0])
+    far = save(tmp_path / "far.npy", np.add(np.load(hall), [500_000.0, 4_000_000.0, 300.0]))
     world = World.from_map(far, start=[500_000.0, 4_000_000.0, 300.5], goal=[500_009.0, 4_000_000.0, 300.5])
     np.testing.assert_allclose(world.start, [10.0, 10.0, 2.5], atol=1.0)
     np.testing.assert_allclose(world.goal - world.start, [9.0, 0.0, 0.0], atol=1e-6)
@@ -117,4 +117,5 @@ def test_a_map_opens_as_a_flight(hall):
     assert isinstance(source, FlightSource) and source.name == "hall" and source.outcome is None
     points = source.observe().points
     assert len(points) > 5_000
+    assert source.scenery.world is not None
     assert np.abs(source.scenery.world.distance(points)).max() < 0.15  # six times the range noise

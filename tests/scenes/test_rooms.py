@@ -28,7 +28,9 @@ def test_rooms_bar_the_straight_way_and_leave_another(name):
 
 
 @pytest.mark.parametrize("name", ROOMS)
-@pytest.mark.parametrize("end", [[9.0, 0.0, 0.8], [-9.0, 0.0, 0.8], [0.0, 9.0, 0.8], [0.0, -9.0, 0.8], [0.0, 0.0, -9.0]])
+@pytest.mark.parametrize(
+    "end", [[9.0, 0.0, 0.8], [-9.0, 0.0, 0.8], [0.0, 9.0, 0.8], [0.0, -9.0, 0.8], [0.0, 0.0, -9.0]]
+)
 def test_rooms_are_closed_around_and_below(name, end):
     world = scene(name, seed=2)
     assert world.distance(line(world, end)).min() < 0.0
@@ -80,3 +82,8 @@ def test_clutter_is_of_all_kinds():
 def test_too_many_things_for_the_room(room):
     with pytest.raises(UserError, match="ask for fewer"):
         room(seed=0, count=60)
+
+
+def test_a_ceiling_on_the_drone_is_refused():
+    with pytest.raises(UserError, match="ceiling is at 1.0 m"):
+        wall(seed=0, ceiling=1.0)

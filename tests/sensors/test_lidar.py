@@ -185,8 +185,16 @@ def test_point_times_span_the_sweep():
 
 
 @pytest.mark.parametrize(
-    "changes", [{"points_per_sweep": 0}, {"rings": 3}, {"range_max": 0.05}, {"dropout": 1.5}, {"elevation_min": 60.0},
-    {"mount_angles": (0.0, np.nan, 0.0)}, {"mount_position": (0.0, 0.0)}]
+    "changes",
+    [
+        {"points_per_sweep": 0},
+        {"rings": 3},
+        {"range_max": 0.05},
+        {"dropout": 1.5},
+        {"elevation_min": 60.0},
+        {"mount_angles": (0.0, np.nan, 0.0)},
+        {"mount_position": (0.0, 0.0)},
+    ],
 )
 def test_impossible_models_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):

@@ -53,7 +53,7 @@ class GroundLayer(Layer):
         self._height: float | None = None
         self._grid = scene.add_frame("/ground/grid", show_axes=False)
         fine = _grid(1.0, 25.0)
-        coarse = _grid(5.0, 60.0)
+        coarse = _grid(5.0, 50.0)
         apply(Lines(scene, "/ground/grid/fine", thickness=0.7).show(fine, palette.GRID_CELL))
         apply(Lines(scene, "/ground/grid/coarse", thickness=1.0).show(coarse, palette.GRID_SECTION))
 
