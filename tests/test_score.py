@@ -16,6 +16,7 @@ from aero_viz.sensors import LidarModel
 
 LIDAR = LidarModel("small", points_per_sweep=1000)
 CONFIG = PlannerConfig.preset("fast-cpu")
+OPEN = World("open", np.array([0.0, 0.0, 2.0]), np.array([4.0, 0.0, 2.0]), spheres=np.array([[2.0, 2.5, 2.0, 0.5]]))
 COMPARED = [f.name for f in dataclasses.fields(FlightResult) if f.name not in ("plan_ms_median", "seed", "config")]
 
 
@@ -29,7 +30,7 @@ def assert_same(scored: FlightResult, flown: FlightResult) -> None:
 @pytest.mark.parametrize(
     ("world", "speed", "reason"),
     [
-        (scene("wall", seed=1), 2.0, "arrived"),
+        (OPEN, 2.0, "arrived"),
         (scene("forest", seed=3, count=60), 7.0, None),  # flown for less than a second
         (dataclasses.replace(scene("forest", seed=3, count=4), bounds=np.array([[-1, -9, 0], [2, 9, 9.0]])), 7.0,
          "out_of_bounds"),
@@ -44,7 +45,7 @@ def test_a_simulated_flight_scores_as_it_was_flown(world, speed, reason, tmp_pat
 
 
 def test_a_flight_log_scores_as_it_was_flown(tmp_path):
-    world = scene("wall", seed=1)
+    world = OPEN
     flown = fly_and_log(world, tmp_path / "flight.mcap", config=CONFIG, seed=4, lidar=LIDAR, speed=2.0)
     trajectory = load_trajectory(tmp_path / "flight.mcap")
     assert_same(score(trajectory, world), flown)

@@ -101,6 +101,8 @@ class Dashboard:
         if self._sink is not None:
             self._session.unsubscribe(self._sink)
         self._session.unsubscribe(self._notices)
+        for panel in self._panels:
+            panel.close()
         self.server.stop()
 
     def _greet(self, client: viser.ClientHandle) -> None:

@@ -33,8 +33,8 @@ class LidarModel:
 
     With `rings` = 0 the pattern never repeats: rays follow a low-discrepancy sequence that covers the field of view
     evenly per solid angle and goes on from sweep to sweep, so that gaps close the longer one looks; a real Livox draws
-    curves, and is less even within a sweep. See `coverage` for how much of the field of view is hit when. Otherwise `rings`
-    beams, evenly spaced in elevation, turn once per sweep.
+    curves, and is less even within a sweep. See `coverage` for how much of the field of view is hit when. Otherwise
+    `rings` beams, evenly spaced in elevation, turn once per sweep.
     """
 
     name: str

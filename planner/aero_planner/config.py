@@ -157,8 +157,9 @@ class CostConfig(_Section):
     penalty: float = live(1e5, "", 0.0, 1e9, "Penalty of a step below d_min; 1e6 in the paper.", symbol="C")
     shape: str = choice(
         "quadratic", ("quadratic", "exponential"),
-        "Penalty between d_min and d_max: soft_weight s^2 with s = (d_max - d) / (d_max - d_min), or the paper's "
-        "C exp(-a (d - d_min)), whose step at d_max makes a wall of every gap narrower than 2 d_max.",
+        "Between d_min and d_max: soft_weight s^2 with s = (d_max - d) / (d_max - d_min), and C (2 - d / d_min) below; "
+        "or the paper's C exp(-a (d - d_min)), and C below, whose step at d_max makes a wall of every gap narrower "
+        "than 2 d_max.",
     )  # fmt: skip
     decay: float = live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
     soft_weight: float = live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty.")

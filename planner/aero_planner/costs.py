@@ -67,17 +67,18 @@ def goal_cost(
 
 @wp.func
 def collision_cost(d: float, params: Params) -> float:
-    """J_col at clearance d [m]: C below d_min, nothing from d_max on, between them one of two shapes.
+    """J_col at clearance d [m], nothing from d_max on, by one of two shapes.
 
-    "exponential" is the paper's C exp(-a (d - d_min)); "quadratic" is soft_weight s^2, s = (d_max - d) / (d_max -
-    d_min).
+    "exponential" is the paper's: C below d_min, C exp(-a (d - d_min)) above it. "quadratic" is soft_weight s^2 with
+    s = (d_max - d) / (d_max - d_min) above d_min, and C (2 - d / d_min) below it, so that where nothing stays clear the
+    wider miss still costs less.
     """
-    if d < params.distance_min:
-        return params.penalty
     if d >= params.distance_max:
         return float(0.0)
     if params.shape == 1:
-        return params.penalty * wp.exp(-params.decay * (d - params.distance_min))
+        return params.penalty * wp.exp(-params.decay * wp.max(0.0, d - params.distance_min))
+    if d < params.distance_min:
+        return params.penalty * (2.0 - d / params.distance_min)
     s = (params.distance_max - d) / (params.distance_max - params.distance_min)
     return params.soft_weight * s * s
 

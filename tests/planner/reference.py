@@ -192,10 +192,11 @@ def J_goal(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, config: Plan
 def J_col(d: Array, config: PlannerConfig) -> float:
     c = config.costs
     if c.shape == "exponential":
-        between = c.penalty * np.exp(-c.decay * (d - c.distance_min))
+        inside, between = np.full_like(d, c.penalty), c.penalty * np.exp(-c.decay * (d - c.distance_min))
     else:
+        inside = c.penalty * (2.0 - d / max(c.distance_min, 1e-9))
         between = c.soft_weight * ((c.distance_max - d) / (c.distance_max - c.distance_min)) ** 2
-    return float(np.where(d < c.distance_min, c.penalty, np.where(d < c.distance_max, between, 0.0)).sum())
+    return float(np.where(d < c.distance_min, inside, np.where(d < c.distance_max, between, 0.0)).sum())
 
 
 def J_speed(v: Array, config: PlannerConfig) -> float:

@@ -58,6 +58,9 @@ class Panel:
         """Return the changes that another source brings."""
         return []
 
+    def close(self) -> None:
+        """End what runs on its own."""
+
     def update(self, frame: Frame) -> list[Change]:
         """Return the changes that show `frame` and the session's present settings; called a few times per second."""
         return []

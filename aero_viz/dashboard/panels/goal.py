@@ -45,6 +45,9 @@ class GoalPanel(Panel):
         async def _(_: viser.GuiEvent) -> None:
             self._arrows.visible = self._drag.value
 
+    def close(self) -> None:
+        self._moves.close()
+
     def _move(self, position: tuple[float, float, float]) -> None:
         self.session.set_goal(position).exception()
 

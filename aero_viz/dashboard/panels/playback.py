@@ -67,6 +67,9 @@ class PlaybackPanel(Panel):
         back = gui.add_command("Step back", hotkey="arrowleft", modifier="shift", icon=viser.Icon.PLAYER_TRACK_PREV)
         back.on_trigger(lambda _: self._step(-1))
 
+    def close(self) -> None:
+        self._seeks.close()
+
     def _step(self, count: int) -> None:
         self.session.step(count)
 

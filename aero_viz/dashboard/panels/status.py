@@ -51,6 +51,8 @@ class StatusPanel(Panel):
             words.append(markup.pill(frame.outcome.replace("_", " "), _OUTCOMES.get(frame.outcome, palette.WARNING)))
         elif not self.session.playing:
             words.append(markup.pill("paused", palette.MUTED))
+        if frame.dropped_ticks:
+            words.append(markup.muted(f"{frame.dropped_ticks} ticks dropped or late"))
         notices = "".join(
             f'<div style="color:{palette.css(palette.WARNING)};margin-top:3px">{markup.text(notice)}</div>'
             for notice in source.scenery.notices
