@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.clearance import GRID
+from aero_planner.clearance import GRID, VOXELS
 from aero_planner.config import PlannerConfig
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
+from aero_planner.partition import direction_tables
 
-__all__ = ["Block", "input_block", "output_block", "work_arrays"]
+__all__ = ["Block", "fine_shape", "input_block", "output_block", "work_arrays"]
 
 Spec = dict[str, tuple[Any, tuple[int, ...]]]
 _ALIGNMENT = 256
@@ -121,6 +122,12 @@ def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Devic
     return Block(spec, device)
 
 
+def fine_shape(config: PlannerConfig) -> tuple[int, int]:
+    """Return the number of rows and columns of fine cells."""
+    part = config.partition
+    return part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
+
+
 def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> SimpleNamespace:
     """What only the kernels need."""
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
@@ -133,10 +140,11 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             goal_velocity=wp.zeros(batch, dtype=wp.vec3),
             goal_quaternion=wp.zeros(batch, dtype=wp.vec4),
             keys=wp.zeros((lanes, batch, fine), dtype=wp.uint64),
+            tables=wp.array(direction_tables(*fine_shape(config)), dtype=wp.int16),
             reach=wp.zeros(batch, dtype=wp.float32),
             initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
             count=wp.zeros((batch, GRID**3), dtype=wp.int32),
-            near=wp.zeros((batch, GRID**3), dtype=wp.uint8),
+            near=wp.zeros((batch, VOXELS**3), dtype=wp.uint8),
             total=wp.zeros(batch, dtype=wp.int32),
             start=wp.zeros((batch, GRID**3), dtype=wp.int32),
             end=wp.zeros((batch, GRID**3), dtype=wp.int32),

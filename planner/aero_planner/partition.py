@@ -7,54 +7,80 @@ them.
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from aero_planner.dynamics import quat_inverse_rotate
 from aero_planner.params import Params
 
-__all__ = ["EMPTY", "cell_direction", "cell_of_direction", "finish_fine", "pool_coarse", "scatter_points"]
+__all__ = [
+    "EMPTY",
+    "cell_direction",
+    "cell_of_direction",
+    "direction_tables",
+    "finish_fine",
+    "pool_coarse",
+    "safest_fine_cell",
+    "scatter_points",
+]
 
 wp.set_module_options({"enable_backward": False})
+
+BINS = wp.constant(8192)
+"""Bins of each table of `look_up_cell`."""
 
 EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 """Key of a fine cell without a point."""
 
 
 @wp.func
-def approximate_atan2(y: float, x: float) -> float:
-    """Angle of (x, y) [rad] within 2e-5, several times faster than atan2 on a CPU."""
-    low = wp.min(wp.abs(x), wp.abs(y))
-    high = wp.max(wp.abs(x), wp.abs(y))
-    t = low / wp.max(high, 1.0e-30)
-    s = t * t
-    # Minimax polynomial of atan on [0, 1].
-    angle = t * (
-        0.99997726 + s * (-0.33262347 + s * (0.19354346 + s * (-0.11643287 + s * (0.05265332 - s * 0.01172120))))
-    )
-    angle = wp.where(wp.abs(y) > wp.abs(x), 0.5 * wp.PI - angle, angle)
-    angle = wp.where(x < 0.0, wp.PI - angle, angle)
-    return wp.where(y < 0.0, -angle, angle)
-
-
-@wp.func
-def angle_cell(y: float, x: float, cells_per_radian: float, offset: float) -> int:
-    """floor(atan2(y, x) cells_per_radian + offset), exactly: the approximation decides only away from an edge."""
-    # Never negative but for the approximation's error, so that int() is floor().
-    coordinate = approximate_atan2(y, x) * cells_per_radian + offset
-    cell = int(coordinate)
-    if wp.abs(coordinate - float(cell) - 0.5) > 0.5 - 1.0e-4 * cells_per_radian:
-        cell = int(wp.floor(wp.atan2(y, x) * cells_per_radian + offset))
-    return cell
-
-
-@wp.func
 def cell_of_direction(d: wp.vec3, rows: int, columns: int):
     """Row and column of the cell that holds the direction d, which need not be a unit vector."""
-    horizontal = wp.sqrt(d[0] * d[0] + d[1] * d[1])
-    row = angle_cell(d[2], horizontal, float(rows) / wp.PI, 0.5 * float(rows))
-    column = angle_cell(d[1], d[0], 0.5 * float(columns) / wp.PI, 0.5 * float(columns))
+    azimuth = wp.atan2(d[1], d[0])
+    elevation = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
+    row = int(wp.floor(elevation * (float(rows) / wp.PI) + 0.5 * float(rows)))
+    column = int(wp.floor(azimuth * (0.5 * float(columns) / wp.PI) + 0.5 * float(columns)))
     # a = +180 deg is a = -180 deg, b = +90 deg belongs to the uppermost row.
     return wp.clamp(row, 0, rows - 1), (column + columns) % columns
+
+
+@wp.func
+def look_up_cell(d: wp.vec3, r: float, rows: int, columns: int, tables: wp.array2d(dtype=wp.int16)):
+    """`cell_of_direction` of d = r times a unit vector, by `direction_tables`: several times faster on a CPU.
+
+    The row follows from the sine z / r, the column from y / (|x| + |y|), which grows with the azimuth. A table's bin
+    that an edge between cells runs through is marked, and there the angles decide.
+    """
+    sine = d[2] / wp.max(r, 1.0e-30)
+    turn = d[1] / wp.max(wp.abs(d[0]) + wp.abs(d[1]), 1.0e-30)
+    turn = wp.where(d[0] < 0.0, 2.0 - turn, turn)
+    row = int(tables[0, int((sine + 1.0) * (0.5 * float(BINS)))])
+    column = int(tables[1, int((turn + 1.0) * (0.25 * float(BINS)))])
+    if row < 0 or column < 0:
+        row, column = cell_of_direction(d, rows, columns)
+    return row, column
+
+
+def direction_tables(rows: int, columns: int) -> NDArray[np.int16]:
+    """Return the tables of `look_up_cell`, shape [2, BINS + 1]: the row by the sine of the elevation in [-1, 1], and
+    the column by the turn in [-1, 3], which is y / (|x| + |y|) in front and 2 minus that behind; -1 where an edge runs
+    through the bin."""
+    margin = 1e-3  # of a bin; float32 places a direction within a thousandth of that
+    low, high = np.arange(BINS + 1) - margin, np.arange(BINS + 1) + 1 + margin
+
+    def row(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        elevation = np.arcsin(np.clip(at * 2.0 / BINS - 1.0, -1.0, 1.0))
+        return np.clip(np.floor((elevation / np.pi + 0.5) * rows), 0, rows - 1)
+
+    def column(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        turn = at * 4.0 / BINS - 1.0
+        behind = turn > 1.0
+        y = np.where(behind, 2.0 - turn, turn)
+        azimuth = np.arctan2(y, np.where(behind, -1.0, 1.0) * (1.0 - np.abs(y)))
+        return np.floor((azimuth / (2.0 * np.pi) + 0.5) * columns) % columns
+
+    return np.stack([np.where(cell(low) == cell(high), cell(low), -1) for cell in (row, column)]).astype(np.int16)
 
 
 @wp.func
@@ -77,6 +103,7 @@ def scatter_points(
     params: wp.array(dtype=Params),
     rows: int,
     columns: int,
+    tables: wp.array2d(dtype=wp.int16),
     keys: wp.array3d(dtype=wp.uint64),
     dropped: wp.array2d(dtype=int),
 ):
@@ -97,7 +124,7 @@ def scatter_points(
         if not (wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])):
             wp.atomic_add(dropped, lane, b, 1)
         return
-    row, column = cell_of_direction(quat_inverse_rotate(quaternion[b], d), rows, columns)
+    row, column = look_up_cell(quat_inverse_rotate(quaternion[b], d), r, rows, columns, tables)
     # The bits of a non-negative float sort like the float.
     key = (wp.uint64(wp.cast(r, wp.uint32)) << wp.uint64(32)) | wp.uint64(i)
     wp.atomic_min(keys, lane, b, row * columns + column, key)

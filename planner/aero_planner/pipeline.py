@@ -17,6 +17,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
+from aero_planner.buffers import fine_shape
 from aero_planner.config import PlannerConfig
 
 __all__ = ["Pipeline"]
@@ -75,7 +76,7 @@ class Pipeline:
     ) -> list[_Stage]:
         B, M, N, K = self._batch, len(config.kinds), config.sampling.steps, config.sampling.samples
         part, anchor_count = config.partition, config.anchor_count
-        rows, columns = part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
+        rows, columns = fine_shape(config)
         fine, coarse, instances = rows * columns, part.coarse_rows * part.coarse_columns, B * M
         previous = config.kinds.index("previous") if "previous" in config.kinds else -1
         brake = config.kinds.index("brake") if "brake" in config.kinds else -1
@@ -107,7 +108,7 @@ class Pipeline:
         for lane in range(self._lanes):
             command = launch(
                 partition.scatter_points, (B, share), lane * share, lane, self._points, i.point_count, i.position,
-                w.quaternion, params, rows, columns, w.keys, o.dropped,
+                w.quaternion, params, rows, columns, w.tables, w.keys, o.dropped,
             )  # fmt: skip
             scatter.lanes.append([("partition", command.launch)])
             self._scatter.append(command)
@@ -135,10 +136,18 @@ class Pipeline:
         )  # fmt: skip
         index = serial(
             "grid",
-            launch(clearance.count_points, (B, fine), o.occupied, o.filtered, i.position, params, w.count, w.near),
+            launch(clearance.count_points, (B, fine), o.occupied, o.filtered, i.position, params, w.count),
             launch(clearance.allocate_rows, (B, clearance.GRID**2), w.count, w.total, w.start, w.end),
             launch(clearance.fill_cells, (B, fine), o.occupied, o.filtered, i.position, params, w.end, w.sorted_points),
         )
+        mark = _Stage("grid")
+        slice_of_cells = -(-fine // self._lanes)
+        for lane in range(self._lanes):
+            command = launch(
+                clearance.mark_voxels, (B, slice_of_cells), lane * slice_of_cells, o.occupied, o.filtered, i.position,
+                params, w.near,
+            )  # fmt: skip
+            mark.lanes.append([("grid", command.launch)])
         optimise = _Stage("mppi")
         for lane in range(self._lanes):
             first = instances * lane // self._lanes
@@ -187,7 +196,7 @@ class Pipeline:
                 w.previous_end, w.previous_time,
             ),
         )  # fmt: skip
-        return [directions, scatter, coarse_cells, guide, index, optimise, choose]
+        return [directions, scatter, coarse_cells, guide, index, mark, optimise, choose]
 
     def limit_points(self, count: int) -> None:
         """Let the partition read only the first `count` points of each drone, where launches are not captured."""
