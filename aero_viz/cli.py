@@ -98,9 +98,12 @@ def play(
         server: the page.
         flags: the planner's configuration.
     """
-    if not Path(recording).exists():
-        from aero_viz.recordings import open_recording
+    from aero_viz.recordings import open_recording
+    from aero_viz.scenes.map_files import MAP_SUFFIXES
 
+    if Path(recording).suffix.lower() in (".json", *MAP_SUFFIXES):
+        raise UserError(f"{recording} is a world, not a recording; fly it with: aero-viz demo {recording}")
+    if not Path(recording).exists():
         open_recording(recording)
     _serve(recording, server, flags, points_topic=points_topic, pose_topic=pose_topic, goal_ahead=goal_ahead)
 
@@ -222,7 +225,8 @@ def snapshot(
     from aero_viz.snapshot import snapshot as take
 
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
-    take(opened, time=time, config=flags.load(), camera=camera, size=size, path=output, seed=seed)
+    config = flags.load()
+    take(opened, time=time, config=config, camera=camera, size=size, path=output, seed=seed, device=device)
     print(output)
 
 
@@ -332,10 +336,7 @@ def _start_warp() -> None:
     """Start Warp without its banner: stdout belongs to the results, and a missing GPU is no news to a CPU user."""
     import warp as wp
 
-    if hasattr(wp.config, "log_level"):
-        wp.config.log_level = wp.LOG_WARNING
-    else:  # before Warp 1.12
-        wp.config.quiet = True  # pyright: ignore[reportAttributeAccessIssue]
+    wp.config.log_level = wp.LOG_WARNING
     with _quiet_stderr():
         wp.init()
 
@@ -347,11 +348,16 @@ def main(arguments: list[str] | None = None) -> None:
         if "-h" not in wanted and "--help" not in wanted:
             _start_warp()
         app.cli(prog="aero-viz", description="AERO-Viz: the AERO-MPPI planner, live in the browser.", args=arguments)
+        sys.stdout.flush()
     except (UserError, ValueError) as error:
         if isinstance(error, ValueError) and os.environ.get("AERO_VIZ_DEBUG"):
             raise
         print(f"aero-viz: {' '.join(str(error).split())}", file=sys.stderr)
         raise SystemExit(2) from None
+    except BrokenPipeError:
+        # Whoever read the output has gone, such as `head`; Python would complain once more when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(141) from None
     except KeyboardInterrupt:
         raise SystemExit(130) from None
 

@@ -63,7 +63,7 @@ def examine() -> Report:
     new_enough = sys.version_info >= (3, 11)
     python = Check("python", platform.python_version(), new_enough, True, "Use Python 3.11 or newer.")
     system = Check("system", f"{platform.platform()}, {os.cpu_count()} cores")
-    return Report((python, system, *map(_package, _PACKAGES), *_devices(), _map_reader(), _browser()))
+    return Report((python, system, *map(_package, _PACKAGES), *_devices(), _map_reader(), _playwright(), _browser()))
 
 
 def _package(name: str) -> Check:
@@ -110,6 +110,14 @@ def _map_reader() -> Check:
         advice = f"Needed only for point-cloud maps. Debian, Ubuntu: sudo apt-get install {libraries}."
         return Check("open3d loads", str(error).splitlines()[0], False, False, advice)
     return Check("open3d loads", "yes")
+
+
+def _playwright() -> Check:
+    try:
+        return Check("playwright", importlib.metadata.version("playwright"))
+    except importlib.metadata.PackageNotFoundError:
+        advice = f"Needed only for snapshots and browser tests: {sys.executable} -m pip install playwright."
+        return Check("playwright", "not installed", False, False, advice)
 
 
 def _browser() -> Check:

@@ -8,8 +8,10 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.planner import History
 from aero_viz.config_history import ConfigHistory
 from aero_viz.frame import Frame
 from aero_viz.source import Source
@@ -73,7 +75,7 @@ class Engine:
     def tick(self) -> Frame:
         """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
         if self.frame is None or not self._timeline:
-            return self._plan(mark=True)
+            return self._plan()
         if self.source.outcome is not None:
             return self.frame
         started = time.perf_counter()
@@ -82,13 +84,19 @@ class Engine:
         if self.source.outcome == "end":
             # A recording that is over has no further tick: what is on screen stays.
             return self._publish(dataclasses.replace(self.frame, outcome="end"))
-        return self._plan(mark=True, advance_ms=advance_ms)
+        return self._plan(advance_ms=advance_ms)
 
     def replan(self) -> None:
         """Plan the present tick again, as if for the first time."""
         if self._timeline:
-            self._planner.restore(self._timeline.present.history)
-            self._plan(mark=False)
+            self._plan(history=self._timeline.present.history)
+
+    def set_goal(self, position: NDArray[np.float64]) -> None:
+        """Move the goal [m], shape [3], world frame; the present tick is planned again, and returned to with it."""
+        self.source.set_goal(position)
+        if self._timeline:
+            self._timeline.amend(self.source.checkpoint())
+        self.replan()
 
     def seek(self, wanted: float) -> None:
         """Go to the tick at or before `wanted` [s]; ValueError unless it is finite."""
@@ -97,7 +105,7 @@ class Engine:
         if self.source.times is not None:
             self.source.seek(wanted)
             self._forget()
-            self._plan(mark=True)
+            self._plan()
         elif self._timeline:
             self._return_to(self._timeline.go_to_time(wanted))
 
@@ -125,7 +133,7 @@ class Engine:
         self.source = source
         self._forget()
         try:
-            self._plan(mark=True)
+            self._plan()
         except Exception:
             self.source, self._timeline, history, self.dropped_ticks = before
             self._planner.restore(history)
@@ -142,25 +150,35 @@ class Engine:
 
     def _return_to(self, mark: Mark) -> None:
         self.source.restore(mark.checkpoint)
-        self._planner.restore(mark.history)
         self._epoch += 1
-        self._plan(mark=False)
+        self._plan(history=mark.history)
 
-    def _plan(self, *, mark: bool, advance_ms: float = 0.0) -> Frame:
+    def _plan(self, *, history: History | None = None, advance_ms: float = 0.0) -> Frame:
+        """Plan and publish the source's present tick: a new one, or with `history` the timeline's present one again."""
+        mark = history is None
         config, version = self._configs.present
         started = time.perf_counter()
         observation = self.source.observe()
         observed = time.perf_counter()
         if config is not self._config:
-            self._planner.configure(config)
-            self._config = config
-        history = self._planner.history()
-        plan = self._planner.plan(observation.state, observation.goal, observation.points, samples=self.samples)
+            self._configure(config)
+        if history is None:
+            history = self._planner.history()
+        else:
+            # After `configure`: only a planner of the structure that the history comes from takes it up.
+            self._planner.restore(history)
+        plan = self._planner.plan(
+            observation.state,
+            observation.goal,
+            observation.points,
+            cloud_age=observation.cloud_age,
+            samples=self.samples,
+        )
         planned = time.perf_counter()
         if mark:
             position = (observation.true_state or observation.state).position
             self._timeline.append(Mark(observation.time, self.source.checkpoint(), history), position)
-        self._tick_ends.append(planned)
+            self._tick_ends.append(planned)
         frame = Frame(
             index=self._timeline.index,
             time=observation.time,
@@ -186,7 +204,18 @@ class Engine:
         self._publish_frame(frame)
         return frame
 
+    def _configure(self, config: PlannerConfig) -> None:
+        try:
+            self._planner.configure(config)
+        except Exception:
+            # Otherwise every further tick would fail in the same way.
+            self._configs.change(self._config)
+            raise
+        self._config = config
+
     def _rate(self) -> float:
+        if not self._tick_ends:
+            return 0.0
         now = self._tick_ends[-1]
         recent = [end for end in self._tick_ends if now - end <= 1.0]
         return (len(recent) - 1) / (now - recent[0]) if len(recent) > 1 and now > recent[0] else 0.0

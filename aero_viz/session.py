@@ -87,7 +87,7 @@ class Session:
 
     def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink:
         """Call `callback` with the newest frame, from a thread of its own; with `every`, with each frame as long as
-        fewer than 256 wait. Close the returned sink to end it."""
+        fewer than 256 wait. `unsubscribe` ends it."""
         sink = self._frames.subscribe(callback, capacity=256 if every else 1, name=name)
         if self.frame is not None:
             sink.put(self.frame)
@@ -152,7 +152,11 @@ class Session:
         """Set source time per wall time; ValueError unless it lies in [0.01, 100]."""
         if not 0.01 <= speed <= 100.0:
             raise ValueError(f"speed is {speed:g}; it must be in [0.01, 100].")
-        self._clock.speed = float(speed)
+
+        def command() -> None:
+            self._clock.speed = float(speed)
+
+        self._post(command)
 
     def set_goal(self, position: Any) -> Future[Any]:
         """Move the goal [m], shape [3], world frame."""
@@ -160,11 +164,7 @@ class Session:
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise ValueError(f"goal is {position!r}; it must be three finite numbers [m].")
 
-        def command() -> None:
-            self.source.set_goal(goal)
-            self._engine.replan()
-
-        return self._post(command)
+        return self._post(lambda: self._engine.set_goal(goal))
 
     def set_source(self, source: Source) -> Future[Any]:
         """Go on with another source from its start. If its first tick fails, the present one stays."""
@@ -225,8 +225,8 @@ class Session:
 
     def _report(self, error: Exception) -> None:
         self.notify(str(error) or type(error).__name__, level="error")
-        if not isinstance(error, UserError | ValueError):
-            _log.error("a command failed", exc_info=error)
+        expected = isinstance(error, UserError | ValueError)
+        _log.error("%s", error, exc_info=None if expected else error)
 
     def _replan_if_changed(self) -> None:
         # Of many changes in a row only the last one is planned.
@@ -292,6 +292,10 @@ class Session:
             self._commands.put(None)
             self._thread.join(timeout=10.0)
             self._thread = None
+        # Who waits for a command that comes too late must not wait forever.
+        while not self._commands.empty():
+            if (item := self._commands.get()) is not None:
+                item[1].cancel()
         self._frames.close()
         self._notices.close()
         self._engine.close()

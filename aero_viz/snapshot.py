@@ -81,8 +81,12 @@ def snapshot(
         The picture, shape [height, width, 3].
 
     Raises:
-        UserError: no browser, an unknown layer or camera, a time beyond the end, or a file that cannot be written.
+        UserError: no browser, an unknown layer or camera, a time beyond the end, a size out of range, or a file that
+            cannot be written.
     """
+    if not all(16 <= length <= 8192 for length in size):
+        source.close()
+        raise UserError(f"The size is {size[0]} x {size[1]} pixels; width and height must be in [16, 8192].")
     with contextlib.ExitStack() as stack:
         session = Session(source, config=config, device=device, seed=seed)
         stack.callback(session.close)
@@ -105,7 +109,10 @@ def _go_to(session: Session, time: float) -> None:
     if not np.isfinite(time) or time < 0.0:
         raise UserError(f"The time is {time:g} s; it must be a finite number that is not negative.")
     frame = session.tick()
-    if session.source.times is not None:
+    times = session.source.times
+    if times is not None:
+        if time > times[-1] + session.source.period:
+            raise UserError(f"{session.source.name} ends at {times[-1]:.2f} s; give an earlier time.")
         session.seek(time).result()
         return
     half = 0.5 * session.source.period

@@ -30,6 +30,8 @@ class Observation:
     """Accumulated cloud [m], shape [P, 3], world frame; rows that are not finite are no points."""
     sweep_count: int = 0
     """Number of sweeps accumulated in `points`."""
+    cloud_age: float = 0.0
+    """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
     true_state: VehicleState | None = None
     """True state of a simulated vehicle, None on a recording."""
 

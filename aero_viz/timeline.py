@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,10 @@ class Timeline:
             self._positions = self._positions.copy()
         self._positions[row] = position
         self._shared_rows = row + 1
+
+    def amend(self, checkpoint: object) -> None:
+        """Let the present tick be returned to with another checkpoint."""
+        self._marks[self._cursor] = dataclasses.replace(self.present, checkpoint=checkpoint)
 
     def trail(self) -> NDArray[np.float32]:
         """Return the positions up to the present tick [m], shape [n, 3], read-only, never changed later."""

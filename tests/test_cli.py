@@ -93,6 +93,7 @@ def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str]
         (["fly", "missing.json"], "missing.json"),
         (["inspect", "missing.bag"], "missing.bag"),
         (["play", "missing.bag"], "missing.bag"),
+        (["play", "world.json"], "aero-viz demo world.json"),
         (["demo", "forrest"], "forest"),
         (["snapshot", "forrest", "out.png"], "forest"),
         (["nonsense"], "nonsense"),
@@ -102,6 +103,19 @@ def test_mistakes_are_told_without_a_traceback(
     capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert message in run_refused(capsys, *arguments)
+
+
+def test_a_missing_browser_is_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, poles: str, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("AERO_VIZ_CHROMIUM", str(tmp_path / "none"))
+    assert "AERO_VIZ_CHROMIUM" in run_refused(capsys, "snapshot", poles, str(tmp_path / "out.png"))
+
+
+def test_the_default_forest_is_flown_without_a_collision(capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_json(capsys, "fly", "forest")
+    assert result["reason"] == "arrived"
+    assert result["min_clearance"] > 0.25
 
 
 def test_a_malformed_world_is_told_precisely(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -169,6 +183,16 @@ def test_parameters_lists_every_one(capsys: pytest.CaptureFixture[str]) -> None:
     table = capsys.readouterr().out
     for info in parameters():
         assert f"| `{info.path}` |" in table
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as broken:
+        command = [sys.executable, "-m", "aero_viz.cli", "parameters"]
+        result = subprocess.run(command, stdout=broken, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert result.returncode == 141
+    assert result.stderr == ""
 
 
 def test_help_needs_no_heavy_import() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from typing import Any
 
 import numpy as np
@@ -105,6 +107,14 @@ def test_a_structural_change_acts_while_paused(live: Session) -> None:
     wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 2, 8))
 
 
+def test_undoing_a_structural_change_restores_the_plan(session: Session) -> None:
+    before = run(session, 4)[-1]
+    session.configure({"sampling.steps": 20})
+    assert session.frame is not None and session.frame.plan.controls.shape[1] == 20
+    session.undo()
+    assert same_plan(session.frame, before)
+
+
 def test_a_refused_parameter_changes_nothing(live: Session) -> None:
     with pytest.raises(ValueError, match=r"costs\.q_track"):
         live.configure({"costs.q_track": -5.0})
@@ -147,6 +157,32 @@ def test_a_moved_goal_changes_the_plan(live: Session) -> None:
     assert live.frame is not None and before is not None
     assert not same_plan(live.frame, before)
     np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_a_moved_goal_stays_moved_when_the_tick_is_returned_to(session: Session) -> None:
+    run(session, 5)
+    session.set_goal([0.0, 12.0, 2.0])
+    run(session, 1)
+    session.step(-1)
+    assert session.frame is not None
+    assert session.frame.index == 4
+    np.testing.assert_array_equal(session.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_a_structure_that_fails_leaves_the_last_good_one(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(session, 3)
+    planner = session._engine._planner
+    build = planner._build
+
+    def out_of_memory() -> None:
+        if planner.config.sampling.samples > 1000:
+            raise MemoryError("no room")
+        build()
+
+    monkeypatch.setattr(planner, "_build", out_of_memory)
+    session.configure({"sampling.samples": 2000})
+    assert session.config == small_config()
+    assert run(session, 2)[-1].plan.stage1_cost.shape == (17, 16)
 
 
 @pytest.mark.parametrize("goal", [[1.0, 2.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0]])
@@ -221,6 +257,27 @@ def test_playing_after_the_end_starts_again(live: Session) -> None:
     live.play()
     wait_for(lambda: live.frame is not None and live.frame.outcome is None)
     assert live.playing
+
+
+def test_a_speed_acts_on_a_tick_that_is_waited_for(live: Session) -> None:
+    live.set_speed(0.01)
+    live.play()
+    live.set_speed(100.0)
+    wait_for(lambda: live.frame is not None and live.frame.index >= 20)
+
+
+def test_commands_that_come_too_late_are_cancelled(live: Session) -> None:
+    closing, go_on = threading.Event(), threading.Event()
+    live._post(lambda: (closing.set(), go_on.wait(10.0)))  # keeps the thread busy while the session is closed
+    closing.wait(10.0)
+    closer = threading.Thread(target=live.close)
+    closer.start()
+    wait_for(lambda: not live._commands.empty())
+    late = live.step()
+    go_on.set()
+    with pytest.raises(CancelledError):
+        late.result(timeout=10.0)
+    closer.join()
 
 
 def test_two_sessions_with_equal_seeds_fly_equally() -> None:

@@ -53,6 +53,7 @@ class Dashboard:
         """Time that the last updates took [ms]."""
         self._session = session
         self._source: Source | None = None
+        self._epoch = -1
         self._panels_due = 0.0
         self._sink: Sink | None = None
         page = Page(self.server, session, self.layers, self.refresh)
@@ -136,10 +137,13 @@ class Dashboard:
     def _changes(self, frame: Frame) -> list[Change]:
         """Compute everything before the first message is queued."""
         changes: list[Change] = []
-        if self._session.source is not self._source:
-            self._source = self._session.source
+        source = self._session.source
+        # A frame of the epoch before is still the old source's, even if it has been exchanged by now.
+        if source is not self._source and frame.epoch != self._epoch:
+            self._source = source
             for part in (*self.layers.values(), *self._panels):
-                changes += part.enter(self._source)
+                changes += part.enter(source)
+        self._epoch = frame.epoch
         for layer in self.layers.values():
             if layer.visible:
                 changes += layer.update(frame)

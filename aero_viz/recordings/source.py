@@ -124,7 +124,9 @@ class RecordingSource:
         pose = self._pose(time)
         state = VehicleState(pose.position, pose.velocity, pose.quaternion, time=time)
         first, last = self._window(time)
-        return Observation(time, state, Goal(self._goal_at(time, pose)), self._cloud(first, last), last - first)
+        age = time - float(self.recording.sweep_times[last - 1]) if last > first else 0.0
+        goal = Goal(self._goal_at(time, pose))
+        return Observation(time, state, goal, self._cloud(first, last), last - first, cloud_age=max(age, 0.0))
 
     def advance(self, plan: Plan | None = None) -> None:
         """Go to the next recorded pose; the plan is not flown. After the last one the outcome is "end"."""

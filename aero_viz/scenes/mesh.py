@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Mesh", "to_meshes"]
 
-_SIDES = 12
-_RINGS = 6
+_SIDES = 8
+_RINGS = 4
 
 
 @dataclass(frozen=True, eq=False)

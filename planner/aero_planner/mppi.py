@@ -109,7 +109,7 @@ def sample_rollouts(
     if c.fresh_noise != 0:
         draw = tick[b]
     bits = int(wp.rand_init(seed[b] + 7919 * draw, m) & wp.uint32(0x7FFFFFFF))
-    row = (bits + k) % NOISE_ROWS
+    row = (bits % NOISE_ROWS + k) % NOISE_ROWS  # bits + k may exceed an int
     sigma = wp.vec4(
         random_sign(bits, 16) * wp.sqrt(c.variance_thrust),
         random_sign(bits, 17) * wp.sqrt(c.variance_rate_xy),

@@ -145,6 +145,7 @@ class Planner:
 
         Raises:
             ValueError: a sequence has the wrong length or differs in structure.
+            MemoryError, RuntimeError: the device has no room for the new structure; the present one stays.
         """
         configs = [config] if isinstance(config, PlannerConfig) else list(config)
         if not isinstance(config, PlannerConfig) and len(configs) != self._batch:
@@ -156,9 +157,14 @@ class Planner:
                 "the configurations of one batch differ in structure; give them equal samples, steps and grids."
             )
         rebuild = configs[0].structure() != self._config.structure()
-        self._config = configs[0]
+        before, self._config = self._config, configs[0]
         if rebuild:
-            self._build()
+            try:
+                self._build()
+            except Exception:
+                self._config = before
+                self._build()
+                raise
         if not isinstance(config, PlannerConfig):
             self._write_params(np.array([pack(one) for one in configs]))
         elif not rebuild:
@@ -365,7 +371,7 @@ class Planner:
 
 def _find_device(name: str) -> wp.Device:
     # Warp reports the modules it loads on stdout, which would mix with the caller's own output.
-    if wp.config.log_level == wp.LOG_INFO:
+    if getattr(wp.config, "log_level", None) == getattr(wp, "LOG_INFO", 20):
         wp.config.log_level = wp.LOG_WARNING
     try:
         return wp.get_device(name)

@@ -46,6 +46,7 @@ def test_a_picture_holds_every_layer_and_repeats(browser, tmp_path):
         ({"camera": "front"}, "Unknown camera 'front'"),
         ({"camera": ((0, 0, 0), (0, 0, 0))}, "two different points"),
         ({"time": -1.0}, "not negative"),
+        ({"size": (0, 400)}, "0 x 400 pixels"),
     ],
 )
 def test_mistakes_are_said_before_a_browser_starts(arguments, words):

@@ -159,6 +159,17 @@ def test_noise_is_gaussian(device: str):
     np.testing.assert_allclose(quantiles, [-2, -1, 0, 1, 2], atol=0.03)
 
 
+def test_noise_stays_in_its_table(device: str):
+    """With this seed the first row of the noise lies 805 below 2^31, where adding the sample would overflow."""
+    config = noisy_config(anchors__columns=1, anchors__rows=1).replace({"sampling.samples": 1024})
+    planner = Planner(config, device=device, seed=1_330_592)
+    noise = noise_of(planner, random_case(0, count=0))[0]
+    table = planner._work.noise.numpy().transpose(1, 0, 2)
+    rows = (2**31 - 805 + np.arange(1024)) % len(table)
+    scale = np.sqrt([1.0, 1.0, 1.0, 0.5])
+    np.testing.assert_allclose(np.abs(noise), np.abs(table[rows] * scale), atol=1e-4)
+
+
 def test_fresh_noise_and_keep_nominal(device: str):
     case = random_case(0, count=0)
     frozen = Planner(noisy_config(), device=device)

@@ -45,6 +45,8 @@ def test_one_tick_per_pose_until_the_end(bags, source_of):
 def test_sweeps_pile_up_on_the_same_wall(bags, source_of):
     for o in play(source_of(bags.drive(sweeps=14))):
         count = min(int(o.time / 0.1 + 1e-6) + 1, 10)
+        newest = 0.1 * min(int(o.time / 0.1 + 1e-6), 13)
+        assert o.cloud_age == pytest.approx(o.time - newest, abs=1e-6)
         assert o.sweep_count == count and o.points.shape == (200 * count, 3) and o.points.dtype == np.float32
         # The wall stands 5 m ahead of the start, wherever the drone was when it saw it.
         np.testing.assert_allclose(o.points[:, 0], 5.0, atol=1e-5)

@@ -12,12 +12,12 @@ from aero_viz.session import Frame
 
 __all__ = ["CloudLayer"]
 
-_MOST_POINTS = 30_000
+_MOST_POINTS = 24_000
 _STEP = 4096  # the buffer's size is a multiple, so that it seldom changes
 
 
 class CloudLayer(Layer):
-    """Points coloured by height or range; thinned to 30 000 and sent only when the cloud is another one."""
+    """Points coloured by height or range; thinned to 24 000 and sent only when the cloud is another one."""
 
     name, title = "cloud", "LiDAR cloud"
     colors = ("height", "range")
@@ -55,7 +55,7 @@ class CloudLayer(Layer):
 
 
 def _thinned(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return at most 30 000 finite points, spread over the cloud; the last is repeated up to a multiple of 4096."""
+    """Return at most 24 000 finite points, spread over the cloud; the last is repeated up to a multiple of 4096."""
     step = -(-len(cloud) // _MOST_POINTS)
     points = cloud[:: max(step, 1)]
     finite = np.isfinite(points[:, 0])
