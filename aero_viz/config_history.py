@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,38 +11,53 @@ from aero_planner import PlannerConfig
 
 __all__ = ["ConfigHistory"]
 
+_DRAG = 1.0
+"""Changes of the same parameters at shorter intervals are one step of undo: a slider being drawn [s]."""
+
 
 class ConfigHistory:
-    """Immutable configurations, swapped whole; the version counts them."""
+    """Immutable configurations, swapped whole; the version counts the swaps."""
 
     def __init__(self, config: PlannerConfig) -> None:
         self._configs = [config]
+        self._index = 0
         self._version = 0
+        self._last: tuple[frozenset[str], float] = (frozenset(), 0.0)
         self._lock = threading.Lock()
 
     @property
     def present(self) -> tuple[PlannerConfig, int]:
         """The present configuration and its version."""
         with self._lock:
-            return self._configs[self._version], self._version
+            return self._configs[self._index], self._version
 
     def change(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
-        """Append a configuration, or the present one with some parameters changed, and return it.
+        """Use a configuration, or the present one with some parameters changed, and return it.
 
         Raises:
             ValueError: a parameter is unknown or out of its bounds; the present configuration stays.
         """
         with self._lock:
-            now = self._configs[self._version]
+            now = self._configs[self._index]
             config = change if isinstance(change, PlannerConfig) else now.replace(change)
-            if config != now:
-                del self._configs[self._version + 1 :]
+            if config == now:
+                return now
+            paths = frozenset() if isinstance(change, PlannerConfig) else frozenset(change)
+            goes_on = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < _DRAG
+            self._last = (paths, time.monotonic())
+            del self._configs[self._index + 1 :]
+            if goes_on:
+                self._configs[self._index] = config
+            else:
                 self._configs.append(config)
-                self._version += 1
+                self._index += 1
+            self._version += 1
             return config
 
     def go(self, step: int) -> PlannerConfig:
         """Go back by -1 or forth by +1, within what is there, and return the configuration."""
         with self._lock:
-            self._version = min(max(self._version + step, 0), len(self._configs) - 1)
-            return self._configs[self._version]
+            self._index = min(max(self._index + step, 0), len(self._configs) - 1)
+            self._version += 1
+            self._last = (frozenset(), 0.0)
+            return self._configs[self._index]

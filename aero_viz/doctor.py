@@ -15,7 +15,7 @@ from aero_viz.errors import UserError
 
 __all__ = ["Check", "Report", "examine"]
 
-_PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "rosbags", "mcap", "trimesh", "open3d", "tyro")
+_PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "rosbags", "mcap", "trimesh", "tyro")
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,10 @@ def _map_reader() -> Check:
         importlib.import_module("open3d")
     except Exception as error:  # a missing system library raises OSError
         libraries = "libgl1 libgomp1 libusb-1.0-0 libx11-6"
-        advice = f"Needed only for point-cloud maps. Debian, Ubuntu: sudo apt-get install {libraries}."
+        advice = (
+            "Needed only for maps in text formats (XYZ, PTS): pip install 'aero-viz[maps]'; "
+            f"on Debian and Ubuntu also sudo apt-get install {libraries}."
+        )
         return Check("open3d loads", str(error).splitlines()[0], False, False, advice)
     return Check("open3d loads", "yes")
 

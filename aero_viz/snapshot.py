@@ -87,6 +87,11 @@ def snapshot(
     if not all(16 <= length <= 8192 for length in size):
         source.close()
         raise UserError(f"The size is {size[0]} x {size[1]} pixels; width and height must be in [16, 8192].")
+    if path is not None and not Path(path).parent.is_dir():  # said before the flight, not after it
+        source.close()
+        raise UserError(
+            f"The picture {path} cannot be written: there is no folder {Path(path).parent}; create it first."
+        )
     with contextlib.ExitStack() as stack:
         session = Session(source, config=config, device=device, seed=seed)
         stack.callback(session.close)

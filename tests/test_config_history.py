@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from aero_planner import PlannerConfig
@@ -14,7 +16,7 @@ def test_changes_are_undone_and_redone() -> None:
     assert history.go(-1) == PlannerConfig()
     assert history.go(-1) == PlannerConfig()
     assert history.go(+1).costs.q_track == 1.0
-    assert history.present[1] == 1
+    assert history.go(+1).costs.q_position == 4.0
 
 
 def test_a_change_after_undo_forgets_what_was_undone() -> None:
@@ -30,6 +32,20 @@ def test_a_refused_change_leaves_the_configuration() -> None:
     with pytest.raises(ValueError, match=r"costs\.q_track is -1"):
         history.change({"costs.q_track": -1.0})
     assert history.present == (PlannerConfig(), 0)
+
+
+def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    history = ConfigHistory(PlannerConfig())
+    for value in (6.0, 7.0, 8.0):
+        now[0] += 0.1
+        history.change({"costs.q_track": value})
+    now[0] += 5.0
+    history.change({"costs.q_track": 2.0})
+    assert history.present[1] == 4
+    assert history.go(-1).costs.q_track == 8.0
+    assert history.go(-1) == PlannerConfig()
 
 
 def test_an_equal_configuration_is_no_change() -> None:

@@ -59,7 +59,8 @@ class RecordingInfo:
         for topic in self.topics:
             use = {self.points_topic: "  <- sweeps", self.pose_topic: "  <- poses"}.get(topic.name, "")
             lines.append(f"  {topic.name:<{width}}  {topic.type:<{kind}}  {topic.count:>8}{use}")
-        playable = f"{self.sweeps} sweeps can be played, {self.poses} poses"
+        plural = "" if self.sweeps == 1 else "s"
+        playable = f"{self.sweeps} sweep{plural} can be played, {self.poses} pose{'' if self.poses == 1 else 's'}"
         if self.points_per_sweep:
             p = self.points_per_sweep
             playable += f"; points per sweep: {p.min} min, {p.median} median, {p.max} max"

@@ -21,6 +21,7 @@ GOAL = (45.0, 0.0, 2.0)
 AREA = ((2.5, 42.5), (-20.0, 20.0))
 """Where obstacles stand: x and y ranges [m]."""
 CLEAR_RADIUS = 2.5
+COUNT_MAX = 20_000  # more take minutes to place, and memory without bound
 """Free distance around start and goal [m]."""
 GROUND = (22.5, 0.0, -0.5, 85.0, 80.0, 1.0, 0.0)
 """The ground: a box whose top is z = 0, at least 20 m wider on each side than start, goal and area."""
@@ -178,7 +179,7 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     """Return the scene `name` of the registry `SCENES`, with `count` obstacles, or the scene's own number for None.
 
     Raises:
-        UserError: no such scene, a negative seed or count, or a count where there is none to choose.
+        UserError: no such scene, a negative seed, a count out of range, or a count where there is none to choose.
     """
     if name not in SCENES:
         close = difflib.get_close_matches(name, SCENES, n=1)
@@ -188,6 +189,8 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
         raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
     if count is not None and count < 0:
         raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be 0 or more.")
+    if count is not None and count > COUNT_MAX:
+        raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be at most {COUNT_MAX}.")
     if count is not None and not SCENES[name].counted:
         raise UserError(f"The scene {name!r} has no number of obstacles to choose; leave the count out.")
     options = {} if count is None else {"count": count}

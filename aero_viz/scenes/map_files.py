@@ -1,6 +1,7 @@
-"""Points from the files of maps: PCD, PLY, LAS, LAZ, NPY.
+"""Points from the files of maps: PCD, PLY, LAS, LAZ, NPY, and text formats.
 
-PCD and LAS are read here: both are small formats, and the libraries that read them need more than this package does.
+PCD and LAS are read here: both are small formats, and the libraries that read them are large or need system libraries
+that a bare machine lacks. LAZ and text are left to such libraries, which come with the extra `maps`.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ Points = NDArray[np.float64]
 def read_points(path: str | Path) -> Points:
     """Return the positions in a file of points [m], float64 [n, 3]; rows that are not finite are left out.
 
-    PCD ascii, binary and binary_compressed; PLY ascii and binary; LAS 1.0 to 1.4; LAZ where laspy with a LAZ backend is
-    installed; NPY with rows x, y, z, ...
+    PCD ascii, binary and binary_compressed; PLY ascii and binary; LAS 1.0 to 1.4; NPY with rows x, y, z, ...; LAZ where
+    laspy with a LAZ backend is installed; XYZ, XYZN, XYZRGB and PTS where open3d is.
 
     Raises:
         UserError: the file cannot be read, is of another form, or holds no points.
@@ -90,12 +91,24 @@ def _read_laz(path: Path) -> Points:
         import laspy  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise UserError(
-            f"{path} is compressed: install a reader with `pip install 'laspy[lazrs]'`, or convert the file to LAS."
+            f"{path} is compressed: install a reader with `pip install 'aero-viz[maps]'`, or convert the file to LAS."
         ) from None
     try:
         return np.array(laspy.read(path).xyz)
     except laspy.errors.LaspyException as error:
         raise ValueError(f"laspy cannot read it: {error}") from error
+
+
+def _read_text(path: Path) -> Points:
+    try:
+        import open3d  # pyright: ignore[reportMissingImports]
+    except (ImportError, OSError) as error:  # OSError: a system library is missing
+        raise UserError(
+            f"{path} needs open3d, which does not load ({str(error).splitlines()[0]}): install it with "
+            "`pip install 'aero-viz[maps]'` (see aero-viz doctor), or convert the file to PCD or PLY."
+        ) from None
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        return np.asarray(open3d.io.read_point_cloud(path).points)
 
 
 def _read_pcd(path: Path) -> Points:
@@ -174,6 +187,10 @@ _READERS: dict[str, Callable[[Path], Points]] = {
     ".las": _read_las,
     ".laz": _read_las,
     ".npy": _read_npy,
+    ".xyz": _read_text,
+    ".xyzn": _read_text,
+    ".xyzrgb": _read_text,
+    ".pts": _read_text,
 }
 MAP_SUFFIXES = tuple(_READERS)
 """Endings of the names of the files that `read_points` reads."""

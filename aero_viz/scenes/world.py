@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -258,6 +259,8 @@ def _row(value: Any, count: int, where: str, columns: str) -> NDArray[np.float64
     for name, number in zip(columns.split(", "), value, strict=True):
         if isinstance(number, bool) or not isinstance(number, (int, float, np.number)) or not abs(number) < np.inf:
             raise ValueError(f"{where} has {name} = {number!r}; it must be a finite number.")
+        if abs(number) > sys.float_info.max:  # an integer can be
+            raise ValueError(f"{where} has a {name} beyond 1e308; it must be a smaller number.")
     return np.array(value, dtype=np.float64)
 
 

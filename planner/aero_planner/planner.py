@@ -91,7 +91,8 @@ class Planner:
     def _build(self) -> None:
         self._outputs = output_block(self._config, self._batch, self._lanes, self._device)
         self._work = work_arrays(self._config, self._batch, self._lanes, self._device)
-        self._work.seed.assign(np.arange(self._seed, self._seed + self._batch, dtype=np.int64).astype(np.int32))
+        seeds = (self._seed % 2**32 + np.arange(self._batch, dtype=np.int64)).astype(np.int32)  # of any size
+        self._work.seed.assign(seeds)
         self.reset()
         self._write_params()
         self._record()

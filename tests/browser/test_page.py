@@ -79,6 +79,10 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     box = row.locator(".mantine-Slider-trackContainer").bounding_box()
     desk.page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
     desk.wait_for(lambda: desk.session.frame.index < stopped - 3, "an earlier tick")
+    entry = row.locator("input").last
+    entry.fill("100")  # beyond what is flown: the slider shows where that led
+    entry.press("Enter")
+    desk.wait_for(lambda: abs(float(entry.input_value()) - desk.session.frame.time) < 0.02, "the time reached")
     assert desk.console == []
 
 

@@ -47,6 +47,7 @@ def test_a_picture_holds_every_layer_and_repeats(browser, tmp_path):
         ({"camera": ((0, 0, 0), (0, 0, 0))}, "two different points"),
         ({"time": -1.0}, "not negative"),
         ({"size": (0, 400)}, "0 x 400 pixels"),
+        ({"path": "no/such/folder/a.png"}, "there is no folder no/such/folder"),
     ],
 )
 def test_mistakes_are_said_before_a_browser_starts(arguments, words):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 import viser
@@ -12,8 +14,10 @@ from aero_planner.config import find_parameter, parameters
 from aero_planner.config_file import format_config
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels import source as source_panel
 from aero_viz.dashboard.panels.configuration import _uploaded
 from aero_viz.dashboard.panels.parameters import Control, add_control
+from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.server import LocalServer
 
 
@@ -67,3 +71,12 @@ def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
 
 def test_names_from_outside_cannot_become_markup():
     assert "<script>" not in markup.block(markup.pill("<script>", (1, 2, 3)), markup.heading("<script>", "<script>"))
+
+
+def test_an_empty_path_opens_nothing(server, monkeypatch):
+    said: list[str] = []
+    opened: Any = []
+    monkeypatch.setattr(source_panel, "notify", lambda server, text, **options: said.append(text))
+    page: Any = SimpleNamespace(server=server, session=None)
+    SourcePanel(page, cast(Any, opened.append), [])._open("", None)
+    assert said == ["Give the path of a recording or a world first."] and not opened

@@ -143,6 +143,12 @@ def test_same_seed_same_plans(device: str, preset: str):
     assert not np.array_equal(random_case(0).plan(other).controls, random_case(0).plan(a).controls)
 
 
+@pytest.mark.parametrize("seed", [-1, 2**31, 10**30])
+def test_a_seed_may_be_any_whole_number(device: str, seed: int):
+    a, b = (Planner(device=device, seed=each) for each in (seed, seed % 2**32))
+    assert_same(random_case(0).plan(a), random_case(0).plan(b))
+
+
 def test_the_paper_carries_nothing_from_plan_to_plan(device: str):
     planner = Planner(config_of("paper"), device=device)
     first = random_case(0).plan(planner)

@@ -112,3 +112,8 @@ def test_unknown_scene_suggests_the_nearest():
 def test_negative_numbers_are_refused(options):
     with pytest.raises(UserError, match="must be 0 or more"):
         scene("forest", **options)
+
+
+def test_a_count_that_would_take_minutes_is_refused():
+    with pytest.raises(UserError, match="must be at most 20000"):
+        scene("forest", count=1_000_000)

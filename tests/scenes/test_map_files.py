@@ -126,8 +126,26 @@ def test_laz_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
     path = tmp_path / "m.laz"
     path.write_bytes(las(2, compressed=True))
-    with pytest.raises(UserError, match=r"pip install 'laspy\[lazrs\]'"):
+    with pytest.raises(UserError, match=r"pip install 'aero-viz\[maps\]'"):
         read_points(path)
+
+
+def test_text_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    path = tmp_path / "m.xyz"
+    path.write_text("1 2 3\n")
+    with pytest.raises(UserError, match=r"needs open3d.*pip install 'aero-viz\[maps\]'"):
+        read_points(path)
+
+
+def test_text_is_read_where_its_library_loads(tmp_path):
+    try:
+        import open3d  # noqa: F401  # pyright: ignore[reportMissingImports]
+    except (ImportError, OSError) as error:
+        pytest.skip(f"open3d does not load here, XYZ files were not tried: {error}")
+    path = tmp_path / "m.xyz"
+    path.write_text("1 2 3\n4 5 6\n")
+    np.testing.assert_array_equal(read_points(path), [[1, 2, 3], [4, 5, 6]])
 
 
 @pytest.mark.parametrize(
@@ -145,7 +163,7 @@ def test_laz_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
         ("m.las", las(2)[:-40], "cut off"),
         ("m.las", b"PCDF" * 100, "does not start with LASF"),
         ("m.npy", b"\x93NUMPY", "no map"),
-        ("m.xyz", b"1 2 3", "must end in one of .pcd"),
+        ("m.obj", b"1 2 3", "must end in one of .pcd"),
     ],
 )
 def test_damaged_files_are_named_in_one_sentence(tmp_path, name, content, expected):

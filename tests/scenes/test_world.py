@@ -115,6 +115,9 @@ def test_not_finite_numbers_are_refused(tmp_path):
     path.write_text('{"name": "w", "start": [0, 0, NaN], "goal": [1, 1, 1]}')
     with pytest.raises(UserError, match="z = nan"):
         World.load(path)
+    path.write_text(f'{{"name": "w", "start": [0, {10**400}, 0], "goal": [1, 1, 1]}}')
+    with pytest.raises(UserError, match="y beyond 1e308"):
+        World.load(path)
 
 
 @pytest.mark.parametrize("content", [b"{", b"[1, 2]", b"\xff\xfe\x00", b"[" * 100_000])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,8 @@ from aero_viz.session import Frame, Session
 from aero_viz.source import Source
 
 __all__ = ["Page", "Panel"]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,11 @@ class Page:
             action()
         except (UserError, ValueError, OSError) as error:
             notify(self.server, str(error), level="error", client=client)
+            return False
+        except Exception as error:
+            _log.exception("an action of the page failed")
+            text = f"That did not work ({type(error).__name__}: {error}); the terminal says more."
+            notify(self.server, text, level="error", client=client)
             return False
         finally:
             self.refresh()

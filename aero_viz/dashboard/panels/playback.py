@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import viser
@@ -75,6 +76,10 @@ class PlaybackPanel(Panel):
 
     def _seek(self, wanted: float) -> None:
         self.session.seek(wanted).exception()  # waits; what went wrong the session says
+        # While time stands still no frame follows that would show where the seek led.
+        settled = threading.Timer(1.1 * _HOLD, self.page.refresh)
+        settled.daemon = True
+        settled.start()
 
     def _toggle(self) -> None:
         if self.session.playing:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import viser
 
 from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.server import notify
 from aero_viz.source import Source
 
 __all__ = ["SourcePanel"]
@@ -31,6 +32,9 @@ class SourcePanel(Panel):
 
     def _open(self, spec: str, client: viser.ClientHandle | None) -> None:
         """Runs in viser's pool, as opening takes time."""
+        if not spec:
+            notify(self.page.server, "Give the path of a recording or a world first.", level="error", client=client)
+            return
         source: list[Source] = []
         if self.page.attempt(lambda: source.append(self._open_source(spec)), client):
             # Should its first tick fail, the session says so to everyone.
