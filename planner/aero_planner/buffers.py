@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.clearance import GRID, VOXELS
+from aero_planner.clearance import GRID
 from aero_planner.config import PlannerConfig
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 from aero_planner.partition import direction_tables
@@ -144,7 +144,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             reach=wp.zeros(batch, dtype=wp.float32),
             initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
             count=wp.zeros((batch, GRID**3), dtype=wp.int32),
-            near=wp.zeros((batch, VOXELS**3), dtype=wp.uint8),
+            near=wp.zeros((batch, GRID**3), dtype=wp.uint8),
             total=wp.zeros(batch, dtype=wp.int32),
             start=wp.zeros((batch, GRID**3), dtype=wp.int32),
             end=wp.zeros((batch, GRID**3), dtype=wp.int32),

@@ -1,8 +1,8 @@
 """Exact distance to the nearest point of the filtered cloud, truncated where it no longer matters.
 
 Points are sorted into a cubic grid around the drone. A cell is at least as wide as the largest distance that is asked
-for, so the 27 cells around a position hold every point that counts: nothing is approximated. Voxels of half that width
-that come within that distance of a point are marked, which settles most positions with one look-up.
+for, so the 27 cells around a position hold every point that counts: nothing is approximated. Cells without a point in
+those 27 are marked, which settles most positions with one look-up.
 """
 
 from __future__ import annotations
@@ -11,37 +11,21 @@ import warp as wp
 
 from aero_planner.params import Params
 
-__all__ = [
-    "GRID",
-    "VOXELS",
-    "allocate_rows",
-    "cell_size",
-    "clearance_at",
-    "count_points",
-    "fill_cells",
-    "mark_voxels",
-    "query_clearance",
-]
+__all__ = ["GRID", "allocate_rows", "clearance_at", "count_points", "fill_cells", "query_clearance"]
 
 wp.set_module_options({"enable_backward": False})
 
 GRID = wp.constant(40)
 """Cells along each side of the grid."""
 
-VOXELS = wp.constant(80)
-"""Voxels along each side, two to a cell."""
-
-
-@wp.func
-def reach_of(params: Params) -> float:
-    """Largest distance that is asked for [m]."""
-    return wp.max(wp.max(params.distance_max, params.safe_clearance), params.blocked_radius)
-
 
 @wp.func
 def cell_size(params: Params) -> float:
     """Width of a cell [m]."""
-    return wp.max(reach_of(params), 2.0 * params.range_max / float(GRID))
+    return wp.max(
+        wp.max(params.distance_max, params.blocked_radius),
+        wp.max(params.safe_clearance, 2.0 * params.range_max / float(GRID)),
+    )
 
 
 @wp.func
@@ -59,53 +43,24 @@ def cell_of_point(x: wp.vec3, center: wp.vec3, size: float):
 
 
 @wp.kernel
-def mark_voxels(
-    first: int,
-    occupied: wp.array2d(dtype=int),
-    filtered: wp.array2d(dtype=wp.vec3),
-    position: wp.array(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    near: wp.array2d(dtype=wp.uint8),
-):
-    """Mark the voxels that come within `reach_of` of a point. Launched over [B, fine cells of this lane].
-
-    Lanes write the same value, so that they need no order.
-    """
-    b, offset = wp.tid()
-    i = first + offset
-    if i >= occupied.shape[1] or occupied[b, i] == 0:
-        return
-    width = 0.5 * cell_size(params[b])
-    # In voxels; a trifle more than asked for, since the coordinates are rounded.
-    reach = 1.001 * reach_of(params[b]) / width + 1.0e-3
-    x = 2.0 * grid_coordinates(filtered[b, i], position[b], 2.0 * width)
-    last = VOXELS - 1
-    for z in range(wp.max(int(wp.floor(x[2] - reach)), 0), wp.min(int(wp.floor(x[2] + reach)), last) + 1):
-        gap_z = wp.max(0.0, wp.max(float(z) - x[2], x[2] - float(z + 1)))
-        for y in range(wp.max(int(wp.floor(x[1] - reach)), 0), wp.min(int(wp.floor(x[1] + reach)), last) + 1):
-            gap_y = wp.max(0.0, wp.max(float(y) - x[1], x[1] - float(y + 1)))
-            square = reach * reach - gap_y * gap_y - gap_z * gap_z
-            if square >= 0.0:
-                half = wp.sqrt(square)
-                row = (z * VOXELS + y) * VOXELS
-                for v in range(wp.max(int(wp.floor(x[0] - half)), 0), wp.min(int(wp.floor(x[0] + half)), last) + 1):
-                    near[b, row + v] = wp.uint8(1)
-
-
-@wp.kernel
 def count_points(
     occupied: wp.array2d(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     count: wp.array2d(dtype=int),
+    near: wp.array2d(dtype=wp.uint8),
 ):
-    """Count the points of each cell. Launched over [B, fine cells]."""
+    """Count the points of each cell and mark its neighbourhood. Launched over [B, fine cells]."""
     b, i = wp.tid()
     if occupied[b, i] == 0:
         return
     x, y, z = cell_of_point(filtered[b, i], position[b], cell_size(params[b]))
     wp.atomic_add(count, b, (z * GRID + y) * GRID + x, 1)
+    for nz in range(wp.max(z - 1, 0), wp.min(z + 2, GRID)):
+        for ny in range(wp.max(y - 1, 0), wp.min(y + 2, GRID)):
+            for nx in range(wp.max(x - 1, 0), wp.min(x + 2, GRID)):
+                near[b, (nz * GRID + ny) * GRID + nx] = wp.uint8(1)
 
 
 @wp.kernel
@@ -168,7 +123,7 @@ def clearance_at(
     if cx < -1 or cy < -1 or cz < -1 or cx > GRID or cy > GRID or cz > GRID:
         return limit
     if cx >= 0 and cy >= 0 and cz >= 0 and cx < GRID and cy < GRID and cz < GRID:  # noqa: SIM102, `and` reads both
-        if near[b, (int(2.0 * c[2]) * VOXELS + int(2.0 * c[1])) * VOXELS + int(2.0 * c[0])] == wp.uint8(0):
+        if near[b, (cz * GRID + cy) * GRID + cx] == wp.uint8(0):
             return limit
     best = limit * limit
     for jz in range(3):

@@ -1,16 +1,16 @@
 """The pipeline as a list of launches, recorded once per structure and repeated at every plan.
 
-On the CPU each launch runs on one thread but releases the interpreter, so the heavy stages are cut into *lanes*, slices
-of the points and of the instances, which run at the same time. On CUDA there is one lane and everything replays as one
-graph.
+On the CPU each launch runs on one thread but releases the interpreter, so the heavy stages are cut into chunks, slices
+of the points and of the instances, which threads take up one after another. On CUDA there is one chunk to a stage, and
+everything replays as one graph.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,12 +23,8 @@ from aero_planner.config import PlannerConfig
 __all__ = ["Pipeline"]
 
 
-@dataclass
-class _Stage:
-    """Launches that belong together; `lanes` run at the same time, each in order."""
-
-    name: str
-    lanes: list[list[tuple[str, Callable[[], Any]]]] = field(default_factory=list)
+Chunk = list[tuple[str, Callable[[], Any]]]
+"""Launches in order, each with the name under which its time is counted."""
 
 
 class Pipeline:
@@ -37,7 +33,7 @@ class Pipeline:
     Args:
         config: structure of the planner.
         batch: B.
-        lanes: number of slices that run at the same time, 1 on CUDA.
+        lanes: number of threads, 1 on CUDA.
         inputs, outputs, work: arrays of `buffers`.
         points: cloud, shape [B, P], world frame.
         params: live parameters, shape [B].
@@ -73,7 +69,7 @@ class Pipeline:
         outputs: SimpleNamespace,
         work: SimpleNamespace,
         params: wp.array,
-    ) -> list[_Stage]:
+    ) -> list[list[Chunk]]:
         B, M, N, K = self._batch, len(config.kinds), config.sampling.steps, config.sampling.samples
         part, anchor_count = config.partition, config.anchor_count
         rows, columns = fine_shape(config)
@@ -89,8 +85,8 @@ class Pipeline:
         def launch(kernel: Any, dim: Any, *arguments: Any) -> Any:
             return wp.launch(kernel, dim=dim, inputs=list(arguments), device=self._device, record_cmd=True)
 
-        def serial(name: str, *launches: Any) -> _Stage:
-            return _Stage(name, [[(name, command.launch) for command in launches]])
+        def serial(name: str, *launches: Any) -> list[Chunk]:
+            return [[(name, command.launch) for command in launches]]
 
         directions = serial(
             "anchors",
@@ -103,14 +99,14 @@ class Pipeline:
                 config.anchors.rows, N, w.reach, w.initial_direction, o.initial_endpoint,
             ),
         )  # fmt: skip
-        scatter = _Stage("partition")
+        scatter: list[Chunk] = []
         share = -(-self._points.shape[1] // self._lanes)
         for lane in range(self._lanes):
             command = launch(
                 partition.scatter_points, (B, share), lane * share, lane, self._points, i.point_count, i.position,
                 w.quaternion, params, rows, columns, w.tables, w.keys, o.dropped,
             )  # fmt: skip
-            scatter.lanes.append([("partition", command.launch)])
+            scatter.append([("partition", command.launch)])
             self._scatter.append(command)
         coarse_cells = serial(
             "partition",
@@ -136,24 +132,16 @@ class Pipeline:
         )  # fmt: skip
         index = serial(
             "grid",
-            launch(clearance.count_points, (B, fine), o.occupied, o.filtered, i.position, params, w.count),
+            launch(clearance.count_points, (B, fine), o.occupied, o.filtered, i.position, params, w.count, w.near),
             launch(clearance.allocate_rows, (B, clearance.GRID**2), w.count, w.total, w.start, w.end),
             launch(clearance.fill_cells, (B, fine), o.occupied, o.filtered, i.position, params, w.end, w.sorted_points),
         )
-        mark = _Stage("grid")
-        slice_of_cells = -(-fine // self._lanes)
-        for lane in range(self._lanes):
-            command = launch(
-                clearance.mark_voxels, (B, slice_of_cells), lane * slice_of_cells, o.occupied, o.filtered, i.position,
-                params, w.near,
-            )  # fmt: skip
-            mark.lanes.append([("grid", command.launch)])
-        optimise = _Stage("mppi")
-        for lane in range(self._lanes):
-            first = instances * lane // self._lanes
-            n = instances * (lane + 1) // self._lanes - first
-            if n == 0:
-                continue
+        optimise: list[Chunk] = []
+        # More chunks than threads, since instances amid obstacles take longer than those in the open.
+        chunks = min(instances, 4 * self._lanes) if self._lanes > 1 else 1
+        for chunk in range(chunks):
+            first = instances * chunk // chunks
+            n = instances * (chunk + 1) // chunks - first
             launches = [
                 ("rollouts", launch(
                     mppi.sample_rollouts, (n, K), first, M, previous, *state, *goal, params, w.seed, w.tick, w.noise,
@@ -179,7 +167,7 @@ class Pipeline:
                     *grid, w.distance,
                 )),
             ]  # fmt: skip
-            optimise.lanes.append([(name, command.launch) for name, command in launches])
+            optimise.append([(name, command.launch) for name, command in launches])
         choose = serial(
             "stage2",
             launch(
@@ -196,14 +184,14 @@ class Pipeline:
                 w.previous_end, w.previous_time,
             ),
         )  # fmt: skip
-        return [directions, scatter, coarse_cells, guide, index, mark, optimise, choose]
+        return [directions, scatter, coarse_cells, guide, index, optimise, choose]
 
     def limit_points(self, count: int) -> None:
         """Let the partition read only the first `count` points of each drone, where launches are not captured."""
         if self._device.is_cpu:
-            share = -(-self._points.shape[1] // self._lanes)
-            # Lanes keep their slices; the last ones may be empty.
+            share = -(-count // self._lanes)
             for lane, command in enumerate(self._scatter):
+                command.set_param_at_index(0, lane * share)
                 command.set_dim((self._batch, max(0, min(share, count - lane * share))))
 
     def run(self) -> None:
@@ -227,23 +215,31 @@ class Pipeline:
             array.zero_()
         self.stage_ms = {}
         for stage in self._stages:
+            chunks = deque(stage)
+            helpers = min(len(chunks), self._lanes) - 1
             others = (
-                [self._executor.submit(self._run_lane, lane, {}) for lane in stage.lanes[1:]] if self._executor else []
+                [self._executor.submit(self._run_chunks, chunks, {}) for _ in range(helpers)] if self._executor else []
             )
-            self._run_lane(stage.lanes[0], self.stage_ms)
+            self._run_chunks(chunks, self.stage_ms)
             started = time.perf_counter()
             for other in others:
                 other.result()
             if others:
-                last = stage.lanes[0][-1][0]
-                self.stage_ms[last] += 1e3 * (time.perf_counter() - started)
+                last = stage[0][-1][0]
+                self.stage_ms[last] = self.stage_ms.get(last, 0.0) + 1e3 * (time.perf_counter() - started)
 
     @staticmethod
-    def _run_lane(lane: list[tuple[str, Callable[[], Any]]], stage_ms: dict[str, float]) -> None:
-        for name, launch in lane:
-            started = time.perf_counter()
-            launch()
-            stage_ms[name] = stage_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - started)
+    def _run_chunks(chunks: deque[Chunk], stage_ms: dict[str, float]) -> None:
+        """Run chunks until none is left; called by several threads at once."""
+        while chunks:
+            try:
+                chunk = chunks.popleft()
+            except IndexError:  # another thread was faster
+                return
+            for name, launch in chunk:
+                started = time.perf_counter()
+                launch()
+                stage_ms[name] = stage_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - started)
 
     def close(self) -> None:
         """End the worker threads."""
