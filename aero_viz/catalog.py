@@ -7,7 +7,7 @@ from pathlib import Path
 from aero_viz.errors import UserError
 from aero_viz.source import Source
 
-__all__ = ["load_world", "open_source", "source_choices"]
+__all__ = ["is_map", "load_world", "open_source", "source_choices"]
 
 
 def source_choices() -> dict[str, str]:

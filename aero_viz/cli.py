@@ -98,10 +98,10 @@ def play(
         server: the page.
         flags: the planner's configuration.
     """
+    from aero_viz.catalog import is_map
     from aero_viz.recordings import open_recording
-    from aero_viz.scenes.map_files import MAP_SUFFIXES
 
-    if Path(recording).suffix.lower() in (".json", *MAP_SUFFIXES):
+    if is_map(recording) or Path(recording).suffix.lower() == ".json":
         raise UserError(f"{recording} is a world, not a recording; fly it with: aero-viz demo {recording}")
     if not Path(recording).exists():
         open_recording(recording)

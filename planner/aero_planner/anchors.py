@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.dynamics import quat_inverse_rotate, quat_rotate
+from aero_planner.dynamics import quat_from_heading, quat_inverse_rotate, quat_rotate
 from aero_planner.guides import heading
 from aero_planner.params import Params
 from aero_planner.partition import cell_of_direction, safest_fine_cell
@@ -51,7 +51,7 @@ def prepare(
         yaw = heading(quaternion[b])
         if to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1] > 0.25:
             yaw = wp.atan2(to_goal[1], to_goal[0])
-        q = wp.vec4(wp.cos(0.5 * yaw), 0.0, 0.0, wp.sin(0.5 * yaw))
+        q = quat_from_heading(yaw)
     goal_quaternion[b] = wp.normalize(q)
 
 

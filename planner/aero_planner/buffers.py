@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -93,7 +94,7 @@ def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Devic
     """Everything that a Plan shows."""
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
     coarse = config.partition.coarse_rows * config.partition.coarse_columns
-    fine = coarse * config.partition.fine_cells**2
+    fine = math.prod(fine_shape(config))
     vec3, vec4, real, integer = wp.vec3, wp.vec4, wp.float32, wp.int32
     spec: Spec = {
         "fine_range": (real, (batch, fine)),
@@ -131,8 +132,7 @@ def fine_shape(config: PlannerConfig) -> tuple[int, int]:
 def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> SimpleNamespace:
     """What only the kernels need."""
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
-    coarse = config.partition.coarse_rows * config.partition.coarse_columns
-    fine = coarse * config.partition.fine_cells**2
+    fine = math.prod(fine_shape(config))
     rows = N + PROBES
     with wp.ScopedDevice(device):
         work = SimpleNamespace(

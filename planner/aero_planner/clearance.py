@@ -11,7 +11,16 @@ import warp as wp
 
 from aero_planner.params import Params
 
-__all__ = ["GRID", "allocate_rows", "clearance_at", "count_points", "fill_cells", "query_clearance"]
+__all__ = [
+    "GRID",
+    "allocate_rows",
+    "cell_size",
+    "clearance_at",
+    "count_points",
+    "fill_cells",
+    "query_clearance",
+    "row_limit",
+]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -144,6 +153,14 @@ def clearance_at(
     return wp.sqrt(best)
 
 
+@wp.func
+def row_limit(t: int, steps: int, params: Params) -> float:
+    """Distance beyond which row t of a rollout need not be known [m]; rows from `steps` on are probes."""
+    if t >= steps:
+        return params.blocked_radius
+    return wp.max(params.distance_max, params.safe_clearance)
+
+
 @wp.kernel
 def query_clearance(
     first: int,
@@ -160,16 +177,14 @@ def query_clearance(
 ):
     """Clearance of every position, shape [B M, N + probes, K]; rows past `steps` probe the way to the goal.
 
-    Launched over [instances of this lane, N + probes, K].
+    Launched over [instances of this chunk, N + probes, K].
     """
     offset, t, k = wp.tid()
     i = first + offset
     b = i // instances
-    limit = wp.max(params[b].distance_max, params[b].safe_clearance)
-    if t >= steps:
-        limit = params[b].blocked_radius
-        if params[b].q_blocked == 0.0:
-            distance[i, t, k] = limit
-            return
+    limit = row_limit(t, steps, params[b])
+    if t >= steps and params[b].q_blocked == 0.0:
+        distance[i, t, k] = limit
+        return
     size = cell_size(params[b])
     distance[i, t, k] = clearance_at(positions[i, t, k], limit, b, center[b], size, near, start, end, sorted_points)

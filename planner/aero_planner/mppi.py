@@ -96,7 +96,7 @@ def sample_rollouts(
 ):
     """Stage I rollouts of noisy, clamped controls, and S1 without the terms that need the clearance.
 
-    `controls` and `positions` have shapes [B M, N, K] and [B M, N + PROBES, K]. Launched over [instances of this lane,
+    `controls` and `positions` have shapes [B M, N, K] and [B M, N + PROBES, K]. Launched over [instances of this chunk,
     K].
     """
     offset, k = wp.tid()
@@ -181,7 +181,7 @@ def score_samples(
     distance: wp.array3d(dtype=float),
     cost: wp.array2d(dtype=float),
 ):
-    """Complete S1 by the terms that need the clearance. Launched over [instances of this lane, K]."""
+    """Complete S1 by the terms that need the clearance. Launched over [instances of this chunk, K]."""
     offset, k = wp.tid()
     i = first + offset
     b = i // instances
@@ -198,7 +198,7 @@ def weigh(
     cost: wp.array2d(dtype=float),
     weight: wp.array2d(dtype=float),
 ):
-    """w_k = exp(-(S_k - min S) / lambda) / sum. Launched over [instances of this lane]."""
+    """w_k = exp(-(S_k - min S) / lambda) / sum. Launched over [instances of this chunk]."""
     i = first + wp.tid()
     temperature = params[i // instances].temperature
     least = cost[i, 0]

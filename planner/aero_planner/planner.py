@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.buffers import input_block, output_block, work_arrays
+from aero_planner.buffers import fine_shape, input_block, output_block, work_arrays
 from aero_planner.config import PlannerConfig
 from aero_planner.params import Params, pack
 from aero_planner.pipeline import Pipeline
@@ -317,7 +317,7 @@ class Planner:
         B, config = self._batch, self._config
         part, M = config.partition, len(config.kinds)
         coarse = (B, part.coarse_rows, part.coarse_columns)
-        fine = (B, part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells)
+        fine = (B, *fine_shape(config))
         filtered = [raw["filtered"][b][raw["occupied"][b] != 0] for b in range(B)]
         dropped = raw["dropped"].sum(axis=0, dtype=np.int32)
         kinds = list(config.kinds)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.clearance import cell_size, clearance_at
+from aero_planner.clearance import cell_size, clearance_at, row_limit
 from aero_planner.costs import goal_cost, speed_cost
 from aero_planner.dynamics import rk4_step
 from aero_planner.guides import write_brake
@@ -77,7 +77,7 @@ def roll_out_best(
     J_goal: wp.array2d(dtype=float),
     J_speed: wp.array2d(dtype=float),
 ):
-    """Stage II rollouts of the optimised controls. Launched over [instances of this lane]."""
+    """Stage II rollouts of the optimised controls. Launched over [instances of this chunk]."""
     i = first + wp.tid()
     b = i // instances
     m = i % instances
@@ -229,11 +229,9 @@ def brake_where_unsafe(
     J_goal[b, m] = goal_sum
     J_speed[b, m] = speed_sum
     size = cell_size(c)
-    limit = wp.max(c.distance_max, c.safe_clearance)
     steps = clearance.shape[2]
     for t in range(steps + PROBES):
-        if t == steps:
-            limit = c.blocked_radius
+        limit = row_limit(t, steps, c)
         distance[i, t, 0] = clearance_at(probed[i, t, 0], limit, b, position[b], size, near, start, end, sorted_points)
     score_instance(i, b, m, 0.0, goal_position[b], c, distance, positions, J_goal, J_speed, J_col, S2, clearance)
 
