@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.clearance import GRID
+from aero_planner.clearance import GRID, WIDTH, PointBlock, PointLists
 from aero_planner.config import PlannerConfig
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
-from aero_planner.partition import direction_tables
 
-__all__ = ["Block", "fine_shape", "input_block", "output_block", "work_arrays"]
+__all__ = ["Block", "fine_shape", "input_block", "list_capacity", "output_block", "work_arrays"]
 
 Spec = dict[str, tuple[Any, tuple[int, ...]]]
 _ALIGNMENT = 256
@@ -129,6 +128,12 @@ def fine_shape(config: PlannerConfig) -> tuple[int, int]:
     return part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
 
 
+def list_capacity(config: PlannerConfig, lanes: int) -> int:
+    """Return how many points the lists of one lane can hold: each point in those of its layers of 9 cells, of three."""
+    points = math.prod(fine_shape(config)) * 9 * math.ceil(3 / lanes)
+    return -(-points // WIDTH) * WIDTH
+
+
 def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> SimpleNamespace:
     """What only the kernels need."""
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
@@ -140,15 +145,10 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             goal_velocity=wp.zeros(batch, dtype=wp.vec3),
             goal_quaternion=wp.zeros(batch, dtype=wp.vec4),
             keys=wp.zeros((lanes, batch, fine), dtype=wp.uint64),
-            tables=wp.array(direction_tables(*fine_shape(config)), dtype=wp.int16),
             reach=wp.zeros(batch, dtype=wp.float32),
             initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
             count=wp.zeros((batch, GRID**3), dtype=wp.int32),
-            near=wp.zeros((batch, GRID**3), dtype=wp.uint8),
-            total=wp.zeros(batch, dtype=wp.int32),
-            start=wp.zeros((batch, GRID**3), dtype=wp.int32),
-            end=wp.zeros((batch, GRID**3), dtype=wp.int32),
-            sorted_points=wp.zeros((batch, fine), dtype=wp.vec3),
+            total=wp.zeros((lanes, batch), dtype=wp.int32),
             nominal=wp.zeros((batch, M, N), dtype=wp.vec4),
             sample_controls=wp.zeros((batch * M, N, K), dtype=wp.vec4),
             sample_positions=wp.zeros((batch * M, rows, K), dtype=wp.vec3),
@@ -163,6 +163,14 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             previous_controls=wp.zeros((batch, N), dtype=wp.vec4),
             previous_end=wp.zeros(batch, dtype=wp.vec3),
             previous_time=wp.zeros(batch, dtype=wp.float64),
+        )
+        lists = PointLists()
+        lists.span = wp.zeros((batch, GRID**3, 2), dtype=wp.int32)
+        lists.blocks = wp.zeros((batch, lanes * list_capacity(config, lanes) // WIDTH), dtype=PointBlock)
+        work.lists = lists
+        # The same memory, so that single coordinates can be written.
+        work.list_coordinates = wp.array(
+            ptr=lists.blocks.ptr, dtype=wp.float32, shape=(*lists.blocks.shape, 3, WIDTH), device=device
         )
         wp.launch(fill_noise, dim=work.noise.shape, inputs=[work.noise])
         work.keys.fill_(0xFFFFFFFFFFFFFFFF)

@@ -1,31 +1,59 @@
 """Exact distance to the nearest point of the filtered cloud, truncated where it no longer matters.
 
-Points are sorted into a cubic grid around the drone. A cell is at least as wide as the largest distance that is asked
-for, so the 27 cells around a position hold every point that counts: nothing is approximated. Cells without a point in
-those 27 are marked, which settles most positions with one look-up.
+The space around the drone is cut into cubic cells at least as wide as the largest distance that is asked for, so that
+all points that count for a position lie in the 27 cells around it. Each cell lists the points of its 27 cells. Most
+lists are empty, which settles most positions with one look-up; nothing is approximated.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import warp as wp
 
 from aero_planner.params import Params
 
 __all__ = [
+    "FAR",
     "GRID",
-    "allocate_rows",
+    "WIDTH",
+    "PointBlock",
+    "PointLists",
+    "allocate_lists",
     "cell_size",
     "clearance_at",
     "count_points",
-    "fill_cells",
+    "fill_lists",
     "query_clearance",
     "row_limit",
 ]
 
-wp.set_module_options({"enable_backward": False})
+# Loops over a block stay loops, which LLVM turns into vector instructions.
+wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-GRID = wp.constant(40)
-"""Cells along each side of the grid."""
+GRID = wp.constant(42)
+"""Cells along each side of the grid; the outermost hold no points, so that every point has 27 cells around it."""
+
+WIDTH = wp.constant(16)
+"""Points in a block of the lists, which a CPU handles at once. A list begins and ends anywhere in a block: what else
+the block holds are points of the cloud, too."""
+
+FAR = wp.constant(1.0e18)
+"""Coordinate of what fills up the last block."""
+
+Reals: Any = wp.types.vector(length=16, dtype=wp.float32)
+PointBlock: Any = wp.types.matrix(shape=(3, 16), dtype=wp.float32)
+"""x, y and z of a block's points."""
+
+
+@wp.struct
+class PointLists:
+    """The points around each cell."""
+
+    span: wp.array3d(dtype=int)
+    """Where a cell's list begins and ends, shape [B, GRID^3, 2]."""
+    blocks: wp.array2d(dtype=PointBlock)
+    """Points of all lists [m], shape [B, blocks], world frame."""
 
 
 @wp.func
@@ -33,124 +61,146 @@ def cell_size(params: Params) -> float:
     """Width of a cell [m]."""
     return wp.max(
         wp.max(params.distance_max, params.blocked_radius),
-        wp.max(params.safe_clearance, 2.0 * params.range_max / float(GRID)),
+        wp.max(params.safe_clearance, 2.0 * params.range_max / float(GRID - 2)),
     )
 
 
 @wp.func
 def grid_coordinates(x: wp.vec3, center: wp.vec3, size: float) -> wp.vec3:
     """Position in cells from the grid's corner."""
-    return (x - center) / size + wp.vec3(0.5 * float(GRID), 0.5 * float(GRID), 0.5 * float(GRID))
+    return (x - center) * (1.0 / size) + wp.vec3(0.5 * float(GRID), 0.5 * float(GRID), 0.5 * float(GRID))
 
 
 @wp.func
 def cell_of_point(x: wp.vec3, center: wp.vec3, size: float):
     c = grid_coordinates(x, center, size)
     # A point at exactly range_max may round to the cell past the last one.
-    last = GRID - 1
-    return wp.clamp(int(c[0]), 0, last), wp.clamp(int(c[1]), 0, last), wp.clamp(int(c[2]), 0, last)
+    last = GRID - 2
+    return wp.clamp(int(c[0]), 1, last), wp.clamp(int(c[1]), 1, last), wp.clamp(int(c[2]), 1, last)
 
 
 @wp.kernel
 def count_points(
+    lane: int,
+    lanes: int,
     occupied: wp.array2d(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     count: wp.array2d(dtype=int),
-    near: wp.array2d(dtype=wp.uint8),
 ):
-    """Count the points of each cell and mark its neighbourhood. Launched over [B, fine cells]."""
+    """Count the points of each list. Launched over [B, fine cells]; a lane has every `lanes`-th layer of cells."""
     b, i = wp.tid()
     if occupied[b, i] == 0:
         return
-    x, y, z = cell_of_point(filtered[b, i], position[b], cell_size(params[b]))
-    wp.atomic_add(count, b, (z * GRID + y) * GRID + x, 1)
-    for nz in range(wp.max(z - 1, 0), wp.min(z + 2, GRID)):
-        for ny in range(wp.max(y - 1, 0), wp.min(y + 2, GRID)):
-            for nx in range(wp.max(x - 1, 0), wp.min(x + 2, GRID)):
-                near[b, (nz * GRID + ny) * GRID + nx] = wp.uint8(1)
+    cx, cy, cz = cell_of_point(filtered[b, i], position[b], cell_size(params[b]))
+    for z in range(cz - 1, cz + 2):
+        if z % lanes == lane:
+            for y in range(cy - 1, cy + 2):
+                for x in range(cx - 1, cx + 2):
+                    wp.atomic_add(count, b, (z * GRID + y) * GRID + x, 1)
 
 
 @wp.kernel
-def allocate_rows(
-    count: wp.array2d(dtype=int), total: wp.array(dtype=int), start: wp.array2d(dtype=int), end: wp.array2d(dtype=int)
+def allocate_lists(
+    lane: int,
+    lanes: int,
+    run: int,
+    capacity: int,
+    count: wp.array2d(dtype=int),
+    total: wp.array2d(dtype=int),
+    span: wp.array3d(dtype=int),
 ):
-    """Give each row of cells along x a contiguous piece of the sorted points. Launched over [B, GRID^2].
+    """Give each list a piece of this lane's `capacity` points. Launched over [B, cells of the lane / run].
 
-    Which piece a row gets depends on the order of the threads; the nearest distance does not.
+    Which piece a list gets depends on the order of the threads; the nearest distance does not.
     """
-    b, row = wp.tid()
+    b, i = wp.tid()
+    runs = GRID * GRID // run  # of a layer
+    first = ((i // runs) * lanes + lane) * GRID * GRID + (i % runs) * run
     length = int(0)
-    for x in range(GRID):
-        length += count[b, row * GRID + x]
+    for cell in range(first, first + run):
+        length += count[b, cell]
     cursor = int(0)
     if length > 0:
-        cursor = wp.atomic_add(total, b, length)
-    for x in range(GRID):
-        cell = row * GRID + x
-        start[b, cell] = cursor
-        end[b, cell] = cursor
+        cursor = lane * capacity + wp.atomic_add(total, lane, b, length)
+    for cell in range(first, first + run):
+        span[b, cell, 0] = cursor
+        span[b, cell, 1] = cursor
         cursor += count[b, cell]
 
 
 @wp.kernel
-def fill_cells(
+def fill_lists(
+    lane: int,
+    lanes: int,
+    capacity: int,
     occupied: wp.array2d(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
-    end: wp.array2d(dtype=int),
-    sorted_points: wp.array2d(dtype=wp.vec3),
+    total: wp.array2d(dtype=int),
+    span: wp.array3d(dtype=int),
+    coordinates: wp.array4d(dtype=float),
 ):
-    """Write every point into its cell; `end` becomes the end of each cell. Launched over [B, fine cells]."""
+    """Write every point into its lists, which then end where `span` says; `coordinates` are those of the blocks, shape
+    [B, blocks, 3, WIDTH]. Launched over [B, fine cells]."""
     b, i = wp.tid()
+    if i == 0:
+        end = lane * capacity + total[lane, b]
+        for slot in range(end, (end + WIDTH - 1) // WIDTH * WIDTH):
+            coordinates[b, slot // WIDTH, 0, slot % WIDTH] = FAR
     if occupied[b, i] == 0:
         return
-    x, y, z = cell_of_point(filtered[b, i], position[b], cell_size(params[b]))
-    slot = wp.atomic_add(end, b, (z * GRID + y) * GRID + x, 1)
-    sorted_points[b, slot] = filtered[b, i]
+    point = filtered[b, i]
+    cx, cy, cz = cell_of_point(point, position[b], cell_size(params[b]))
+    for z in range(cz - 1, cz + 2):
+        if z % lanes == lane:
+            for y in range(cy - 1, cy + 2):
+                for x in range(cx - 1, cx + 2):
+                    slot = wp.atomic_add(span, b, (z * GRID + y) * GRID + x, 1, 1)
+                    block = slot // WIDTH
+                    j = slot % WIDTH
+                    coordinates[b, block, 0, j] = point[0]
+                    coordinates[b, block, 1, j] = point[1]
+                    coordinates[b, block, 2, j] = point[2]
 
 
 @wp.func
-def clearance_at(
-    x: wp.vec3,
-    limit: float,
-    b: int,
-    center: wp.vec3,
-    size: float,
-    near: wp.array2d(dtype=wp.uint8),
-    start: wp.array2d(dtype=int),
-    end: wp.array2d(dtype=int),
-    sorted_points: wp.array2d(dtype=wp.vec3),
-) -> float:
+def nearest_squared(x: wp.vec3, limit: float, b: int, first: int, last: int, blocks: wp.array2d(dtype=PointBlock)):
+    """Squared distance to the nearest of the points first..last-1, at most limit^2."""
+    best = Reals(limit * limit)
+    for k in range(first // WIDTH, (last + WIDTH - 1) // WIDTH):
+        block = blocks[b, k]
+        for j in range(WIDTH):
+            dx = block[0, j] - x[0]
+            dy = block[1, j] - x[1]
+            dz = block[2, j] - x[2]
+            d = dx * dx + dy * dy + dz * dz
+            best[j] = wp.where(d < best[j], d, best[j])
+    # By halves, which takes four dependent steps instead of sixteen.
+    for j in range(8):
+        best[j] = wp.where(best[j + 8] < best[j], best[j + 8], best[j])
+    for j in range(4):
+        best[j] = wp.where(best[j + 4] < best[j], best[j + 4], best[j])
+    return wp.min(wp.min(best[0], best[1]), wp.min(best[2], best[3]))
+
+
+@wp.func
+def clearance_at(x: wp.vec3, limit: float, b: int, center: wp.vec3, size: float, lists: PointLists) -> float:
     """Distance from x to the nearest point [m], or `limit` where that is farther; `limit` must not exceed `size`."""
     c = grid_coordinates(x, center, size)
     cx = int(wp.floor(c[0]))
     cy = int(wp.floor(c[1]))
     cz = int(wp.floor(c[2]))
-    if cx < -1 or cy < -1 or cz < -1 or cx > GRID or cy > GRID or cz > GRID:
+    if wp.min(cx, wp.min(cy, cz)) < 0 or wp.max(cx, wp.max(cy, cz)) >= GRID:
         return limit
-    if cx >= 0 and cy >= 0 and cz >= 0 and cx < GRID and cy < GRID and cz < GRID:  # noqa: SIM102, `and` reads both
-        if near[b, (cz * GRID + cy) * GRID + cx] == wp.uint8(0):
-            return limit
-    best = limit * limit
-    for jz in range(3):
-        dz = jz - 3 * (jz // 2)  # 0, 1, -1: the own layer first, since it shortens the others
-        gap_z = wp.max(0.0, wp.max(float(cz + dz) - c[2], c[2] - float(cz + dz + 1))) * size
-        for jy in range(3):
-            dy = jy - 3 * (jy // 2)
-            gap_y = wp.max(0.0, wp.max(float(cy + dy) - c[1], c[1] - float(cy + dy + 1))) * size
-            y = cy + dy
-            z = cz + dz
-            if gap_y * gap_y + gap_z * gap_z < best and y >= 0 and z >= 0 and y < GRID and z < GRID:
-                row = (z * GRID + y) * GRID
-                first = start[b, row + wp.clamp(cx - 1, 0, GRID - 1)]
-                last = end[b, row + wp.clamp(cx + 1, 0, GRID - 1)]
-                for i in range(first, last):
-                    d = sorted_points[b, i] - x
-                    best = wp.min(best, wp.dot(d, d))
-    return wp.sqrt(best)
+    cell = (cz * GRID + cy) * GRID + cx
+    first = lists.span[b, cell, 0]
+    last = lists.span[b, cell, 1]
+    if first == last:
+        return limit
+    return wp.sqrt(nearest_squared(x, limit, b, first, last, lists.blocks))
 
 
 @wp.func
@@ -166,25 +216,25 @@ def query_clearance(
     first: int,
     instances: int,
     steps: int,
+    stride: int,
     positions: wp.array3d(dtype=wp.vec3),
     center: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
-    near: wp.array2d(dtype=wp.uint8),
-    start: wp.array2d(dtype=int),
-    end: wp.array2d(dtype=int),
-    sorted_points: wp.array2d(dtype=wp.vec3),
+    lists: PointLists,
     distance: wp.array3d(dtype=float),
 ):
     """Clearance of every position, shape [B M, N + probes, K]; rows past `steps` probe the way to the goal.
 
-    Launched over [instances of this chunk, N + probes, K].
+    Launched over [instances of this chunk, N + probes, stride]; a thread takes every `stride`-th of the K positions.
     """
-    offset, t, k = wp.tid()
+    offset, t, lane = wp.tid()
     i = first + offset
     b = i // instances
     limit = row_limit(t, steps, params[b])
-    if t >= steps and params[b].q_blocked == 0.0:
-        distance[i, t, k] = limit
-        return
     size = cell_size(params[b])
-    distance[i, t, k] = clearance_at(positions[i, t, k], limit, b, center[b], size, near, start, end, sorted_points)
+    unused = t >= steps and params[b].q_blocked == 0.0
+    for k in range(lane, positions.shape[2], stride):
+        if unused:
+            distance[i, t, k] = limit
+        else:
+            distance[i, t, k] = clearance_at(positions[i, t, k], limit, b, center[b], size, lists)

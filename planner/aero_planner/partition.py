@@ -7,18 +7,18 @@ them.
 
 from __future__ import annotations
 
-import numpy as np
-import warp as wp
-from numpy.typing import NDArray
+import functools
 
-from aero_planner.dynamics import quat_inverse_rotate
+import warp as wp
+
+from aero_planner.dynamics import quat_rotate
 from aero_planner.params import Params
 
 __all__ = [
     "EMPTY",
     "cell_direction",
     "cell_of_direction",
-    "direction_tables",
+    "near_atan2",
     "finish_fine",
     "pool_coarse",
     "safest_fine_cell",
@@ -26,9 +26,6 @@ __all__ = [
 ]
 
 wp.set_module_options({"enable_backward": False})
-
-BINS = wp.constant(8192)
-"""Bins of each table of `look_up_cell`."""
 
 EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 """Key of a fine cell without a point."""
@@ -46,41 +43,28 @@ def cell_of_direction(d: wp.vec3, rows: int, columns: int):
 
 
 @wp.func
-def look_up_cell(d: wp.vec3, r: float, rows: int, columns: int, tables: wp.array2d(dtype=wp.int16)):
-    """`cell_of_direction` of d = r times a unit vector, by `direction_tables`: several times faster on a CPU.
-
-    The row follows from the sine z / r, the column from y / (|x| + |y|), which grows with the azimuth. A table's bin
-    that an edge between cells runs through is marked, and there the angles decide.
-    """
-    sine = d[2] / wp.max(r, 1.0e-30)
-    turn = d[1] / wp.max(wp.abs(d[0]) + wp.abs(d[1]), 1.0e-30)
-    turn = wp.where(d[0] < 0.0, 2.0 - turn, turn)
-    row = int(tables[0, int((sine + 1.0) * (0.5 * float(BINS)))])
-    column = int(tables[1, int((turn + 1.0) * (0.25 * float(BINS)))])
-    if row < 0 or column < 0:
-        row, column = cell_of_direction(d, rows, columns)
-    return row, column
+def atan_unit(x: float) -> float:
+    """atan(x) for |x| <= 1, to 1e-7 rad: a minimax polynomial, which a CPU computes for many points at once."""
+    z = x * x
+    f = -0.00405456246
+    f = f * z + 0.0218629402
+    f = f * z - 0.0559123006
+    f = f * z + 0.0964219536
+    f = f * z - 0.139086288
+    f = f * z + 0.199465655
+    f = f * z - 0.333298608
+    f = f * z + 0.999999336
+    return x * f
 
 
-def direction_tables(rows: int, columns: int) -> NDArray[np.int16]:
-    """Return the tables of `look_up_cell`, shape [2, BINS + 1]: the row by the sine of the elevation in [-1, 1], and
-    the column by the turn in [-1, 3], which is y / (|x| + |y|) in front and 2 minus that behind; -1 where an edge runs
-    through the bin."""
-    margin = 1e-3  # of a bin; float32 places a direction within a thousandth of that
-    low, high = np.arange(BINS + 1) - margin, np.arange(BINS + 1) + 1 + margin
-
-    def row(at: NDArray[np.float64]) -> NDArray[np.float64]:
-        elevation = np.arcsin(np.clip(at * 2.0 / BINS - 1.0, -1.0, 1.0))
-        return np.clip(np.floor((elevation / np.pi + 0.5) * rows), 0, rows - 1)
-
-    def column(at: NDArray[np.float64]) -> NDArray[np.float64]:
-        turn = at * 4.0 / BINS - 1.0
-        behind = turn > 1.0
-        y = np.where(behind, 2.0 - turn, turn)
-        azimuth = np.arctan2(y, np.where(behind, -1.0, 1.0) * (1.0 - np.abs(y)))
-        return np.floor((azimuth / (2.0 * np.pi) + 0.5) * columns) % columns
-
-    return np.stack([np.where(cell(low) == cell(high), cell(low), -1) for cell in (row, column)]).astype(np.int16)
+@wp.func
+def near_atan2(y: float, x: float) -> float:
+    """atan2(y, x) to 3e-7 rad, without a branch."""
+    a = wp.abs(y)
+    b = wp.abs(x)
+    angle = 0.25 * wp.PI + atan_unit((a - b) / (a + b + 1.0e-30))
+    angle = wp.where(x < 0.0, wp.PI - angle, angle)
+    return wp.where(y < 0.0, -angle, angle)
 
 
 @wp.func
@@ -92,42 +76,95 @@ def cell_direction(row: int, column: int, rows: int, columns: int) -> wp.vec3:
     return wp.vec3(c * wp.cos(azimuth), c * wp.sin(azimuth), wp.sin(elevation))
 
 
-@wp.kernel
-def scatter_points(
-    first: int,
-    lane: int,
-    points: wp.array2d(dtype=wp.vec3),
-    point_count: wp.array(dtype=int),
-    position: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    params: wp.array(dtype=Params),
-    rows: int,
-    columns: int,
-    tables: wp.array2d(dtype=wp.int16),
-    keys: wp.array3d(dtype=wp.uint64),
-    dropped: wp.array2d(dtype=int),
-):
-    """r_ij as a minimum over packed keys: range above, the point's index below, so that equal ranges take the first
-    point.
+NEAR_EDGE = wp.constant(-1)
+OUT_OF_RANGE = wp.constant(-2)
+NOT_FINITE = wp.constant(-3)
+"""What `scatter_points` notes in place of a cell."""
 
-    Launched over [B, points of this lane]; lanes run at the same time on keys of their own.
+
+@functools.cache
+def scatter_points(width: int) -> wp.Kernel:
+    """Return the kernel that finds r_ij, for `width` points in each thread.
+
+    A CPU computes the cells of many points at once, with the same instructions, if they are in one thread; a GPU has a
+    thread for each.
     """
-    b, offset = wp.tid()
-    i = first + offset
-    if i >= point_count[b]:
-        return
-    x = points[b, i]
-    d = x - position[b]
-    r = wp.length(d)
-    # NaN compares false, so that only what is out of range has to be looked at closely.
-    if not (r <= params[b].range_max and r >= params[b].range_min):
-        if not (wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])):
-            wp.atomic_add(dropped, lane, b, 1)
-        return
-    row, column = look_up_cell(quat_inverse_rotate(quaternion[b], d), r, rows, columns, tables)
-    # The bits of a non-negative float sort like the float.
-    key = (wp.uint64(wp.cast(r, wp.uint32)) << wp.uint64(32)) | wp.uint64(i)
-    wp.atomic_min(keys, lane, b, row * columns + column, key)
+    WIDTH = wp.constant(width)
+    Reals = wp.types.vector(length=width, dtype=wp.float32)
+    Integers = wp.types.vector(length=width, dtype=wp.int32)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def scatter_points(
+        first: int,
+        lane: int,
+        points: wp.array2d(dtype=wp.vec3),
+        point_count: wp.array(dtype=int),
+        position: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
+        params: wp.array(dtype=Params),
+        rows: int,
+        columns: int,
+        keys: wp.array3d(dtype=wp.uint64),
+        dropped: wp.array2d(dtype=int),
+    ):
+        """r_ij as a minimum over packed keys: range above, the point's index below, so that equal ranges take the
+        first point.
+
+        Launched over [B, points of this lane / width]; lanes run at the same time on keys of their own.
+        """
+        b, group = wp.tid()
+        start = first + group * WIDTH
+        count = wp.min(WIDTH, point_count[b] - start)
+        if count <= 0:
+            return
+        origin = position[b]
+        q = quaternion[b]
+        forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
+        left = quat_rotate(q, wp.vec3(0.0, 1.0, 0.0))
+        up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
+        range_min = params[b].range_min
+        range_max = params[b].range_max
+        dx = Reals()
+        dy = Reals()
+        dz = Reals()
+        for j in range(count):
+            d = points[b, start + j] - origin
+            dx[j] = d[0]
+            dy[j] = d[1]
+            dz[j] = d[2]
+        range_bits = Integers()
+        cell_of = Integers()
+        for j in range(WIDTH):
+            d = wp.vec3(dx[j], dy[j], dz[j])
+            x = wp.dot(forward, d)
+            y = wp.dot(left, d)
+            z = wp.dot(up, d)
+            r = wp.sqrt(wp.dot(d, d))
+            row = (near_atan2(z, wp.sqrt(x * x + y * y)) / wp.PI + 0.5) * float(rows)
+            column = (near_atan2(y, x) / (2.0 * wp.PI) + 0.5) * float(columns)
+            off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
+            cell = int(wp.floor(row)) * columns + int(wp.floor(column))
+            cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
+            cell = wp.where(r >= range_min, wp.where(r <= range_max, cell, OUT_OF_RANGE), OUT_OF_RANGE)
+            # d - d is NaN for what is not finite, even where the squared range alone is not.
+            cell_of[j] = wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, cell, NOT_FINITE)
+            range_bits[j] = wp.cast(r, wp.int32)
+        for j in range(count):
+            cell = cell_of[j]
+            if cell >= NEAR_EDGE:
+                if cell == NEAR_EDGE:
+                    d = wp.vec3(dx[j], dy[j], dz[j])
+                    body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
+                    row_of, column_of = cell_of_direction(body, rows, columns)
+                    cell = row_of * columns + column_of
+                # The bits of a non-negative float sort like the float.
+                key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(start + j)
+                if key < keys[lane, b, cell]:
+                    wp.atomic_min(keys, lane, b, cell, key)
+            elif cell == NOT_FINITE:
+                wp.atomic_add(dropped, lane, b, 1)
+
+    return scatter_points
 
 
 @wp.kernel

@@ -17,7 +17,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
-from aero_planner.buffers import fine_shape
+from aero_planner.buffers import fine_shape, list_capacity
 from aero_planner.config import PlannerConfig
 
 __all__ = ["Pipeline"]
@@ -56,10 +56,11 @@ class Pipeline:
         self._points = points
         self._batch = batch
         self._executor = ThreadPoolExecutor(lanes - 1, "aero-planner") if lanes > 1 else None
+        self._width = 64 if self._device.is_cpu else 1
         self._graph: Any = None
         self._scatter: list[Any] = []
         self.stage_ms: dict[str, float] = {}
-        self._resets = [work.count, work.near, work.total, outputs.dropped]
+        self._resets = [work.count, work.total, outputs.dropped]
         self._stages = self._record(config, inputs, outputs, work, params)
 
     def _record(
@@ -79,7 +80,6 @@ class Pipeline:
         i, o, w = inputs, outputs, work
         state = [i.position, i.velocity, w.quaternion]
         goal = [i.goal_position, w.goal_velocity, w.goal_quaternion]
-        grid = [w.near, w.start, w.end, w.sorted_points]
         pool = [part.fine_cells, part.coarse_rows, part.coarse_columns]
 
         def launch(kernel: Any, dim: Any, *arguments: Any) -> Any:
@@ -100,11 +100,12 @@ class Pipeline:
             ),
         )  # fmt: skip
         scatter: list[Chunk] = []
-        share = -(-self._points.shape[1] // self._lanes)
+        groups = -(-self._points.shape[1] // self._width)
+        share = -(-groups // self._lanes)
         for lane in range(self._lanes):
             command = launch(
-                partition.scatter_points, (B, share), lane * share, lane, self._points, i.point_count, i.position,
-                w.quaternion, params, rows, columns, w.tables, w.keys, o.dropped,
+                partition.scatter_points(self._width), (B, share), lane * share * self._width, lane, self._points, i.point_count, i.position,
+                w.quaternion, params, rows, columns, w.keys, o.dropped,
             )  # fmt: skip
             scatter.append([("partition", command.launch)])
             self._scatter.append(command)
@@ -130,13 +131,27 @@ class Pipeline:
                 o.coefficient, o.guide, w.nominal,
             ),
         )  # fmt: skip
-        index = serial(
-            "grid",
-            launch(clearance.count_points, (B, fine), o.occupied, o.filtered, i.position, params, w.count, w.near),
-            launch(clearance.allocate_rows, (B, clearance.GRID**2), w.count, w.total, w.start, w.end),
-            launch(clearance.fill_cells, (B, fine), o.occupied, o.filtered, i.position, params, w.end, w.sorted_points),
-        )
+        capacity, run = list_capacity(config, self._lanes), clearance.GRID if self._device.is_cpu else 6
+        index: list[Chunk] = []
+        for lane in range(self._lanes):
+            layers = len(range(lane, clearance.GRID, self._lanes))
+            launches = [
+                launch(
+                    clearance.count_points, (B, fine), lane, self._lanes, o.occupied, o.filtered, i.position, params,
+                    w.count,
+                ),
+                launch(
+                    clearance.allocate_lists, (B, layers * clearance.GRID**2 // run), lane, self._lanes, run, capacity,
+                    w.count, w.total, w.lists.span,
+                ),
+                launch(
+                    clearance.fill_lists, (B, fine), lane, self._lanes, capacity, o.occupied, o.filtered, i.position,
+                    params, w.total, w.lists.span, w.list_coordinates,
+                ),
+            ]  # fmt: skip
+            index.append([("grid", command.launch) for command in launches])
         optimise: list[Chunk] = []
+        stride = 1 if self._device.is_cpu else K
         # More chunks than threads, since instances amid obstacles take longer than those in the open.
         chunks = min(instances, 4 * self._lanes) if self._lanes > 1 else 1
         for chunk in range(chunks):
@@ -149,8 +164,8 @@ class Pipeline:
                     w.nominal, w.sample_controls, w.sample_positions, o.cost,
                 )),
                 ("clearance", launch(
-                    clearance.query_clearance, (n, N + mppi.PROBES, K), first, M, N, w.sample_positions, i.position,
-                    params, *grid, w.sample_distance,
+                    clearance.query_clearance, (n, N + mppi.PROBES, stride), first, M, N, stride, w.sample_positions,
+                    i.position, params, w.lists, w.sample_distance,
                 )),
                 ("update", launch(
                     mppi.score_samples, (n, K), first, M, i.goal_position, params, w.sample_positions,
@@ -163,19 +178,19 @@ class Pipeline:
                     o.quaternions, w.probed, o.J_goal, w.J_speed,
                 )),
                 ("stage2", launch(
-                    clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, w.probed, i.position, params,
-                    *grid, w.distance,
+                    clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, 1, w.probed, i.position,
+                    params, w.lists, w.distance,
                 )),
             ]  # fmt: skip
             optimise.append([(name, command.launch) for name, command in launches])
         choose = serial(
             "stage2",
             launch(
-                stage2.select, B, i.goal_position, i.position, params, i.cloud_age, *grid, w.distance, o.positions,
+                stage2.select, B, i.goal_position, i.position, params, i.cloud_age, w.lists, w.distance, o.positions,
                 o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance, o.best, o.status,
             ),
             launch(
-                stage2.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, *grid, o.status, o.best,
+                stage2.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, w.lists, o.status, o.best,
                 o.braked, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions,
                 w.probed, w.distance, o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance,
             ),
@@ -189,10 +204,11 @@ class Pipeline:
     def limit_points(self, count: int) -> None:
         """Let the partition read only the first `count` points of each drone, where launches are not captured."""
         if self._device.is_cpu:
-            share = -(-count // self._lanes)
+            groups = -(-count // self._width)
+            share = -(-groups // self._lanes)
             for lane, command in enumerate(self._scatter):
-                command.set_param_at_index(0, lane * share)
-                command.set_dim((self._batch, max(0, min(share, count - lane * share))))
+                command.set_param_at_index(0, lane * share * self._width)
+                command.set_dim((self._batch, max(0, min(share, groups - lane * share))))
 
     def run(self) -> None:
         """Run all stages in order. `stage_ms` then holds the time of each on the CPU, [ms]."""

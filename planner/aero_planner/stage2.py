@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.clearance import cell_size, clearance_at, row_limit
+from aero_planner.clearance import PointLists, cell_size, clearance_at, row_limit
 from aero_planner.costs import goal_cost, speed_cost
 from aero_planner.dynamics import rk4_step
 from aero_planner.guides import write_brake
@@ -114,10 +114,7 @@ def select(
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     cloud_age: wp.array(dtype=float),
-    near: wp.array2d(dtype=wp.uint8),
-    start: wp.array2d(dtype=int),
-    end: wp.array2d(dtype=int),
-    sorted_points: wp.array2d(dtype=wp.vec3),
+    lists: PointLists,
     distance: wp.array3d(dtype=float),
     positions: wp.array3d(dtype=wp.vec3),
     J_goal: wp.array2d(dtype=float),
@@ -136,7 +133,7 @@ def select(
     b = wp.tid()
     c = params[b]
     instances = S2.shape[1]
-    here = clearance_at(position[b], c.safe_clearance, b, position[b], cell_size(c), near, start, end, sorted_points)
+    here = clearance_at(position[b], c.safe_clearance, b, position[b], cell_size(c), lists)
     safe = c.safe_clearance
     if here < safe:
         safe = here - 0.02
@@ -185,10 +182,7 @@ def brake_where_unsafe(
     goal_velocity: wp.array(dtype=wp.vec3),
     goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
-    near: wp.array2d(dtype=wp.uint8),
-    start: wp.array2d(dtype=int),
-    end: wp.array2d(dtype=int),
-    sorted_points: wp.array2d(dtype=wp.vec3),
+    lists: PointLists,
     status: wp.array(dtype=int),
     best: wp.array(dtype=int),
     braked: wp.array(dtype=int),
@@ -232,7 +226,7 @@ def brake_where_unsafe(
     steps = clearance.shape[2]
     for t in range(steps + PROBES):
         limit = row_limit(t, steps, c)
-        distance[i, t, 0] = clearance_at(probed[i, t, 0], limit, b, position[b], size, near, start, end, sorted_points)
+        distance[i, t, 0] = clearance_at(probed[i, t, 0], limit, b, position[b], size, lists)
     score_instance(i, b, m, 0.0, goal_position[b], c, distance, positions, J_goal, J_speed, J_col, S2, clearance)
 
 
