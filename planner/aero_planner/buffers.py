@@ -13,7 +13,17 @@ from aero_planner.clearance import GRID, WIDTH, PointBlock, PointLists
 from aero_planner.config import PlannerConfig
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 
-__all__ = ["Block", "fine_shape", "input_block", "list_capacity", "output_block", "work_arrays"]
+__all__ = [
+    "Block",
+    "as_vectors",
+    "fine_shape",
+    "input_block",
+    "list_capacity",
+    "output_block",
+    "padded_samples",
+    "sample_width",
+    "work_arrays",
+]
 
 Spec = dict[str, tuple[Any, tuple[int, ...]]]
 _ALIGNMENT = 256
@@ -91,7 +101,7 @@ def input_block(batch: int, device: wp.Device) -> Block:
 
 def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> Block:
     """Everything that a Plan shows."""
-    M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
+    M, N = len(config.kinds), config.sampling.steps
     coarse = config.partition.coarse_rows * config.partition.coarse_columns
     fine = math.prod(fine_shape(config))
     vec3, vec4, real, integer = wp.vec3, wp.vec4, wp.float32, wp.int32
@@ -109,7 +119,7 @@ def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Devic
         "positions": (vec3, (batch, M, N + 1)),
         "velocities": (vec3, (batch, M, N + 1)),
         "quaternions": (vec4, (batch, M, N + 1)),
-        "cost": (real, (batch * M, K)),
+        "cost": (real, (batch * M, padded_samples(config, device))),
         "S2": (real, (batch, M)),
         "J_goal": (real, (batch, M)),
         "J_col": (real, (batch, M)),
@@ -128,6 +138,24 @@ def fine_shape(config: PlannerConfig) -> tuple[int, int]:
     return part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
 
 
+def sample_width(device: wp.Device) -> int:
+    """Return how many samples share a thread: what LLVM turns into vector instructions, or one on a GPU."""
+    return 32 if device.is_cpu else 1
+
+
+def padded_samples(config: PlannerConfig, device: wp.Device) -> int:
+    """Return K filled up to whole vectors; the samples past K are rolled out and not used."""
+    width = sample_width(device)
+    return -(-config.sampling.samples // width) * width
+
+
+def as_vectors(array: wp.array, width: int) -> wp.array:
+    """Return a view of a contiguous float array with its last axis in vectors of `width`."""
+    shape = (*array.shape[:-1], array.shape[-1] // width)
+    dtype = wp.types.vector(length=width, dtype=wp.float32)
+    return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
+
+
 def list_capacity(config: PlannerConfig, lanes: int) -> int:
     """Return how many points the lists of one lane can hold: each point in those of its layers of 9 cells, of three."""
     points = math.prod(fine_shape(config)) * 9 * math.ceil(3 / lanes)
@@ -138,7 +166,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
     """What only the kernels need."""
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
     fine = math.prod(fine_shape(config))
-    rows = N + PROBES
+    rows, padded = N + PROBES, padded_samples(config, device)
     with wp.ScopedDevice(device):
         work = SimpleNamespace(
             quaternion=wp.zeros(batch, dtype=wp.vec4),
@@ -150,14 +178,14 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             count=wp.zeros((batch, GRID**3), dtype=wp.int32),
             total=wp.zeros((lanes, batch), dtype=wp.int32),
             nominal=wp.zeros((batch, M, N), dtype=wp.vec4),
-            sample_controls=wp.zeros((batch * M, N, K), dtype=wp.vec4),
-            sample_positions=wp.zeros((batch * M, rows, K), dtype=wp.vec3),
+            sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
+            sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
             sample_distance=wp.zeros((batch * M, rows, K), dtype=wp.float32),
             weight=wp.zeros((batch * M, K), dtype=wp.float32),
-            probed=wp.zeros((batch * M, rows, 1), dtype=wp.vec3),
+            probed=wp.zeros((batch * M, rows, 3, 1), dtype=wp.float32),
             distance=wp.zeros((batch * M, rows, 1), dtype=wp.float32),
             J_speed=wp.zeros((batch, M), dtype=wp.float32),
-            noise=wp.zeros((N, NOISE_ROWS), dtype=wp.vec4),
+            noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
             seed=wp.zeros(batch, dtype=wp.int32),
             tick=wp.zeros(batch, dtype=wp.int32),
             previous_controls=wp.zeros((batch, N), dtype=wp.vec4),
@@ -172,6 +200,6 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
         work.list_coordinates = wp.array(
             ptr=lists.blocks.ptr, dtype=wp.float32, shape=(*lists.blocks.shape, 3, WIDTH), device=device
         )
-        wp.launch(fill_noise, dim=work.noise.shape, inputs=[work.noise])
+        wp.launch(fill_noise, dim=(N, NOISE_ROWS), inputs=[work.noise])
         work.keys.fill_(0xFFFFFFFFFFFFFFFF)
     return work

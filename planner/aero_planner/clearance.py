@@ -217,13 +217,13 @@ def query_clearance(
     instances: int,
     steps: int,
     stride: int,
-    positions: wp.array3d(dtype=wp.vec3),
+    positions: wp.array4d(dtype=float),
     center: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     lists: PointLists,
     distance: wp.array3d(dtype=float),
 ):
-    """Clearance of every position, shape [B M, N + probes, K]; rows past `steps` probe the way to the goal.
+    """Clearance of every position, shape [B M, N + probes, 3, K]; rows past `steps` probe the way to the goal.
 
     Launched over [instances of this chunk, N + probes, stride]; a thread takes every `stride`-th of the K positions.
     """
@@ -233,8 +233,9 @@ def query_clearance(
     limit = row_limit(t, steps, params[b])
     size = cell_size(params[b])
     unused = t >= steps and params[b].q_blocked == 0.0
-    for k in range(lane, positions.shape[2], stride):
+    for k in range(lane, distance.shape[2], stride):
         if unused:
             distance[i, t, k] = limit
         else:
-            distance[i, t, k] = clearance_at(positions[i, t, k], limit, b, center[b], size, lists)
+            x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
+            distance[i, t, k] = clearance_at(x, limit, b, center[b], size, lists)

@@ -73,14 +73,14 @@ def collision_cost(d: float, params: Params) -> float:
     s = (d_max - d) / (d_max - d_min) above d_min, and C (2 - d / d_min) below it, so that where nothing stays clear the
     wider miss still costs less.
     """
-    if d >= params.distance_max:
-        return float(0.0)
-    if params.shape == 1:
-        return params.penalty * wp.exp(-params.decay * wp.max(0.0, d - params.distance_min))
-    if d < params.distance_min:
-        return params.penalty * (2.0 - d / params.distance_min)
+    # Without returns in between, a CPU computes it for many samples at once.
     s = (params.distance_max - d) / (params.distance_max - params.distance_min)
-    return params.soft_weight * s * s
+    cost = wp.where(
+        d < params.distance_min, params.penalty * (2.0 - d / params.distance_min), params.soft_weight * s * s
+    )
+    if params.shape == 1:
+        cost = params.penalty * wp.exp(-params.decay * wp.max(0.0, d - params.distance_min))
+    return wp.where(d < params.distance_max, cost, 0.0)
 
 
 @wp.func

@@ -89,7 +89,9 @@ def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
     """q after dt at constant body rates: the quaternion part of `rk4_step`."""
     # dq is linear in q and its matrix A satisfies A^2 = -|omega|^2 / 4, so the four RK4 stages sum to this polynomial.
     s = 0.25 * dt * dt * wp.dot(omega, omega)
-    return wp.normalize((1.0 - s / 2.0 + s * s / 24.0) * q + (dt * (1.0 - s / 6.0)) * _rate(q, omega))
+    turned = (1.0 - s / 2.0 + s * s / 24.0) * q + (dt * (1.0 - s / 6.0)) * _rate(q, omega)
+    # Not wp.normalize, whose branch for zero length would keep a CPU from turning many at once.
+    return turned / wp.length(turned)
 
 
 @wp.func

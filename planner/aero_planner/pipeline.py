@@ -17,7 +17,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
-from aero_planner.buffers import fine_shape, list_capacity
+from aero_planner.buffers import as_vectors, fine_shape, list_capacity, padded_samples, sample_width
 from aero_planner.config import PlannerConfig
 
 __all__ = ["Pipeline"]
@@ -100,8 +100,7 @@ class Pipeline:
             ),
         )  # fmt: skip
         scatter: list[Chunk] = []
-        groups = -(-self._points.shape[1] // self._width)
-        share = -(-groups // self._lanes)
+        share = -(-self._points.shape[1] // (self._width * self._lanes))
         for lane in range(self._lanes):
             command = launch(
                 partition.scatter_points(self._width), (B, share), lane * share * self._width, lane, self._points, i.point_count, i.position,
@@ -151,7 +150,8 @@ class Pipeline:
             ]  # fmt: skip
             index.append([("grid", command.launch) for command in launches])
         optimise: list[Chunk] = []
-        stride = 1 if self._device.is_cpu else K
+        stride, width = 1 if self._device.is_cpu else K, sample_width(self._device)
+        groups = padded_samples(config, self._device) // width
         # More chunks than threads, since instances amid obstacles take longer than those in the open.
         chunks = min(instances, 4 * self._lanes) if self._lanes > 1 else 1
         for chunk in range(chunks):
@@ -159,9 +159,9 @@ class Pipeline:
             n = instances * (chunk + 1) // chunks - first
             launches = [
                 ("rollouts", launch(
-                    mppi.sample_rollouts, (n, K), first, M, previous, *state, *goal, params, w.seed, w.tick, w.noise,
-                    o.guide,
-                    w.nominal, w.sample_controls, w.sample_positions, o.cost,
+                    mppi.sample_rollouts(width), (n, groups), first, M, previous, *state, *goal, params, w.seed, w.tick,
+                    as_vectors(w.noise, width), o.guide, w.nominal, as_vectors(w.sample_controls, width),
+                    as_vectors(w.sample_positions, width), as_vectors(o.cost, width),
                 )),
                 ("clearance", launch(
                     clearance.query_clearance, (n, N + mppi.PROBES, stride), first, M, N, stride, w.sample_positions,

@@ -345,7 +345,7 @@ class Planner:
             positions=field("positions"),
             velocities=field("velocities"),
             quaternions=field("quaternions"),
-            stage1_cost=shaped("cost", (B, M, -1)),
+            stage1_cost=shaped("cost", (B, M, -1))[..., : config.sampling.samples],
             stage2_cost=field("S2"),
             goal_cost=field("J_goal"),
             collision_cost=field("J_col"),
@@ -359,7 +359,8 @@ class Planner:
 
     def _samples(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
         B, M, rows, _ = positions.shape
-        after = self._work.sample_positions.numpy()[:, : rows - 1].transpose(0, 2, 1, 3)
+        after = self._work.sample_positions.numpy()[:, : rows - 1, :, : self._config.sampling.samples]
+        after = after.transpose(0, 3, 1, 2)
         after = after.reshape(B, M, -1, rows - 1, 3)
         start = np.broadcast_to(positions[:, :, None, :1], (*after.shape[:3], 1, 3))
         rollouts = np.concatenate((start, after), axis=3)

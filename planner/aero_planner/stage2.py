@@ -21,6 +21,12 @@ STALE_CLOUD = wp.constant(2)
 
 
 @wp.func
+def write_position(i: int, row: int, p: wp.vec3, positions: wp.array4d(dtype=float)):
+    for axis in range(3):
+        positions[i, row, axis, 0] = p[axis]
+
+
+@wp.func
 def roll_out(
     i: int,
     b: int,
@@ -36,7 +42,7 @@ def roll_out(
     positions: wp.array3d(dtype=wp.vec3),
     velocities: wp.array3d(dtype=wp.vec3),
     quaternions: wp.array3d(dtype=wp.vec4),
-    probed: wp.array3d(dtype=wp.vec3),
+    probed: wp.array4d(dtype=float),
 ):
     """Roll out one instance's controls; writes its states and probes, returns J_goal and the speed's cost."""
     steps = controls.shape[2]
@@ -50,11 +56,11 @@ def roll_out(
         positions[b, m, t + 1] = p
         velocities[b, m, t + 1] = v
         quaternions[b, m, t + 1] = q
-        probed[i, t, 0] = p
+        write_position(i, t, p, probed)
         J_goal += goal_cost(p, v, q, p_goal, v_goal, q_goal, params)
         J_speed += speed_cost(v, params)
     for j in range(PROBES):
-        probed[i, steps + j, 0] = probe(p, p_goal, j, params)
+        write_position(i, steps + j, probe(p, p_goal, j, params), probed)
     return J_goal, J_speed
 
 
@@ -73,7 +79,7 @@ def roll_out_best(
     positions: wp.array3d(dtype=wp.vec3),
     velocities: wp.array3d(dtype=wp.vec3),
     quaternions: wp.array3d(dtype=wp.vec4),
-    probed: wp.array3d(dtype=wp.vec3),
+    probed: wp.array4d(dtype=float),
     J_goal: wp.array2d(dtype=float),
     J_speed: wp.array2d(dtype=float),
 ):
@@ -193,7 +199,7 @@ def brake_where_unsafe(
     positions: wp.array3d(dtype=wp.vec3),
     velocities: wp.array3d(dtype=wp.vec3),
     quaternions: wp.array3d(dtype=wp.vec4),
-    probed: wp.array3d(dtype=wp.vec3),
+    probed: wp.array4d(dtype=float),
     distance: wp.array3d(dtype=float),
     J_goal: wp.array2d(dtype=float),
     J_speed: wp.array2d(dtype=float),
@@ -226,7 +232,8 @@ def brake_where_unsafe(
     steps = clearance.shape[2]
     for t in range(steps + PROBES):
         limit = row_limit(t, steps, c)
-        distance[i, t, 0] = clearance_at(probed[i, t, 0], limit, b, position[b], size, lists)
+        x = wp.vec3(probed[i, t, 0, 0], probed[i, t, 1, 0], probed[i, t, 2, 0])
+        distance[i, t, 0] = clearance_at(x, limit, b, position[b], size, lists)
     score_instance(i, b, m, 0.0, goal_position[b], c, distance, positions, J_goal, J_speed, J_col, S2, clearance)
 
 

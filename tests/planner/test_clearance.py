@@ -19,8 +19,8 @@ def check_against_brute_force(planner: Planner, case, config) -> None:
     expected = reference.clearance(positions, kept_points(plan), d_max).reshape(plan.clearance.shape)
     # Differences of coordinates up to 30 m plus 20 m of flight: 4e-6 m each.
     np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
-    samples = planner._work.sample_positions.numpy()
     distance = planner._work.sample_distance.numpy()
+    samples = planner._work.sample_positions.numpy()[..., : distance.shape[2]].swapaxes(2, 3)
     steps = config.sampling.steps
     limit = max(d_max, config.candidates.safe_clearance)
     flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7].astype(np.float64), kept_points(plan), limit)

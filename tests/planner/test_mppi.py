@@ -12,7 +12,7 @@ from tests.planner.cases import Case, config_of, kept_points, random_case
 
 def sampled_controls(planner: Planner, plan: Plan) -> np.ndarray:
     """Controls of every sample, shape [M, N, K, 4]."""
-    return planner._work.sample_controls.numpy().reshape(len(plan.kinds), -1, plan.stage1_cost.shape[1], 4)
+    return planner._work.sample_controls.numpy()[..., : plan.stage1_cost.shape[1]].swapaxes(2, 3)
 
 
 def on_an_edge(x: reference.Rollout, case: Case, plan: Plan, config: PlannerConfig) -> bool:
@@ -160,12 +160,12 @@ def test_noise_is_gaussian(device: str):
 
 
 def test_noise_stays_in_its_table(device: str):
-    """With this seed the first row of the noise lies 805 below 2^31, where adding the sample would overflow."""
+    """With this seed the last of the 256 beginnings is drawn, 64 sequences before the table's end."""
     config = noisy_config(anchors__columns=1, anchors__rows=1).replace({"sampling.samples": 1024})
-    planner = Planner(config, device=device, seed=1_330_592)
+    planner = Planner(config, device=device, seed=166)
     noise = noise_of(planner, random_case(0, count=0))[0]
-    table = planner._work.noise.numpy().transpose(1, 0, 2)
-    rows = (2**31 - 805 + np.arange(1024)) % len(table)
+    table = planner._work.noise.numpy().transpose(2, 0, 1)
+    rows = (len(table) - 64 + np.arange(1024)) % len(table)
     scale = np.sqrt([1.0, 1.0, 1.0, 0.5])
     np.testing.assert_allclose(np.abs(noise), np.abs(table[rows] * scale), atol=1e-4)
 
