@@ -85,6 +85,8 @@ def sample_rollouts(width: int) -> wp.Kernel:
     """Return the kernel that rolls out `width` samples in each thread: on a CPU, many with the same instructions."""
     WIDTH = wp.constant(width)
     Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
+    Controls: Any = wp.types.matrix(shape=(4, width), dtype=wp.float32)
+    States: Any = wp.types.matrix(shape=(10, width), dtype=wp.float32)
 
     @wp.kernel(module="unique", enable_backward=False)
     def sample_rollouts(
@@ -135,27 +137,18 @@ def sample_rollouts(width: int) -> wp.Kernel:
         p_goal = goal_position[b]
         v_goal = goal_velocity[b]
         q_goal = goal_quaternion[b]
-        x0 = position[b]
+        p0 = position[b]
         v0 = velocity[b]
         q0 = quaternion[b]
-        px = Reals(x0[0])
-        py = Reals(x0[1])
-        pz = Reals(x0[2])
-        vx = Reals(v0[0])
-        vy = Reals(v0[1])
-        vz = Reals(v0[2])
-        qw = Reals(q0[0])
-        qx = Reals(q0[1])
-        qy = Reals(q0[2])
-        qz = Reals(q0[3])
-        n0 = Reals()
-        n1 = Reals()
-        n2 = Reals()
-        n3 = Reals()
-        u0 = Reals()
-        u1 = Reals()
-        u2 = Reals()
-        u3 = Reals()
+        x = States()
+        for j in range(WIDTH):
+            for axis in range(3):
+                x[axis, j] = p0[axis]
+                x[3 + axis, j] = v0[axis]
+            for axis in range(4):
+                x[6 + axis, j] = q0[axis]
+        noise = Controls()
+        u = Controls()
         S = Reals()
         noisy = Reals(1.0)
         if group == 0 and c.keep_nominal != 0:
@@ -164,68 +157,53 @@ def sample_rollouts(width: int) -> wp.Kernel:
         for t in range(steps):
             u_nominal = nominal[b, m, t]
             p_guide = guide[b, m, t + 1]
-            e0 = noise_table[t, 0, row]
-            e1 = noise_table[t, 1, row]
-            e2 = noise_table[t, 2, row]
-            e3 = noise_table[t, 3, row]
+            drawn = Controls()
+            for axis in range(4):
+                drawn[axis] = noise_table[t, axis, row]
             # J_ctrl leaves out the last control, and the change to the first.
             counted = wp.where(t < steps - 1, 1.0, 0.0)
             change_counted = wp.where(t > 0, counted, 0.0)
             for j in range(WIDTH):
                 # AR(1) with the variance of its innovations scaled to keep the noise's own.
-                noise = c.correlation * wp.vec4(n0[j], n1[j], n2[j], n3[j]) + fresh * wp.vec4(e0[j], e1[j], e2[j], e3[j])
-                u = clamp_control(u_nominal + noisy[j] * wp.cw_mul(sigma, noise), c)
-                u_before = wp.vec4(u0[j], u1[j], u2[j], u3[j])
-                p = wp.vec3(px[j], py[j], pz[j])
-                v = wp.vec3(vx[j], vy[j], vz[j])
-                q = wp.vec4(qw[j], qx[j], qy[j], qz[j])
-                p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, c.dt)
+                e = c.correlation * wp.vec4(noise[0, j], noise[1, j], noise[2, j], noise[3, j]) + fresh * wp.vec4(
+                    drawn[0, j], drawn[1, j], drawn[2, j], drawn[3, j]
+                )
+                u_t = clamp_control(u_nominal + noisy[j] * wp.cw_mul(sigma, e), c)
+                u_before = wp.vec4(u[0, j], u[1, j], u[2, j], u[3, j])
+                p = wp.vec3(x[0, j], x[1, j], x[2, j])
+                v = wp.vec3(x[3, j], x[4, j], x[5, j])
+                q = wp.vec4(x[6, j], x[7, j], x[8, j], x[9, j])
+                p, v, q = rk4_step(p, v, q, u_t, c.mass, c.gravity, c.dt)
                 S[j] = (
                     S[j]
-                    + counted * control_cost(u, c)
-                    + change_counted * control_rate_cost(u, u_before, c)
+                    + counted * control_cost(u_t, c)
+                    + change_counted * control_rate_cost(u_t, u_before, c)
                     + track * track_cost(p, p_guide, c)
                     + vnorm_cost(v, c)
                     + goal_cost(p, v, q, p_goal, v_goal, q_goal, c)
                     + speed_cost(v, c)
                 )
-                n0[j] = noise[0]
-                n1[j] = noise[1]
-                n2[j] = noise[2]
-                n3[j] = noise[3]
-                u0[j] = u[0]
-                u1[j] = u[1]
-                u2[j] = u[2]
-                u3[j] = u[3]
-                px[j] = p[0]
-                py[j] = p[1]
-                pz[j] = p[2]
-                vx[j] = v[0]
-                vy[j] = v[1]
-                vz[j] = v[2]
-                qw[j] = q[0]
-                qx[j] = q[1]
-                qy[j] = q[2]
-                qz[j] = q[3]
+                for axis in range(4):
+                    noise[axis, j] = e[axis]
+                    u[axis, j] = u_t[axis]
+                    x[6 + axis, j] = q[axis]
+                for axis in range(3):
+                    x[axis, j] = p[axis]
+                    x[3 + axis, j] = v[axis]
             fresh = wp.sqrt(1.0 - c.correlation * c.correlation)
-            controls[i, t, 0, group] = u0
-            controls[i, t, 1, group] = u1
-            controls[i, t, 2, group] = u2
-            controls[i, t, 3, group] = u3
-            positions[i, t, 0, group] = px
-            positions[i, t, 1, group] = py
-            positions[i, t, 2, group] = pz
+            for axis in range(4):
+                controls[i, t, axis, group] = u[axis]
+            for axis in range(3):
+                positions[i, t, axis, group] = x[axis]
         cost[i, group] = S
         if c.q_blocked > 0.0:
             for ahead in range(PROBES):
                 for j in range(WIDTH):
-                    place = probe(wp.vec3(px[j], py[j], pz[j]), p_goal, ahead, c)
-                    u0[j] = place[0]
-                    u1[j] = place[1]
-                    u2[j] = place[2]
-                positions[i, steps + ahead, 0, group] = u0
-                positions[i, steps + ahead, 1, group] = u1
-                positions[i, steps + ahead, 2, group] = u2
+                    place = probe(wp.vec3(x[0, j], x[1, j], x[2, j]), p_goal, ahead, c)
+                    for axis in range(3):
+                        u[axis, j] = place[axis]
+                for axis in range(3):
+                    positions[i, steps + ahead, axis, group] = u[axis]
 
     return sample_rollouts
 
