@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.clearance import GRID, WIDTH, PointBlock, PointLists
+from aero_planner.clearance import GRID, WIDTH, PointBlock, PointList
 from aero_planner.config import PlannerConfig
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 
@@ -156,9 +156,10 @@ def as_vectors(array: wp.array, width: int) -> wp.array:
     return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
 
 
-def list_capacity(config: PlannerConfig, lanes: int) -> int:
-    """Return how many points the lists of one lane can hold: each point in those of its layers of 9 cells, of three."""
-    points = math.prod(fine_shape(config)) * 9 * math.ceil(3 / lanes)
+def list_capacity(config: PlannerConfig, lanes: int, device: wp.Device) -> int:
+    """Return how many points the list has room for in the layers of one lane: of three layers, those it may have."""
+    rows = 3 if device.is_cpu else 1
+    points = math.prod(fine_shape(config)) * rows * math.ceil(3 / lanes)
     return -(-points // WIDTH) * WIDTH
 
 
@@ -175,7 +176,6 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             keys=wp.zeros((lanes, batch, fine), dtype=wp.uint64),
             reach=wp.zeros(batch, dtype=wp.float32),
             initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
-            count=wp.zeros((batch, GRID**3), dtype=wp.int32),
             total=wp.zeros((lanes, batch), dtype=wp.int32),
             nominal=wp.zeros((batch, M, N), dtype=wp.vec4),
             sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
@@ -192,13 +192,14 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             previous_end=wp.zeros(batch, dtype=wp.vec3),
             previous_time=wp.zeros(batch, dtype=wp.float64),
         )
-        lists = PointLists()
-        lists.span = wp.zeros((batch, GRID**3, 2), dtype=wp.int32)
-        lists.blocks = wp.zeros((batch, lanes * list_capacity(config, lanes) // WIDTH), dtype=PointBlock)
-        work.lists = lists
+        work.list = PointList()
+        work.list.beside = 1 if device.is_cpu else 0
+        work.list.end = wp.zeros((batch, GRID**3), dtype=wp.int32)
+        blocks = lanes * list_capacity(config, lanes, device) // WIDTH
+        work.list.blocks = wp.zeros((batch, blocks), dtype=PointBlock)
         # The same memory, so that single coordinates can be written.
-        work.list_coordinates = wp.array(
-            ptr=lists.blocks.ptr, dtype=wp.float32, shape=(*lists.blocks.shape, 3, WIDTH), device=device
+        work.coordinates = wp.array(
+            ptr=work.list.blocks.ptr, dtype=wp.float32, shape=(batch, blocks, 3, WIDTH), device=device
         )
         wp.launch(fill_noise, dim=(N, NOISE_ROWS), inputs=[work.noise])
         work.keys.fill_(0xFFFFFFFFFFFFFFFF)

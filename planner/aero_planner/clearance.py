@@ -1,8 +1,9 @@
 """Exact distance to the nearest point of the filtered cloud, truncated where it no longer matters.
 
 The space around the drone is cut into cubic cells at least as wide as the largest distance that is asked for, so that
-all points that count for a position lie in the 27 cells around it. Each cell lists the points of its 27 cells. Most
-lists are empty, which settles most positions with one look-up; nothing is approximated.
+all points that count for a position lie in the 27 cells around it. Points are sorted by cell, rows of cells along x one
+after another. Every point is entered in the layers below and above its own, too, and where that pays (on a CPU) also in
+the rows beside its own: the 27 cells are then one piece of the list, otherwise three. Nothing is approximated.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ __all__ = [
     "GRID",
     "WIDTH",
     "PointBlock",
-    "PointLists",
-    "allocate_lists",
+    "PointList",
+    "allocate_rows",
     "cell_size",
     "clearance_at",
     "count_points",
-    "fill_lists",
+    "fill_rows",
     "query_clearance",
     "row_limit",
 ]
@@ -35,8 +36,8 @@ GRID = wp.constant(42)
 """Cells along each side of the grid; the outermost hold no points, so that every point has 27 cells around it."""
 
 WIDTH = wp.constant(16)
-"""Points in a block of the lists, which a CPU handles at once. A list begins and ends anywhere in a block: what else
-the block holds are points of the cloud, too."""
+"""Points in a block of the list, which a CPU handles at once. A row begins and ends anywhere in a block: what else the
+block holds are points of the cloud, too."""
 
 FAR = wp.constant(1.0e18)
 """Coordinate of what fills up the last block."""
@@ -47,13 +48,15 @@ PointBlock: Any = wp.types.matrix(shape=(3, 16), dtype=wp.float32)
 
 
 @wp.struct
-class PointLists:
-    """The points around each cell."""
+class PointList:
+    """The points by cell."""
 
-    span: wp.array3d(dtype=int)
-    """Where a cell's list begins and ends, shape [B, GRID^3, 2]."""
+    beside: int
+    """1 where points are entered in the rows beside their own as well, else 0."""
+    end: wp.array2d(dtype=int)
+    """Where each cell's points end, shape [B, GRID^3]; they begin where those of the cell before in the row end."""
     blocks: wp.array2d(dtype=PointBlock)
-    """Points of all lists [m], shape [B, blocks], world frame."""
+    """Points of all rows [m], shape [B, blocks], world frame."""
 
 
 @wp.func
@@ -87,51 +90,48 @@ def count_points(
     filtered: wp.array2d(dtype=wp.vec3),
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
-    count: wp.array2d(dtype=int),
+    list: PointList,
 ):
-    """Count the points of each list. Launched over [B, fine cells]; a lane has every `lanes`-th layer of cells."""
+    """Count the points of each cell in `end`. Launched over [B, fine cells]; a lane has every `lanes`-th layer."""
     b, i = wp.tid()
     if occupied[b, i] == 0:
         return
     cx, cy, cz = cell_of_point(filtered[b, i], position[b], cell_size(params[b]))
     for z in range(cz - 1, cz + 2):
         if z % lanes == lane:
-            for y in range(cy - 1, cy + 2):
-                for x in range(cx - 1, cx + 2):
-                    wp.atomic_add(count, b, (z * GRID + y) * GRID + x, 1)
+            for y in range(cy - list.beside, cy + list.beside + 1):
+                wp.atomic_add(list.end, b, (z * GRID + y) * GRID + cx, 1)
 
 
 @wp.kernel
-def allocate_lists(
+def allocate_rows(
     lane: int,
     lanes: int,
-    run: int,
     capacity: int,
-    count: wp.array2d(dtype=int),
+    list: PointList,
     total: wp.array2d(dtype=int),
-    span: wp.array3d(dtype=int),
 ):
-    """Give each list a piece of this lane's `capacity` points. Launched over [B, cells of the lane / run].
+    """Give each row of cells a piece of this lane's `capacity` points; `end` becomes where each cell begins. Launched
+    over [B, rows of the lane].
 
-    Which piece a list gets depends on the order of the threads; the nearest distance does not.
+    Which piece a row gets depends on the order of the threads; the nearest distance does not.
     """
     b, i = wp.tid()
-    runs = GRID * GRID // run  # of a layer
-    first = ((i // runs) * lanes + lane) * GRID * GRID + (i % runs) * run
+    first = ((i // GRID) * lanes + lane) * GRID * GRID + (i % GRID) * GRID
     length = int(0)
-    for cell in range(first, first + run):
-        length += count[b, cell]
-    cursor = int(0)
-    if length > 0:
-        cursor = lane * capacity + wp.atomic_add(total, lane, b, length)
-    for cell in range(first, first + run):
-        span[b, cell, 0] = cursor
-        span[b, cell, 1] = cursor
-        cursor += count[b, cell]
+    for x in range(GRID):
+        length += list.end[b, first + x]
+    if length == 0:
+        return
+    cursor = lane * capacity + wp.atomic_add(total, lane, b, length)
+    for x in range(GRID):
+        count = list.end[b, first + x]
+        list.end[b, first + x] = cursor
+        cursor += count
 
 
 @wp.kernel
-def fill_lists(
+def fill_rows(
     lane: int,
     lanes: int,
     capacity: int,
@@ -140,11 +140,11 @@ def fill_lists(
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     total: wp.array2d(dtype=int),
-    span: wp.array3d(dtype=int),
+    list: PointList,
     coordinates: wp.array4d(dtype=float),
 ):
-    """Write every point into its lists, which then end where `span` says; `coordinates` are those of the blocks, shape
-    [B, blocks, 3, WIDTH]. Launched over [B, fine cells]."""
+    """Write every point into its cells; `coordinates` are those of the blocks, shape [B, blocks, 3, WIDTH]. Launched
+    over [B, fine cells]."""
     b, i = wp.tid()
     if i == 0:
         end = lane * capacity + total[lane, b]
@@ -156,38 +156,17 @@ def fill_lists(
     cx, cy, cz = cell_of_point(point, position[b], cell_size(params[b]))
     for z in range(cz - 1, cz + 2):
         if z % lanes == lane:
-            for y in range(cy - 1, cy + 2):
-                for x in range(cx - 1, cx + 2):
-                    slot = wp.atomic_add(span, b, (z * GRID + y) * GRID + x, 1, 1)
-                    block = slot // WIDTH
-                    j = slot % WIDTH
-                    coordinates[b, block, 0, j] = point[0]
-                    coordinates[b, block, 1, j] = point[1]
-                    coordinates[b, block, 2, j] = point[2]
+            for y in range(cy - list.beside, cy + list.beside + 1):
+                slot = wp.atomic_add(list.end, b, (z * GRID + y) * GRID + cx, 1)
+                block = slot // WIDTH
+                j = slot % WIDTH
+                coordinates[b, block, 0, j] = point[0]
+                coordinates[b, block, 1, j] = point[1]
+                coordinates[b, block, 2, j] = point[2]
 
 
 @wp.func
-def nearest_squared(x: wp.vec3, limit: float, b: int, first: int, last: int, blocks: wp.array2d(dtype=PointBlock)):
-    """Squared distance to the nearest of the points first..last-1, at most limit^2."""
-    best = Reals(limit * limit)
-    for k in range(first // WIDTH, (last + WIDTH - 1) // WIDTH):
-        block = blocks[b, k]
-        for j in range(WIDTH):
-            dx = block[0, j] - x[0]
-            dy = block[1, j] - x[1]
-            dz = block[2, j] - x[2]
-            d = dx * dx + dy * dy + dz * dz
-            best[j] = wp.where(d < best[j], d, best[j])
-    # By halves, which takes four dependent steps instead of sixteen.
-    for j in range(8):
-        best[j] = wp.where(best[j + 8] < best[j], best[j + 8], best[j])
-    for j in range(4):
-        best[j] = wp.where(best[j + 4] < best[j], best[j + 4], best[j])
-    return wp.min(wp.min(best[0], best[1]), wp.min(best[2], best[3]))
-
-
-@wp.func
-def clearance_at(x: wp.vec3, limit: float, b: int, center: wp.vec3, size: float, lists: PointLists) -> float:
+def clearance_at(x: wp.vec3, limit: float, b: int, center: wp.vec3, size: float, list: PointList) -> float:
     """Distance from x to the nearest point [m], or `limit` where that is farther; `limit` must not exceed `size`."""
     c = grid_coordinates(x, center, size)
     cx = int(wp.floor(c[0]))
@@ -195,12 +174,28 @@ def clearance_at(x: wp.vec3, limit: float, b: int, center: wp.vec3, size: float,
     cz = int(wp.floor(c[2]))
     if wp.min(cx, wp.min(cy, cz)) < 0 or wp.max(cx, wp.max(cy, cz)) >= GRID:
         return limit
-    cell = (cz * GRID + cy) * GRID + cx
-    first = lists.span[b, cell, 0]
-    last = lists.span[b, cell, 1]
-    if first == last:
-        return limit
-    return wp.sqrt(nearest_squared(x, limit, b, first, last, lists.blocks))
+    best = Reals(limit * limit)
+    side = 1 - list.beside
+    for y in range(wp.max(cy - side, 0), wp.min(cy + side, GRID - 1) + 1):
+        row = (cz * GRID + y) * GRID
+        # The first cell of a row is empty, so that the row begins where that one ends.
+        first = list.end[b, row + wp.max(cx - 2, 0)]
+        last = list.end[b, row + wp.min(cx + 1, GRID - 1)]
+        if first < last:
+            for k in range(first // WIDTH, (last + WIDTH - 1) // WIDTH):
+                block = list.blocks[b, k]
+                for j in range(WIDTH):
+                    dx = block[0, j] - x[0]
+                    dy = block[1, j] - x[1]
+                    dz = block[2, j] - x[2]
+                    d = dx * dx + dy * dy + dz * dz
+                    best[j] = wp.where(d < best[j], d, best[j])
+    # By halves, which takes four dependent steps instead of sixteen.
+    for j in range(8):
+        best[j] = wp.where(best[j + 8] < best[j], best[j + 8], best[j])
+    for j in range(4):
+        best[j] = wp.where(best[j + 4] < best[j], best[j + 4], best[j])
+    return wp.sqrt(wp.min(wp.min(best[0], best[1]), wp.min(best[2], best[3])))
 
 
 @wp.func
@@ -220,7 +215,7 @@ def query_clearance(
     positions: wp.array4d(dtype=float),
     center: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
-    lists: PointLists,
+    list: PointList,
     distance: wp.array3d(dtype=float),
 ):
     """Clearance of every position, shape [B M, N + probes, 3, K]; rows past `steps` probe the way to the goal.
@@ -238,4 +233,4 @@ def query_clearance(
             distance[i, t, k] = limit
         else:
             x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-            distance[i, t, k] = clearance_at(x, limit, b, center[b], size, lists)
+            distance[i, t, k] = clearance_at(x, limit, b, center[b], size, list)

@@ -60,7 +60,7 @@ class Pipeline:
         self._graph: Any = None
         self._scatter: list[Any] = []
         self.stage_ms: dict[str, float] = {}
-        self._resets = [work.count, work.total, outputs.dropped]
+        self._resets = [work.list.end, work.total, outputs.dropped]
         self._stages = self._record(config, inputs, outputs, work, params)
 
     def _record(
@@ -130,22 +130,21 @@ class Pipeline:
                 o.coefficient, o.guide, w.nominal,
             ),
         )  # fmt: skip
-        capacity, run = list_capacity(config, self._lanes), clearance.GRID if self._device.is_cpu else 6
+        capacity = list_capacity(config, self._lanes, self._device)
         index: list[Chunk] = []
         for lane in range(self._lanes):
-            layers = len(range(lane, clearance.GRID, self._lanes))
+            rows_of_lane = len(range(lane, clearance.GRID, self._lanes)) * clearance.GRID
             launches = [
                 launch(
                     clearance.count_points, (B, fine), lane, self._lanes, o.occupied, o.filtered, i.position, params,
-                    w.count,
+                    w.list,
                 ),
                 launch(
-                    clearance.allocate_lists, (B, layers * clearance.GRID**2 // run), lane, self._lanes, run, capacity,
-                    w.count, w.total, w.lists.span,
+                    clearance.allocate_rows, (B, rows_of_lane), lane, self._lanes, capacity, w.list, w.total,
                 ),
                 launch(
-                    clearance.fill_lists, (B, fine), lane, self._lanes, capacity, o.occupied, o.filtered, i.position,
-                    params, w.total, w.lists.span, w.list_coordinates,
+                    clearance.fill_rows, (B, fine), lane, self._lanes, capacity, o.occupied, o.filtered, i.position,
+                    params, w.total, w.list, w.coordinates,
                 ),
             ]  # fmt: skip
             index.append([("grid", command.launch) for command in launches])
@@ -165,7 +164,7 @@ class Pipeline:
                 )),
                 ("clearance", launch(
                     clearance.query_clearance, (n, N + mppi.PROBES, stride), first, M, N, stride, w.sample_positions,
-                    i.position, params, w.lists, w.sample_distance,
+                    i.position, params, w.list, w.sample_distance,
                 )),
                 ("update", launch(
                     mppi.score_samples, (n, K), first, M, i.goal_position, params, w.sample_positions,
@@ -179,18 +178,18 @@ class Pipeline:
                 )),
                 ("stage2", launch(
                     clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, 1, w.probed, i.position,
-                    params, w.lists, w.distance,
+                    params, w.list, w.distance,
                 )),
             ]  # fmt: skip
             optimise.append([(name, command.launch) for name, command in launches])
         choose = serial(
             "stage2",
             launch(
-                stage2.select, B, i.goal_position, i.position, params, i.cloud_age, w.lists, w.distance, o.positions,
+                stage2.select, B, i.goal_position, i.position, params, i.cloud_age, w.list, w.distance, o.positions,
                 o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance, o.best, o.status,
             ),
             launch(
-                stage2.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, w.lists, o.status, o.best,
+                stage2.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, w.list, o.status, o.best,
                 o.braked, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions,
                 w.probed, w.distance, o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance,
             ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.clearance import PointLists, cell_size, clearance_at, row_limit
+from aero_planner.clearance import PointList, cell_size, clearance_at, row_limit
 from aero_planner.costs import goal_cost, speed_cost
 from aero_planner.dynamics import rk4_step
 from aero_planner.guides import write_brake
@@ -120,7 +120,7 @@ def select(
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     cloud_age: wp.array(dtype=float),
-    lists: PointLists,
+    list: PointList,
     distance: wp.array3d(dtype=float),
     positions: wp.array3d(dtype=wp.vec3),
     J_goal: wp.array2d(dtype=float),
@@ -139,7 +139,7 @@ def select(
     b = wp.tid()
     c = params[b]
     instances = S2.shape[1]
-    here = clearance_at(position[b], c.safe_clearance, b, position[b], cell_size(c), lists)
+    here = clearance_at(position[b], c.safe_clearance, b, position[b], cell_size(c), list)
     safe = c.safe_clearance
     if here < safe:
         safe = here - 0.02
@@ -188,7 +188,7 @@ def brake_where_unsafe(
     goal_velocity: wp.array(dtype=wp.vec3),
     goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
-    lists: PointLists,
+    list: PointList,
     status: wp.array(dtype=int),
     best: wp.array(dtype=int),
     braked: wp.array(dtype=int),
@@ -233,7 +233,7 @@ def brake_where_unsafe(
     for t in range(steps + PROBES):
         limit = row_limit(t, steps, c)
         x = wp.vec3(probed[i, t, 0, 0], probed[i, t, 1, 0], probed[i, t, 2, 0])
-        distance[i, t, 0] = clearance_at(x, limit, b, position[b], size, lists)
+        distance[i, t, 0] = clearance_at(x, limit, b, position[b], size, list)
     score_instance(i, b, m, 0.0, goal_position[b], c, distance, positions, J_goal, J_speed, J_col, S2, clearance)
 
 
