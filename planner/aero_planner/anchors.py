@@ -101,6 +101,7 @@ def refine_anchors(
     quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
     fine_range: wp.array2d(dtype=float),
+    directions: wp.array2d(dtype=wp.vec3),
     reach: wp.array(dtype=float),
     initial_direction: wp.array2d(dtype=wp.vec3),
     pool: int,
@@ -113,5 +114,5 @@ def refine_anchors(
     d = initial_direction[b, m]
     if params[b].refine != 0:
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
-        _r, d = safest_fine_cell(fine_range, b, row, column, pool, coarse_rows, coarse_columns, initial_direction[b, m])
+        _r, d = safest_fine_cell(fine_range, directions, b, row, column, pool, initial_direction[b, m])
     anchor[b, m] = position[b] + reach[b] * quat_rotate(quaternion[b], d)

@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.clearance import GRID, WIDTH, PointBlock, PointList
+from aero_planner.clearance import GRID, block_type
 from aero_planner.config import PlannerConfig
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
+from aero_planner.partition import fill_directions
 
 __all__ = [
     "Block",
+    "as_scalars",
     "as_vectors",
     "fine_shape",
     "input_block",
     "list_capacity",
     "output_block",
     "padded_samples",
+    "points_width",
     "sample_width",
     "work_arrays",
 ]
@@ -100,7 +103,7 @@ def input_block(batch: int, device: wp.Device) -> Block:
 
 
 def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> Block:
-    """Everything that a Plan shows."""
+    """Everything that a Plan shows; the last of M + 1 instances is the plain brake, which it doesn't."""
     M, N = len(config.kinds), config.sampling.steps
     coarse = config.partition.coarse_rows * config.partition.coarse_columns
     fine = math.prod(fine_shape(config))
@@ -111,19 +114,19 @@ def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Devic
         "filtered": (vec3, (batch, fine)),
         "safe_range": (real, (batch, coarse)),
         "safe_direction": (vec3, (batch, coarse)),
-        "initial_endpoint": (vec3, (batch, M)),
-        "anchor": (vec3, (batch, M)),
-        "coefficient": (vec3, (batch, M, 6)),
-        "guide": (vec3, (batch, M, N + 1)),
-        "controls": (vec4, (batch, M, N)),
-        "positions": (vec3, (batch, M, N + 1)),
-        "velocities": (vec3, (batch, M, N + 1)),
-        "quaternions": (vec4, (batch, M, N + 1)),
+        "initial_endpoint": (vec3, (batch, M + 1)),
+        "anchor": (vec3, (batch, M + 1)),
+        "coefficient": (vec3, (batch, M + 1, 6)),
+        "guide": (vec3, (batch, M + 1, N + 1)),
+        "controls": (vec4, (batch, M + 1, N)),
+        "positions": (vec3, (batch, M + 1, N + 1)),
+        "velocities": (vec3, (batch, M + 1, N + 1)),
+        "quaternions": (vec4, (batch, M + 1, N + 1)),
         "cost": (real, (batch * M, padded_samples(config, device))),
-        "S2": (real, (batch, M)),
-        "J_goal": (real, (batch, M)),
-        "J_col": (real, (batch, M)),
-        "clearance": (real, (batch, M, N)),
+        "S2": (real, (batch, M + 1)),
+        "J_goal": (real, (batch, M + 1)),
+        "J_col": (real, (batch, M + 1)),
+        "clearance": (real, (batch, M + 1, N)),
         "best": (integer, (batch,)),
         "status": (integer, (batch,)),
         "braked": (integer, (batch,)),
@@ -143,6 +146,11 @@ def sample_width(device: wp.Device) -> int:
     return 32 if device.is_cpu else 1
 
 
+def points_width(device: wp.Device) -> int:
+    """Return how many points a thread compares with at once."""
+    return 16 if device.is_cpu else 1
+
+
 def padded_samples(config: PlannerConfig, device: wp.Device) -> int:
     """Return K filled up to whole vectors; the samples past K are rolled out and not used."""
     width = sample_width(device)
@@ -156,11 +164,18 @@ def as_vectors(array: wp.array, width: int) -> wp.array:
     return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
 
 
+def as_scalars(array: wp.array) -> wp.array:
+    """Return a view of a contiguous array of vectors with their components as the last axis."""
+    shape = (*array.shape, array.dtype._shape_[0])
+    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=array.device)
+
+
 def list_capacity(config: PlannerConfig, lanes: int, device: wp.Device) -> int:
     """Return how many points the list has room for in the layers of one lane: of three layers, those it may have."""
     rows = 3 if device.is_cpu else 1
     points = math.prod(fine_shape(config)) * rows * math.ceil(3 / lanes)
-    return -(-points // WIDTH) * WIDTH
+    width = points_width(device)
+    return -(-points // width) * width
 
 
 def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> SimpleNamespace:
@@ -168,6 +183,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
     fine = math.prod(fine_shape(config))
     rows, padded = N + PROBES, padded_samples(config, device)
+    blocks = lanes * list_capacity(config, lanes, device) // points_width(device)
     with wp.ScopedDevice(device):
         work = SimpleNamespace(
             quaternion=wp.zeros(batch, dtype=wp.vec4),
@@ -177,14 +193,17 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             reach=wp.zeros(batch, dtype=wp.float32),
             initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
             total=wp.zeros((lanes, batch), dtype=wp.int32),
-            nominal=wp.zeros((batch, M, N), dtype=wp.vec4),
+            end=wp.zeros((batch, GRID**3), dtype=wp.int32),
+            directions=wp.zeros(fine_shape(config), dtype=wp.vec3),
+            nominal=wp.zeros((batch, M + 1, N), dtype=wp.vec4),
             sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
             sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
             sample_distance=wp.zeros((batch * M, rows, K), dtype=wp.float32),
             weight=wp.zeros((batch * M, K), dtype=wp.float32),
-            probed=wp.zeros((batch * M, rows, 3, 1), dtype=wp.float32),
-            distance=wp.zeros((batch * M, rows, 1), dtype=wp.float32),
-            J_speed=wp.zeros((batch, M), dtype=wp.float32),
+            distance=wp.zeros((batch * (M + 1), rows, 1), dtype=wp.float32),
+            goal_term=wp.zeros((batch, M + 1, N), dtype=wp.float32),
+            speed_term=wp.zeros((batch, M + 1, N), dtype=wp.float32),
+            nearest=wp.zeros((batch, M + 1), dtype=wp.float32),
             noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
             seed=wp.zeros(batch, dtype=wp.int32),
             tick=wp.zeros(batch, dtype=wp.int32),
@@ -192,15 +211,12 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             previous_end=wp.zeros(batch, dtype=wp.vec3),
             previous_time=wp.zeros(batch, dtype=wp.float64),
         )
-        work.list = PointList()
-        work.list.beside = 1 if device.is_cpu else 0
-        work.list.end = wp.zeros((batch, GRID**3), dtype=wp.int32)
-        blocks = lanes * list_capacity(config, lanes, device) // WIDTH
-        work.list.blocks = wp.zeros((batch, blocks), dtype=PointBlock)
-        # The same memory, so that single coordinates can be written.
-        work.coordinates = wp.array(
-            ptr=work.list.blocks.ptr, dtype=wp.float32, shape=(batch, blocks, 3, WIDTH), device=device
+        # The same memory twice: by blocks for reading, by coordinates for writing.
+        work.coordinates = wp.zeros((batch, blocks, 3, points_width(device)), dtype=wp.float32)
+        work.blocks = wp.array(
+            ptr=work.coordinates.ptr, dtype=block_type(points_width(device)), shape=(batch, blocks), device=device
         )
+        wp.launch(fill_directions, dim=work.directions.shape, inputs=[work.directions])
         wp.launch(fill_noise, dim=(N, NOISE_ROWS), inputs=[work.noise])
         work.keys.fill_(0xFFFFFFFFFFFFFFFF)
     return work

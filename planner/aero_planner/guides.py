@@ -7,7 +7,7 @@ import warp as wp
 from aero_planner.dynamics import clamp_control, quat_inverse_rotate, rotate_by_rates, thrust_axis
 from aero_planner.params import Params
 
-__all__ = ["heading", "make_guides", "quintic", "wrap_angle", "write_brake", "write_nominal"]
+__all__ = ["Quintic", "heading", "make_guides", "quintic", "wrap_angle", "write_nominal"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,60 +24,66 @@ def wrap_angle(angle: float) -> float:
     return angle - 2.0 * wp.PI * wp.floor(angle / (2.0 * wp.PI) + 0.5)
 
 
+@wp.struct
+class Quintic:
+    """Coefficients a_0..a_5 of a guide."""
+
+    a0: wp.vec3
+    a1: wp.vec3
+    a2: wp.vec3
+    a3: wp.vec3
+    a4: wp.vec3
+    a5: wp.vec3
+
+
 @wp.func
-def quintic(p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, p1: wp.vec3, v1: wp.vec3, T: float):
-    """Coefficients c_3, c_4, c_5 of p0 + v0 t + a0/2 t^2 + c_3 t^3 + c_4 t^4 + c_5 t^5, which reaches (p1, v1, 0) at
-    T."""
-    dp = p1 - p0 - T * v0 - (0.5 * T * T) * a0
-    dv = T * (v1 - v0 - T * a0)
-    da = (-0.5 * T * T) * a0
+def quintic(p0: wp.vec3, v0: wp.vec3, acceleration0: wp.vec3, p1: wp.vec3, v1: wp.vec3, T: float) -> Quintic:
+    """The quintic that leaves (p0, v0, acceleration0) at 0 and reaches (p1, v1, 0) at T, in closed form."""
+    dp = p1 - p0 - T * v0 - (0.5 * T * T) * acceleration0
+    dv = T * (v1 - v0 - T * acceleration0)
+    da = (-0.5 * T * T) * acceleration0
     T3 = T * T * T
-    c3 = (10.0 * dp - 4.0 * dv + da) / T3
-    c4 = (-15.0 * dp + 7.0 * dv - 2.0 * da) / (T3 * T)
-    c5 = (6.0 * dp - 3.0 * dv + da) / (T3 * T * T)
-    return c3, c4, c5
+    c = Quintic()
+    c.a0 = p0
+    c.a1 = v0
+    c.a2 = 0.5 * acceleration0
+    c.a3 = (10.0 * dp - 4.0 * dv + da) / T3
+    c.a4 = (-15.0 * dp + 7.0 * dv - 2.0 * da) / (T3 * T)
+    c.a5 = (6.0 * dp - 3.0 * dv + da) / (T3 * T * T)
+    return c
+
+
+@wp.func
+def guide_position(c: Quintic, s: float) -> wp.vec3:
+    """Position of a guide at time s."""
+    return c.a0 + s * (c.a1 + s * (c.a2 + s * (c.a3 + s * (c.a4 + s * c.a5))))
+
+
+@wp.func
+def guide_acceleration(c: Quintic, s: float) -> wp.vec3:
+    """Second derivative of a guide at time s."""
+    return 2.0 * c.a2 + s * (6.0 * c.a3 + s * (12.0 * c.a4 + s * (20.0 * c.a5)))
 
 
 @wp.func
 def write_guide(
-    b: int,
-    m: int,
-    p0: wp.vec3,
-    v0: wp.vec3,
-    a0: wp.vec3,
-    p1: wp.vec3,
-    v1: wp.vec3,
-    dt: float,
-    coefficient: wp.array3d(dtype=wp.vec3),
-    guide: wp.array3d(dtype=wp.vec3),
+    b: int, m: int, c: Quintic, dt: float, coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3)
 ):
     """Write the guide's coefficients and its samples at t = 0, dt, .., T."""
-    steps = guide.shape[2] - 1
-    c3, c4, c5 = quintic(p0, v0, a0, p1, v1, float(steps) * dt)
-    coefficient[b, m, 0] = p0
-    coefficient[b, m, 1] = v0
-    coefficient[b, m, 2] = 0.5 * a0
-    coefficient[b, m, 3] = c3
-    coefficient[b, m, 4] = c4
-    coefficient[b, m, 5] = c5
-    for t in range(steps + 1):
-        s = float(t) * dt
-        guide[b, m, t] = p0 + s * (v0 + s * (0.5 * a0 + s * (c3 + s * (c4 + s * c5))))
-
-
-@wp.func
-def guide_acceleration(b: int, m: int, s: float, coefficient: wp.array3d(dtype=wp.vec3)) -> wp.vec3:
-    """Second derivative of a guide at time s."""
-    return 2.0 * coefficient[b, m, 2] + s * (
-        6.0 * coefficient[b, m, 3] + s * (12.0 * coefficient[b, m, 4] + s * (20.0 * coefficient[b, m, 5]))
-    )
+    coefficient[b, m, 0] = c.a0
+    coefficient[b, m, 1] = c.a1
+    coefficient[b, m, 2] = c.a2
+    coefficient[b, m, 3] = c.a3
+    coefficient[b, m, 4] = c.a4
+    coefficient[b, m, 5] = c.a5
+    for t in range(guide.shape[2]):
+        guide[b, m, t] = guide_position(c, float(t) * dt)
 
 
 @wp.func
 def write_nominal(
-    b: int, m: int, q0: wp.vec4, heading_goal: float, params: Params, coefficient: wp.array3d(dtype=wp.vec3),
-    nominal: wp.array3d(dtype=wp.vec4),
-):  # fmt: skip
+    b: int, m: int, c: Quintic, q0: wp.vec4, heading_goal: float, params: Params, nominal: wp.array3d(dtype=wp.vec4)
+):
     """Write the controls that follow a guide: F_t and omega from the flat outputs position and heading.
 
     The guide's acceleration fixes the thrust vector m (a - g) and so the body's z axis. Rates turn the attitude reached
@@ -92,8 +98,8 @@ def write_nominal(
         u = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
         if params.nominal == 0:
             up = wp.vec3(0.0, 0.0, params.gravity)
-            f = params.mass * (guide_acceleration(b, m, (float(t) + 0.5) * dt, coefficient) + up)
-            z_wanted = wp.normalize(guide_acceleration(b, m, float(t + 1) * dt, coefficient) + up)
+            f = params.mass * (guide_acceleration(c, (float(t) + 0.5) * dt) + up)
+            z_wanted = wp.normalize(guide_acceleration(c, float(t + 1) * dt) + up)
             z_body = quat_inverse_rotate(q, z_wanted)
             # Shortest rotation from the body's z axis: about e_3 x z_body, by the angle between them.
             sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
@@ -102,20 +108,6 @@ def write_nominal(
         u = clamp_control(u, params)
         nominal[b, m, t] = u
         q = rotate_by_rates(q, wp.vec3(u[1], u[2], u[3]), dt)
-
-
-@wp.func
-def write_brake(
-    b: int, m: int, p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, q0: wp.vec4, params: Params,
-    endpoint: wp.array2d(dtype=wp.vec3), coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3),
-    nominal: wp.array3d(dtype=wp.vec4),
-):  # fmt: skip
-    """Write a guide that stops within brake_reach v T, and its controls."""
-    steps = nominal.shape[2]
-    p1 = p0 + (params.brake_reach * float(steps) * params.dt) * v0
-    endpoint[b, m] = p1
-    write_guide(b, m, p0, v0, a0, p1, wp.vec3(0.0, 0.0, 0.0), params.dt, coefficient, guide)
-    write_nominal(b, m, q0, heading(q0), params, coefficient, nominal)
 
 
 @wp.func
@@ -156,7 +148,6 @@ def make_guides(
     params: wp.array(dtype=Params),
     anchor_count: int,
     previous_index: int,
-    brake_index: int,
     reach: wp.array(dtype=float),
     previous_controls: wp.array2d(dtype=wp.vec4),
     previous_end: wp.array(dtype=wp.vec3),
@@ -167,43 +158,44 @@ def make_guides(
     guide: wp.array3d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
 ):
-    """Guide and nominal controls of each instance. Launched over [B, M].
+    """Guide and nominal controls of each instance, and of the plain brake, which is the last. Launched over [B, M + 1].
 
-    `previous_time` is NaN when there is no previous plan; a `time` of NaN means one replan_period later.
+    Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a `time` of NaN means
+    one replan_period later.
     """
     b, m = wp.tid()
     c = params[b]
     p0 = position[b]
-    v0 = velocity[b]
-    a0 = acceleration[b]
     q0 = quaternion[b]
-    steps = nominal.shape[2]
-    T = float(steps) * c.dt
+    T = float(nominal.shape[2]) * c.dt
     to_goal = goal_position[b] - p0
     goal_distance = wp.length(to_goal)
-    if m == brake_index:
-        write_brake(b, m, p0, v0, a0, q0, c, anchor, coefficient, guide, nominal)
-        initial_endpoint[b, m] = anchor[b, m]
-        return
+    p1 = p0 + (c.brake_reach * T) * velocity[b]
+    v1 = wp.vec3(0.0, 0.0, 0.0)
+    heading_goal = heading(goal_quaternion[b])
     elapsed = float(-1.0)
-    if m == previous_index:
+    if m < anchor_count:
+        p1 = anchor[b, m]
+        v1 = c.arrival_speed * wp.normalize(p1 - p0)
+        if reach[b] >= goal_distance:
+            v1 = goal_velocity[b]
+    elif m == previous_index:
         # Compared in float64, since stamps may count from 1970.
         elapsed = float(time[b] - previous_time[b])
         if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):
             elapsed = c.replan_period
-        anchor[b, m] = previous_end[b]
+        p1 = previous_end[b]
         if not (elapsed >= 0.0 and elapsed < T):
             elapsed = float(-1.0)
-            anchor[b, m] = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
-        initial_endpoint[b, m] = anchor[b, m]
-    p1 = anchor[b, m]
-    v1 = wp.vec3(0.0, 0.0, 0.0)
-    if m < anchor_count:
-        v1 = c.arrival_speed * wp.normalize(p1 - p0)
-        if reach[b] >= goal_distance:
-            v1 = goal_velocity[b]
-    write_guide(b, m, p0, v0, a0, p1, v1, c.dt, coefficient, guide)
+            p1 = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
+    else:
+        heading_goal = heading(q0)
+    if m >= anchor_count:
+        anchor[b, m] = p1
+        initial_endpoint[b, m] = p1
+    curve = quintic(p0, velocity[b], acceleration[b], p1, v1, T)
+    write_guide(b, m, curve, c.dt, coefficient, guide)
     if elapsed >= 0.0:
         write_previous(b, m, elapsed, c, previous_controls, nominal)
     else:
-        write_nominal(b, m, q0, heading(goal_quaternion[b]), c, coefficient, nominal)
+        write_nominal(b, m, curve, q0, heading_goal, c, nominal)

@@ -28,11 +28,9 @@ __all__ = [
     "PROBES",
     "clearance_cost",
     "fill_noise",
+    "improve",
     "probe",
     "sample_rollouts",
-    "score_samples",
-    "update",
-    "weigh",
 ]
 
 wp.set_module_options({"enable_backward": False})
@@ -227,69 +225,79 @@ def clearance_cost(
     return J_col, to_go
 
 
-@wp.kernel
-def score_samples(
-    first: int,
-    instances: int,
-    goal_position: wp.array(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    positions: wp.array4d(dtype=float),
-    distance: wp.array3d(dtype=float),
-    cost: wp.array2d(dtype=float),
-):
-    """Complete S1 by the terms that need the clearance. Launched over [instances of this chunk, K]."""
-    offset, k = wp.tid()
-    i = first + offset
-    b = i // instances
-    t = distance.shape[1] - PROBES - 1
-    last = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-    J_col, to_go = clearance_cost(i, k, last, goal_position[b], params[b], distance)
-    cost[i, k] = cost[i, k] + J_col + to_go
+@wp.func
+def only(x: float) -> float:
+    """What a block of one thread has."""
+    return x
 
 
-@wp.kernel
-def weigh(
-    first: int,
-    instances: int,
-    params: wp.array(dtype=Params),
-    cost: wp.array2d(dtype=float),
-    weight: wp.array2d(dtype=float),
-):
-    """w_k = exp(-(S_k - min S) / lambda) / sum. Launched over [instances of this chunk]."""
-    i = first + wp.tid()
-    temperature = params[i // instances].temperature
-    least = cost[i, 0]
-    for k in range(1, weight.shape[1]):
-        least = wp.min(least, cost[i, k])
-    total = float(0.0)
-    for k in range(weight.shape[1]):
-        w = wp.exp((least - cost[i, k]) / temperature)
-        weight[i, k] = w
-        total += w
-    for k in range(weight.shape[1]):
-        weight[i, k] = weight[i, k] / total
+@wp.func
+def tile_least(x: float) -> float:
+    """The least that any thread of the block has."""
+    return wp.tile_extract(wp.tile_min(wp.tile(x)), 0)
 
 
-@wp.kernel
-def update(
-    first: int,
-    instances: int,
-    nominal: wp.array3d(dtype=wp.vec4),
-    controls: wp.array4d(dtype=float),
-    weight: wp.array2d(dtype=float),
-    optimised: wp.array3d(dtype=wp.vec4),
-):
-    """Nominal + sum_k w_k (u_k - nominal): the noise as it acted, after the clamp. Launched over [instances of this
-    lane, N]."""
-    offset, t = wp.tid()
-    i = first + offset
-    b = i // instances
-    m = i % instances
-    u = nominal[b, m, t]
-    du = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for k in range(weight.shape[1]):
-        w = weight[i, k]
-        if w > 0.0:
-            sample = wp.vec4(controls[i, t, 0, k], controls[i, t, 1, k], controls[i, t, 2, k], controls[i, t, 3, k])
-            du += w * (sample - u)
-    optimised[b, m, t] = u + du
+@wp.func
+def tile_total(x: float) -> float:
+    """The sum of what the threads of the block have."""
+    return wp.tile_extract(wp.tile_sum(wp.tile(x)), 0)
+
+
+@functools.cache
+def improve(threads: int) -> wp.Kernel:
+    """Return the kernel for `threads` threads in a block, of which a CPU has one."""
+    THREADS = wp.constant(threads)
+    # Not tiles of one on a CPU: they share memory between the threads that launch.
+    block_min, block_sum = (only, only) if threads == 1 else (tile_least, tile_total)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def improve(
+        first: int,
+        instances: int,
+        goal_position: wp.array(dtype=wp.vec3),
+        params: wp.array(dtype=Params),
+        nominal: wp.array4d(dtype=float),
+        sample_controls: wp.array4d(dtype=float),
+        positions: wp.array4d(dtype=float),
+        distance: wp.array3d(dtype=float),
+        cost: wp.array2d(dtype=float),
+        weight: wp.array2d(dtype=float),
+        controls: wp.array4d(dtype=float),
+    ):
+        """Complete S1 by the terms that need the clearance, and update the nominal by the softmin of the samples.
+
+        w_k = exp(-(S_k - min S) / lambda) / sum; controls = nominal + sum_k w_k (u_k - nominal): the noise as it acted, after
+        the clamp. Launched over [instances of this chunk, threads], a block for each instance.
+        """
+        offset, lane = wp.tid()
+        i = first + offset
+        b = i // instances
+        m = i % instances
+        samples = weight.shape[1]
+        last = distance.shape[1] - PROBES - 1
+        least = float(wp.INF)
+        for k in range(lane, samples, THREADS):
+            end = wp.vec3(positions[i, last, 0, k], positions[i, last, 1, k], positions[i, last, 2, k])
+            J_col, to_go = clearance_cost(i, k, end, goal_position[b], params[b], distance)
+            S = cost[i, k] + J_col + to_go
+            cost[i, k] = S
+            least = wp.min(least, S)
+        least = block_min(least)
+        total = float(0.0)
+        for k in range(lane, samples, THREADS):
+            w = wp.exp((least - cost[i, k]) / params[b].temperature)
+            weight[i, k] = w
+            total += w
+        total = block_sum(total)
+        for row in range(lane, 4 * controls.shape[2], THREADS):
+            t = row // 4
+            axis = row % 4
+            u = nominal[b, m, t, axis]
+            du = float(0.0)
+            for k in range(samples):
+                w = weight[i, k]
+                if w > 0.0:
+                    du += w * (sample_controls[i, t, axis, k] - u)
+            controls[b, m, t, axis] = u + du / total
+
+    return improve

@@ -18,6 +18,7 @@ __all__ = [
     "EMPTY",
     "cell_direction",
     "cell_of_direction",
+    "fill_directions",
     "near_atan2",
     "finish_fine",
     "pool_coarse",
@@ -192,20 +193,25 @@ def finish_fine(
         filtered[b, cell] = points[b, int(key & wp.uint64(0xFFFFFFFF))]
 
 
+@wp.kernel
+def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
+    """Directions of all cells. Launched over [rows, columns]."""
+    row, column = wp.tid()
+    directions[row, column] = cell_direction(row, column, directions.shape[0], directions.shape[1])
+
+
 @wp.func
 def safest_fine_cell(
     fine_range: wp.array2d(dtype=float),
+    directions: wp.array2d(dtype=wp.vec3),
     b: int,
     coarse_row: int,
     coarse_column: int,
     pool: int,
-    coarse_rows: int,
-    coarse_columns: int,
     toward: wp.vec3,
 ):
     """Largest range in a coarse cell and its direction; among equal ranges the direction nearest to `toward`."""
-    rows = coarse_rows * pool
-    columns = coarse_columns * pool
+    columns = directions.shape[1]
     best_range = float(-1.0)
     best_cosine = float(-2.0)
     best_direction = wp.vec3(1.0, 0.0, 0.0)
@@ -215,7 +221,7 @@ def safest_fine_cell(
             column = coarse_column * pool + j
             r = fine_range[b, row * columns + column]
             if r >= best_range:
-                d = cell_direction(row, column, rows, columns)
+                d = directions[row, column]
                 cosine = wp.dot(d, toward)
                 # The margin lets the first of several equally near cells win, whatever the rounding.
                 if r > best_range or cosine > best_cosine + 1.0e-6:
@@ -228,6 +234,7 @@ def safest_fine_cell(
 @wp.kernel
 def pool_coarse(
     fine_range: wp.array2d(dtype=float),
+    directions: wp.array2d(dtype=wp.vec3),
     initial_direction: wp.array2d(dtype=wp.vec3),
     anchor_count: int,
     pool: int,
@@ -249,8 +256,6 @@ def pool_coarse(
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
         if row == coarse_row and column == coarse_column:
             toward = d
-    best_range, best_direction = safest_fine_cell(
-        fine_range, b, coarse_row, coarse_column, pool, coarse_rows, coarse_columns, toward
-    )
+    best_range, best_direction = safest_fine_cell(fine_range, directions, b, coarse_row, coarse_column, pool, toward)
     safe_range[b, cell] = best_range
     safe_direction[b, cell] = best_direction

@@ -17,7 +17,15 @@ from typing import Any
 import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
-from aero_planner.buffers import as_vectors, fine_shape, list_capacity, padded_samples, sample_width
+from aero_planner.buffers import (
+    as_scalars,
+    as_vectors,
+    fine_shape,
+    list_capacity,
+    padded_samples,
+    points_width,
+    sample_width,
+)
 from aero_planner.config import PlannerConfig
 
 __all__ = ["Pipeline"]
@@ -57,10 +65,11 @@ class Pipeline:
         self._batch = batch
         self._executor = ThreadPoolExecutor(lanes - 1, "aero-planner") if lanes > 1 else None
         self._width = 64 if self._device.is_cpu else 1
+        self._side: Any = None if self._device.is_cpu else wp.Stream(self._device)
         self._graph: Any = None
         self._scatter: list[Any] = []
         self.stage_ms: dict[str, float] = {}
-        self._resets = [work.list.end, work.total, outputs.dropped]
+        self._resets = [work.end, work.total, outputs.dropped]
         self._stages = self._record(config, inputs, outputs, work, params)
 
     def _record(
@@ -80,13 +89,17 @@ class Pipeline:
         i, o, w = inputs, outputs, work
         state = [i.position, i.velocity, w.quaternion]
         goal = [i.goal_position, w.goal_velocity, w.goal_quaternion]
-        pool = [part.fine_cells, part.coarse_rows, part.coarse_columns]
+        width, beside = points_width(self._device), 1 if self._device.is_cpu else 0
+        cloud = [beside, w.end, w.blocks]
 
-        def launch(kernel: Any, dim: Any, *arguments: Any) -> Any:
-            return wp.launch(kernel, dim=dim, inputs=list(arguments), device=self._device, record_cmd=True)
+        def launch(kernel: Any, dim: Any, *arguments: Any, block_dim: int = 256) -> Callable[[], Any]:
+            command: Any = wp.launch(
+                kernel, dim=dim, inputs=list(arguments), device=self._device, record_cmd=True, block_dim=block_dim
+            )
+            return command.launch
 
-        def serial(name: str, *launches: Any) -> list[Chunk]:
-            return [[(name, command.launch) for command in launches]]
+        def serial(name: str, *launches: Callable[[], Any]) -> list[Chunk]:
+            return [[(name, one) for one in launches]]
 
         directions = serial(
             "anchors",
@@ -102,103 +115,126 @@ class Pipeline:
         scatter: list[Chunk] = []
         share = -(-self._points.shape[1] // (self._width * self._lanes))
         for lane in range(self._lanes):
-            command = launch(
-                partition.scatter_points(self._width), (B, share), lane * share * self._width, lane, self._points, i.point_count, i.position,
-                w.quaternion, params, rows, columns, w.keys, o.dropped,
+            command: Any = wp.launch(
+                partition.scatter_points(self._width), (B, share), device=self._device, record_cmd=True, inputs=[
+                    lane * share * self._width, lane, self._points, i.point_count, i.position, w.quaternion, params,
+                    rows, columns, w.keys, o.dropped,
+                ],
             )  # fmt: skip
             scatter.append([("partition", command.launch)])
             self._scatter.append(command)
-        coarse_cells = serial(
+        fine_cells = serial(
             "partition",
             launch(
                 partition.finish_fine, (B, fine), w.keys, self._points, params, o.fine_range, o.occupied, o.filtered,
             ),
-            launch(
-                partition.pool_coarse, (B, coarse), o.fine_range, w.initial_direction, anchor_count, *pool,
-                o.safe_range, o.safe_direction,
-            ),
         )  # fmt: skip
-        guide = serial(
-            "guides",
+        # From here to the first look at the clearance, CUDA works on the grid and on the rollouts at the same time.
+        coarse_cells = serial(
+            "partition",
+            self._fork,
             launch(
-                anchors.refine_anchors, (B, anchor_count), i.position, w.quaternion, params, o.fine_range, w.reach,
-                w.initial_direction, *pool, o.anchor,
-            ),
-            launch(
-                guides.make_guides, (B, M), *state, i.acceleration, i.time, *goal, params, anchor_count, previous,
-                brake, w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
-                o.coefficient, o.guide, w.nominal,
+                partition.pool_coarse, (B, coarse), o.fine_range, w.directions, w.initial_direction, anchor_count,
+                part.fine_cells, part.coarse_rows, part.coarse_columns, o.safe_range, o.safe_direction,
             ),
         )  # fmt: skip
         capacity = list_capacity(config, self._lanes, self._device)
         index: list[Chunk] = []
         for lane in range(self._lanes):
             rows_of_lane = len(range(lane, clearance.GRID, self._lanes)) * clearance.GRID
-            launches = [
+            index += serial(
+                "grid",
                 launch(
                     clearance.count_points, (B, fine), lane, self._lanes, o.occupied, o.filtered, i.position, params,
-                    w.list,
+                    beside, w.end,
                 ),
-                launch(
-                    clearance.allocate_rows, (B, rows_of_lane), lane, self._lanes, capacity, w.list, w.total,
-                ),
+                launch(clearance.allocate_rows, (B, rows_of_lane), lane, self._lanes, capacity, w.total, w.end),
                 launch(
                     clearance.fill_rows, (B, fine), lane, self._lanes, capacity, o.occupied, o.filtered, i.position,
-                    params, w.total, w.list, w.coordinates,
+                    params, w.total, beside, w.end, w.coordinates,
                 ),
-            ]  # fmt: skip
-            index.append([("grid", command.launch) for command in launches])
+            )  # fmt: skip
+        guide = serial(
+            "guides",
+            self._return,
+            launch(
+                anchors.refine_anchors, (B, anchor_count), i.position, w.quaternion, params, o.fine_range,
+                w.directions, w.reach, w.initial_direction, part.fine_cells, part.coarse_rows, part.coarse_columns,
+                o.anchor,
+            ),
+            launch(
+                guides.make_guides, (B, M + 1), *state, i.acceleration, i.time, *goal, params, anchor_count, previous,
+                w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
+                o.coefficient, o.guide, w.nominal, block_dim=32,
+            ),
+        )  # fmt: skip
         optimise: list[Chunk] = []
-        stride, width = 1 if self._device.is_cpu else K, sample_width(self._device)
-        groups = padded_samples(config, self._device) // width
         # More chunks than threads, since instances amid obstacles take longer than those in the open.
         chunks = min(instances, 4 * self._lanes) if self._lanes > 1 else 1
+        stride, lanes_k, threads = (1, sample_width(self._device), 1) if self._device.is_cpu else (K, 1, 128)
+        groups = padded_samples(config, self._device) // lanes_k
         for chunk in range(chunks):
             first = instances * chunk // chunks
             n = instances * (chunk + 1) // chunks - first
-            launches = [
+            optimise.append([
                 ("rollouts", launch(
-                    mppi.sample_rollouts(width), (n, groups), first, M, previous, *state, *goal, params, w.seed, w.tick,
-                    as_vectors(w.noise, width), o.guide, w.nominal, as_vectors(w.sample_controls, width),
-                    as_vectors(w.sample_positions, width), as_vectors(o.cost, width),
+                    mppi.sample_rollouts(lanes_k), (n, groups), first, M, previous, *state, *goal, params, w.seed,
+                    w.tick, as_vectors(w.noise, lanes_k), o.guide, w.nominal, as_vectors(w.sample_controls, lanes_k),
+                    as_vectors(w.sample_positions, lanes_k), as_vectors(o.cost, lanes_k), block_dim=32,
                 )),
+                ("clearance", self._join),
                 ("clearance", launch(
-                    clearance.query_clearance, (n, N + mppi.PROBES, stride), first, M, N, stride, w.sample_positions,
-                    i.position, params, w.list, w.sample_distance,
+                    clearance.query_clearance(width), (n, N + mppi.PROBES, stride), first, M, N, stride,
+                    w.sample_positions, i.position, params, *cloud, w.sample_distance, block_dim=128,
                 )),
                 ("update", launch(
-                    mppi.score_samples, (n, K), first, M, i.goal_position, params, w.sample_positions,
-                    w.sample_distance, o.cost,
+                    mppi.improve(threads), (n, threads), first, M, i.goal_position, params, as_scalars(w.nominal),
+                    w.sample_controls, w.sample_positions, w.sample_distance, o.cost, w.weight,
+                    as_scalars(o.controls), block_dim=threads,
                 )),
-                ("update", launch(mppi.weigh, n, first, M, params, o.cost, w.weight)),
-                ("update", launch(mppi.update, (n, N), first, M, w.nominal, w.sample_controls, w.weight, o.controls)),
-                ("stage2", launch(
-                    stage2.roll_out_best, n, first, M, *state, *goal, params, o.controls, o.positions, o.velocities,
-                    o.quaternions, w.probed, o.J_goal, w.J_speed,
-                )),
-                ("stage2", launch(
-                    clearance.query_clearance, (n, N + mppi.PROBES, 1), first, M, N, 1, w.probed, i.position,
-                    params, w.list, w.distance,
-                )),
-            ]  # fmt: skip
-            optimise.append([(name, command.launch) for name, command in launches])
+            ])  # fmt: skip
         choose = serial(
             "stage2",
             launch(
-                stage2.select, B, i.goal_position, i.position, params, i.cloud_age, w.list, w.distance, o.positions,
-                o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance, o.best, o.status,
+                stage2.roll_out_best, (B, M + 1), *state, params, w.nominal, o.controls, o.positions, o.velocities,
+                o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.brake_where_unsafe, B, brake, *state, i.acceleration, *goal, params, w.list, o.status, o.best,
-                o.braked, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions,
-                w.probed, w.distance, o.J_goal, w.J_speed, o.J_col, o.S2, o.clearance,
+                stage2.evaluate(width), (B, M + 1, N + mppi.PROBES), i.position, *goal, params, *cloud, o.positions,
+                o.velocities, o.quaternions, w.distance, w.goal_term, w.speed_term, block_dim=64,
             ),
             launch(
-                stage2.remember, B, i.time, params, o.best, o.controls, o.positions, w.tick, w.previous_controls,
-                w.previous_end, w.previous_time,
+                stage2.score, (B, M + 1), i.goal_position, params, o.positions, w.distance, w.goal_term, w.speed_term,
+                o.J_goal, o.J_col, o.S2, o.clearance, w.nearest, block_dim=32,
+            ),
+            launch(
+                stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, o.best,
+                o.status, o.braked,
+            ),
+            launch(
+                stage2.conclude, (B, N + 1), i.time, params, o.best, o.braked, o.anchor, o.coefficient,
+                o.guide, o.controls, o.positions, o.velocities, o.quaternions, o.J_goal, o.J_col, o.S2,
+                o.clearance, w.tick, w.previous_controls, w.previous_end, w.previous_time,
             ),
         )  # fmt: skip
-        return [directions, scatter, coarse_cells, guide, index, optimise, choose]
+        return [directions, scatter, fine_cells, coarse_cells, index, guide, optimise, choose]
+
+    def _fork(self) -> None:
+        """On CUDA, let the following launches run on a stream of their own."""
+        if self._side is not None:
+            self._side.wait_event(self._main.record_event())
+            self._device.set_stream(self._side)
+
+    def _return(self) -> None:
+        """On CUDA, go on where `_fork` left, beside what was launched since."""
+        if self._side is not None:
+            self._side_done = self._side.record_event()
+            self._device.set_stream(self._main)
+
+    def _join(self) -> None:
+        """On CUDA, wait for what was launched between `_fork` and `_return`."""
+        if self._side is not None:
+            self._main.wait_event(self._side_done)
 
     def limit_points(self, count: int) -> None:
         """Let the partition read only the first `count` points of each drone, where launches are not captured."""
@@ -226,6 +262,8 @@ class Pipeline:
         self._graph = capture.graph
 
     def _run_eagerly(self) -> None:
+        if self._side is not None:
+            self._main = self._device.stream
         for array in self._resets:
             array.zero_()
         self.stage_ms = {}

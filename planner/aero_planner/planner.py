@@ -331,30 +331,34 @@ class Planner:
             array = raw[name].reshape(shape)
             return array if self._batched else array[0]
 
+        def instances(name: str) -> Any:
+            array = raw[name][:, :M]  # the last is the plain brake
+            return array if self._batched else array[0]
+
         return Plan(
             fine_range=shaped("fine_range", fine),
             safe_range=shaped("safe_range", coarse),
             safe_direction=shaped("safe_direction", (*coarse, 3)),
             filtered_points=filtered if self._batched else filtered[0],
-            initial_endpoints=field("initial_endpoint"),
-            anchors=field("anchor"),
-            guide_coefficients=np.swapaxes(field("coefficient"), -1, -2),
-            guides=field("guide"),
+            initial_endpoints=instances("initial_endpoint"),
+            anchors=instances("anchor"),
+            guide_coefficients=np.swapaxes(instances("coefficient"), -1, -2),
+            guides=instances("guide"),
             kinds=tuple(kinds),
-            controls=field("controls"),
-            positions=field("positions"),
-            velocities=field("velocities"),
-            quaternions=field("quaternions"),
+            controls=instances("controls"),
+            positions=instances("positions"),
+            velocities=instances("velocities"),
+            quaternions=instances("quaternions"),
             stage1_cost=shaped("cost", (B, M, -1))[..., : config.sampling.samples],
-            stage2_cost=field("S2"),
-            goal_cost=field("J_goal"),
-            collision_cost=field("J_col"),
-            clearance=field("clearance"),
+            stage2_cost=instances("S2"),
+            goal_cost=instances("J_goal"),
+            collision_cost=instances("J_col"),
+            clearance=instances("clearance"),
             best=raw["best"] if self._batched else int(raw["best"][0]),
             status=raw["status"] if self._batched else PlanStatus(int(raw["status"][0])),
             dropped_points=dropped if self._batched else int(dropped[0]),
             stage_ms=stage_ms,
-            samples=self._samples(raw["positions"]) if samples else None,
+            samples=self._samples(raw["positions"][:, :M]) if samples else None,
         )
 
     def _samples(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:

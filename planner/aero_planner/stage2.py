@@ -1,17 +1,23 @@
-"""Stage II: roll out the optimised controls, pick the best instance, and brake where none is safe."""
+"""Stage II: roll out the optimised controls, pick the best instance, and brake where none is safe.
 
-from __future__ import annotations
+Beside the M instances there is the plain brake, which is the last of M + 1 and takes the place of another where braking
+is what is left.
+"""
+
+# No postponed annotations: those of kernels that `width` shapes name local types.
+
+import functools
+from typing import Any
 
 import warp as wp
 
-from aero_planner.clearance import PointList, cell_size, clearance_at, row_limit
+from aero_planner.clearance import block_type, cell_size, clearance_at, keep_loops, row_limit
 from aero_planner.costs import goal_cost, speed_cost
 from aero_planner.dynamics import rk4_step
-from aero_planner.guides import write_brake
 from aero_planner.mppi import PROBES, clearance_cost, probe
 from aero_planner.params import Params
 
-__all__ = ["brake_where_unsafe", "remember", "roll_out_best", "select"]
+__all__ = ["conclude", "evaluate", "roll_out_best", "score", "select"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,176 +26,186 @@ NO_SAFE_CANDIDATE = wp.constant(1)
 STALE_CLOUD = wp.constant(2)
 
 
-@wp.func
-def write_position(i: int, row: int, p: wp.vec3, positions: wp.array4d(dtype=float)):
-    for axis in range(3):
-        positions[i, row, axis, 0] = p[axis]
-
-
-@wp.func
-def roll_out(
-    i: int,
-    b: int,
-    m: int,
-    p: wp.vec3,
-    v: wp.vec3,
-    q: wp.vec4,
-    p_goal: wp.vec3,
-    v_goal: wp.vec3,
-    q_goal: wp.vec4,
-    params: Params,
+@wp.kernel
+def roll_out_best(
+    position: wp.array(dtype=wp.vec3),
+    velocity: wp.array(dtype=wp.vec3),
+    quaternion: wp.array(dtype=wp.vec4),
+    params: wp.array(dtype=Params),
+    nominal: wp.array3d(dtype=wp.vec4),
     controls: wp.array3d(dtype=wp.vec4),
     positions: wp.array3d(dtype=wp.vec3),
     velocities: wp.array3d(dtype=wp.vec3),
     quaternions: wp.array3d(dtype=wp.vec4),
-    probed: wp.array4d(dtype=float),
 ):
-    """Roll out one instance's controls; writes its states and probes, returns J_goal and the speed's cost."""
-    steps = controls.shape[2]
+    """Stage II rollouts of the optimised controls; the plain brake's are its nominal ones. Launched over [B, M + 1]."""
+    b, m = wp.tid()
+    c = params[b]
+    p = position[b]
+    v = velocity[b]
+    q = quaternion[b]
     positions[b, m, 0] = p
     velocities[b, m, 0] = v
     quaternions[b, m, 0] = q
-    J_goal = float(0.0)
-    J_speed = float(0.0)
-    for t in range(steps):
-        p, v, q = rk4_step(p, v, q, controls[b, m, t], params.mass, params.gravity, params.dt)
+    is_brake = m == controls.shape[1] - 1
+    for t in range(controls.shape[2]):
+        u = controls[b, m, t]
+        if is_brake:
+            u = nominal[b, m, t]
+            controls[b, m, t] = u
+        p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, c.dt)
         positions[b, m, t + 1] = p
         velocities[b, m, t + 1] = v
         quaternions[b, m, t + 1] = q
-        write_position(i, t, p, probed)
-        J_goal += goal_cost(p, v, q, p_goal, v_goal, q_goal, params)
-        J_speed += speed_cost(v, params)
-    for j in range(PROBES):
-        write_position(i, steps + j, probe(p, p_goal, j, params), probed)
-    return J_goal, J_speed
+
+
+@functools.cache
+def evaluate(width: int) -> wp.Kernel:
+    """Return the kernel for blocks of `width` points."""
+    clearance = clearance_at(width)
+    Block: Any = block_type(width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def evaluate(
+        position: wp.array(dtype=wp.vec3),
+        goal_position: wp.array(dtype=wp.vec3),
+        goal_velocity: wp.array(dtype=wp.vec3),
+        goal_quaternion: wp.array(dtype=wp.vec4),
+        params: wp.array(dtype=Params),
+        beside: int,
+        end: wp.array2d(dtype=int),
+        blocks: wp.array2d(dtype=Block),
+        positions: wp.array3d(dtype=wp.vec3),
+        velocities: wp.array3d(dtype=wp.vec3),
+        quaternions: wp.array3d(dtype=wp.vec4),
+        distance: wp.array3d(dtype=float),
+        goal_term: wp.array3d(dtype=float),
+        speed_term: wp.array3d(dtype=float),
+    ):
+        """Clearance and costs of every state of Stage II, and the clearance on the way to the goal.
+
+        Launched over [B, M + 1, N + PROBES].
+        """
+        b, m, t = wp.tid()
+        c = params[b]
+        steps = positions.shape[2] - 1
+        x = positions[b, m, wp.min(t + 1, steps)]
+        if t < steps:
+            goal_term[b, m, t] = goal_cost(
+                x,
+                velocities[b, m, t + 1],
+                quaternions[b, m, t + 1],
+                goal_position[b],
+                goal_velocity[b],
+                goal_quaternion[b],
+                c,
+            )
+            speed_term[b, m, t] = speed_cost(velocities[b, m, t + 1], c)
+        else:
+            x = probe(x, goal_position[b], t - steps, c)
+        limit = row_limit(t, steps, c)
+        i = b * positions.shape[1] + m
+        distance[i, t, 0] = clearance(x, limit, b, position[b], cell_size(c), beside, end, blocks)
+
+    return keep_loops(evaluate)
 
 
 @wp.kernel
-def roll_out_best(
-    first: int,
-    instances: int,
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
+def score(
     goal_position: wp.array(dtype=wp.vec3),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
-    controls: wp.array3d(dtype=wp.vec4),
     positions: wp.array3d(dtype=wp.vec3),
-    velocities: wp.array3d(dtype=wp.vec3),
-    quaternions: wp.array3d(dtype=wp.vec4),
-    probed: wp.array4d(dtype=float),
-    J_goal: wp.array2d(dtype=float),
-    J_speed: wp.array2d(dtype=float),
-):
-    """Stage II rollouts of the optimised controls. Launched over [instances of this chunk]."""
-    i = first + wp.tid()
-    b = i // instances
-    m = i % instances
-    goal_sum, speed_sum = roll_out(
-        i, b, m, position[b], velocity[b], quaternion[b], goal_position[b], goal_velocity[b], goal_quaternion[b],
-        params[b], controls, positions, velocities, quaternions, probed,
-    )  # fmt: skip
-    J_goal[b, m] = goal_sum
-    J_speed[b, m] = speed_sum
-
-
-@wp.func
-def score_instance(
-    i: int, b: int, m: int, safe: float, goal: wp.vec3, params: Params, distance: wp.array3d(dtype=float),
-    positions: wp.array3d(dtype=wp.vec3), J_goal: wp.array2d(dtype=float), J_speed: wp.array2d(dtype=float),
-    J_col: wp.array2d(dtype=float), S2: wp.array2d(dtype=float), clearance: wp.array3d(dtype=float),
-) -> bool:  # fmt: skip
-    """Write J_col, S2 and the clearance of one instance; returns whether it is safe."""
-    steps = clearance.shape[2]
-    nearest = float(1.0e9)
-    for t in range(steps):
-        d = distance[i, t, 0]
-        nearest = wp.min(nearest, d)
-        clearance[b, m, t] = wp.min(d, params.distance_max)
-    collision, to_go = clearance_cost(i, 0, positions[b, m, steps], goal, params, distance)
-    J_col[b, m] = collision
-    S2[b, m] = J_goal[b, m] + collision + to_go + J_speed[b, m]
-    return nearest >= safe
-
-
-@wp.kernel
-def select(
-    goal_position: wp.array(dtype=wp.vec3),
-    position: wp.array(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    cloud_age: wp.array(dtype=float),
-    list: PointList,
     distance: wp.array3d(dtype=float),
-    positions: wp.array3d(dtype=wp.vec3),
+    goal_term: wp.array3d(dtype=float),
+    speed_term: wp.array3d(dtype=float),
     J_goal: wp.array2d(dtype=float),
-    J_speed: wp.array2d(dtype=float),
     J_col: wp.array2d(dtype=float),
     S2: wp.array2d(dtype=float),
     clearance: wp.array3d(dtype=float),
-    best: wp.array(dtype=int),
-    status: wp.array(dtype=int),
+    nearest: wp.array2d(dtype=float),
 ):
-    """Stage II: the least S2, by `prefer_safe` among the safe instances where there are any. Launched over [B].
-
-    An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer already,
-    when it does not come nearer still.
-    """
-    b = wp.tid()
+    """S2 of each instance, its terms, and how near it comes to a point. Launched over [B, M + 1]."""
+    b, m = wp.tid()
     c = params[b]
-    instances = S2.shape[1]
-    here = clearance_at(position[b], c.safe_clearance, b, position[b], cell_size(c), list)
-    safe = c.safe_clearance
-    if here < safe:
-        safe = here - 0.02
-    chosen = int(0)
-    chosen_safe = int(0)
-    for m in range(instances):
-        is_safe = int(0)
-        if score_instance(
-            b * instances + m,
-            b,
-            m,
-            safe,
-            goal_position[b],
-            c,
-            distance,
-            positions,
-            J_goal,
-            J_speed,
-            J_col,
-            S2,
-            clearance,
-        ):
-            is_safe = 1
-        better = S2[b, m] < S2[b, chosen]
-        if c.prefer_safe != 0 and is_safe != chosen_safe:
-            better = is_safe > chosen_safe
-        if m == 0 or better:
-            chosen = m
-            chosen_safe = is_safe
-    best[b] = chosen
-    status[b] = OK
-    if chosen_safe == 0:
-        status[b] = NO_SAFE_CANDIDATE
-    if cloud_age[b] > c.cloud_age_max:
-        status[b] = STALE_CLOUD
+    i = b * S2.shape[1] + m
+    steps = clearance.shape[2]
+    goal_sum = float(0.0)
+    speed_sum = float(0.0)
+    least = float(wp.INF)
+    for t in range(steps):
+        d = distance[i, t, 0]
+        goal_sum += goal_term[b, m, t]
+        speed_sum += speed_term[b, m, t]
+        least = wp.min(least, d)
+        clearance[b, m, t] = wp.min(d, c.distance_max)
+    collision, to_go = clearance_cost(i, 0, positions[b, m, steps], goal_position[b], c, distance)
+    J_goal[b, m] = goal_sum
+    J_col[b, m] = collision
+    S2[b, m] = goal_sum + collision + to_go + speed_sum
+    nearest[b, m] = least
+
+
+@functools.cache
+def select(width: int) -> wp.Kernel:
+    """Return the kernel for blocks of `width` points."""
+    clearance = clearance_at(width)
+    Block: Any = block_type(width)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def select(
+        brake_index: int,
+        position: wp.array(dtype=wp.vec3),
+        params: wp.array(dtype=Params),
+        cloud_age: wp.array(dtype=float),
+        beside: int,
+        end: wp.array2d(dtype=int),
+        blocks: wp.array2d(dtype=Block),
+        S2: wp.array2d(dtype=float),
+        nearest: wp.array2d(dtype=float),
+        best: wp.array(dtype=int),
+        status: wp.array(dtype=int),
+        braked: wp.array(dtype=int),
+    ):
+        """The instance with the least S2, by `prefer_safe` among the safe ones where there are any. Launched over [B].
+
+        An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer
+        already, when it does not come nearer still. Where the status is not OK, `braked` is the instance whose place the
+        plain brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
+        """
+        b = wp.tid()
+        c = params[b]
+        here = clearance(position[b], c.safe_clearance, b, position[b], cell_size(c), beside, end, blocks)
+        safe = c.safe_clearance
+        if here < safe:
+            safe = here - 0.02
+        chosen = int(0)
+        chosen_safe = nearest[b, 0] >= safe
+        for m in range(1, S2.shape[1] - 1):
+            is_safe = nearest[b, m] >= safe
+            better = S2[b, m] < S2[b, chosen]
+            if c.prefer_safe != 0 and is_safe != chosen_safe:
+                better = is_safe
+            if better:
+                chosen = m
+                chosen_safe = is_safe
+        outcome = wp.where(chosen_safe, OK, NO_SAFE_CANDIDATE)
+        if cloud_age[b] > c.cloud_age_max:
+            outcome = STALE_CLOUD
+        replaced = int(-1)
+        if outcome != OK:
+            replaced = wp.where(brake_index >= 0, brake_index, chosen)
+            chosen = replaced
+        best[b] = chosen
+        status[b] = outcome
+        braked[b] = replaced
+
+    return keep_loops(select)
 
 
 @wp.kernel
-def brake_where_unsafe(
-    brake_index: int,
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    acceleration: wp.array(dtype=wp.vec3),
-    goal_position: wp.array(dtype=wp.vec3),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
+def conclude(
+    time: wp.array(dtype=wp.float64),
     params: wp.array(dtype=Params),
-    list: PointList,
-    status: wp.array(dtype=int),
     best: wp.array(dtype=int),
     braked: wp.array(dtype=int),
     anchor: wp.array2d(dtype=wp.vec3),
@@ -199,69 +215,46 @@ def brake_where_unsafe(
     positions: wp.array3d(dtype=wp.vec3),
     velocities: wp.array3d(dtype=wp.vec3),
     quaternions: wp.array3d(dtype=wp.vec4),
-    probed: wp.array4d(dtype=float),
-    distance: wp.array3d(dtype=float),
     J_goal: wp.array2d(dtype=float),
-    J_speed: wp.array2d(dtype=float),
     J_col: wp.array2d(dtype=float),
     S2: wp.array2d(dtype=float),
     clearance: wp.array3d(dtype=float),
-):
-    """Where the status is not OK, put the plain braking sequence in the place of the braking candidate, or of the best
-    one where there is none, with everything that follows from it. Launched over [B]."""
-    b = wp.tid()
-    braked[b] = -1
-    if status[b] == OK:
-        return
-    c = params[b]
-    m = best[b]
-    if brake_index >= 0:
-        m = brake_index
-    best[b] = m
-    braked[b] = m
-    instances = S2.shape[1]
-    i = b * instances + m
-    write_brake(b, m, position[b], velocity[b], acceleration[b], quaternion[b], c, anchor, coefficient, guide, controls)
-    goal_sum, speed_sum = roll_out(
-        i, b, m, position[b], velocity[b], quaternion[b], goal_position[b], goal_velocity[b], goal_quaternion[b], c,
-        controls, positions, velocities, quaternions, probed,
-    )  # fmt: skip
-    J_goal[b, m] = goal_sum
-    J_speed[b, m] = speed_sum
-    size = cell_size(c)
-    steps = clearance.shape[2]
-    for t in range(steps + PROBES):
-        limit = row_limit(t, steps, c)
-        x = wp.vec3(probed[i, t, 0, 0], probed[i, t, 1, 0], probed[i, t, 2, 0])
-        distance[i, t, 0] = clearance_at(x, limit, b, position[b], size, list)
-    score_instance(i, b, m, 0.0, goal_position[b], c, distance, positions, J_goal, J_speed, J_col, S2, clearance)
-
-
-@wp.kernel
-def remember(
-    time: wp.array(dtype=wp.float64),
-    params: wp.array(dtype=Params),
-    best: wp.array(dtype=int),
-    controls: wp.array3d(dtype=wp.vec4),
-    positions: wp.array3d(dtype=wp.vec3),
     tick: wp.array(dtype=int),
     previous_controls: wp.array2d(dtype=wp.vec4),
     previous_end: wp.array(dtype=wp.vec3),
     previous_time: wp.array(dtype=wp.float64),
 ):
-    """Keep what the next plan starts from: the controls to fly, the end they lead to, and the time. Launched over
-    [B]."""
-    b = wp.tid()
+    """Put the plain brake in its place where it is needed, and keep what the next plan starts from: the controls to fly,
+    the end they lead to, and the time. Launched over [B, N + 1]."""
+    b, t = wp.tid()
+    steps = controls.shape[2]
     m = best[b]
-    steps = previous_controls.shape[1]
-    for t in range(steps):
-        previous_controls[b, t] = controls[b, m, t]
-    previous_end[b] = positions[b, m, steps]
-    tick[b] = tick[b] + 1
-    if not wp.isnan(time[b]):
-        previous_time[b] = time[b]
+    source = m
+    if braked[b] >= 0:
+        source = controls.shape[1] - 1
+        guide[b, m, t] = guide[b, source, t]
+        positions[b, m, t] = positions[b, source, t]
+        velocities[b, m, t] = velocities[b, source, t]
+        quaternions[b, m, t] = quaternions[b, source, t]
+        if t < steps:
+            controls[b, m, t] = controls[b, source, t]
+            clearance[b, m, t] = clearance[b, source, t]
+        if t == 0:
+            anchor[b, m] = anchor[b, source]
+            J_goal[b, m] = J_goal[b, source]
+            J_col[b, m] = J_col[b, source]
+            S2[b, m] = S2[b, source]
+            for i in range(6):
+                coefficient[b, m, i] = coefficient[b, source, i]
+    if t < steps:
+        previous_controls[b, t] = controls[b, source, t]
     else:
-        before = previous_time[b]
-        if wp.isnan(before):
-            before = wp.float64(0.0)
-        previous_time[b] = before + wp.float64(params[b].replan_period)
+        previous_end[b] = positions[b, source, t]
+        tick[b] = tick[b] + 1
+        if not wp.isnan(time[b]):
+            previous_time[b] = time[b]
+        else:
+            before = previous_time[b]
+            if wp.isnan(before):
+                before = wp.float64(0.0)
+            previous_time[b] = before + wp.float64(params[b].replan_period)

@@ -12,7 +12,7 @@ SEEDS = range(4)
 
 def nominal(planner: Planner) -> np.ndarray:
     """Nominal controls of the last plan, shape [M, N, 4]."""
-    return planner._work.nominal.numpy()[0]
+    return planner._work.nominal.numpy()[0, : len(planner.config.kinds)]
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])

@@ -119,7 +119,7 @@ def test_weights_spread_with_the_temperature(device: str):
 def noise_of(planner: Planner, case: Case) -> np.ndarray:
     """Noise of every sample, shape [M, K, N, 4], where no limit clips it."""
     plan = case.plan(planner)
-    nominal = planner._work.nominal.numpy()[0]
+    nominal = planner._work.nominal.numpy()[0, : len(plan.kinds)]
     return (sampled_controls(planner, plan) - nominal[:, :, None]).transpose(0, 2, 1, 3)
 
 
