@@ -9,7 +9,7 @@ from aero_planner.guides import heading
 from aero_planner.params import Params
 from aero_planner.partition import cell_of_direction, safest_fine_cell
 
-__all__ = ["lookahead", "place_anchors", "prepare", "refine_anchors"]
+__all__ = ["lookahead", "place_anchors", "refine_anchors"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,59 +28,52 @@ def lookahead(speed: float, goal_distance: float, horizon: float, params: Params
 
 
 @wp.kernel
-def prepare(
+def place_anchors(
     position: wp.array(dtype=wp.vec3),
+    velocity: wp.array(dtype=wp.vec3),
     quaternion_in: wp.array(dtype=wp.vec4),
     goal_position: wp.array(dtype=wp.vec3),
     goal_velocity_in: wp.array(dtype=wp.vec3),
     goal_quaternion_in: wp.array(dtype=wp.vec4),
-    quaternion: wp.array(dtype=wp.vec4),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
-):
-    """Normalise the attitudes and derive what the goal leaves open; see `Goal`. Launched over [B]."""
-    b = wp.tid()
-    quaternion[b] = wp.normalize(quaternion_in[b])
-    v = goal_velocity_in[b]
-    if wp.isnan(v[0]):
-        v = wp.vec3(0.0, 0.0, 0.0)
-    goal_velocity[b] = v
-    q = goal_quaternion_in[b]
-    if wp.isnan(q[0]):
-        to_goal = goal_position[b] - position[b]
-        yaw = heading(quaternion[b])
-        if to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1] > 0.25:
-            yaw = wp.atan2(to_goal[1], to_goal[0])
-        q = quat_from_heading(yaw)
-    goal_quaternion[b] = wp.normalize(q)
-
-
-@wp.kernel
-def place_anchors(
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    goal_position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     columns: int,
     rows: int,
     steps: int,
+    quaternion: wp.array(dtype=wp.vec4),
+    goal_velocity: wp.array(dtype=wp.vec3),
+    goal_quaternion: wp.array(dtype=wp.vec4),
     reach: wp.array(dtype=float),
     initial_direction: wp.array2d(dtype=wp.vec3),
     initial_endpoint: wp.array2d(dtype=wp.vec3),
 ):
     """Initial endpoints p0 + l d, with d spaced around the goal's azimuth and elevation in the world.
 
-    `reach` is l, `initial_direction` is d in the body frame. Launched over [B, M_h M_v].
+    `reach` is l, `initial_direction` is d in the body frame. The first anchor's thread also normalises the attitudes and
+    derives what the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
     """
     b, m = wp.tid()
     p = position[b]
+    q = wp.normalize(quaternion_in[b])
     to_goal = goal_position[b] - p
     distance = wp.length(to_goal)
-    if distance < 1.0e-3:
-        to_goal = quat_rotate(quaternion[b], wp.vec3(1.0, 0.0, 0.0))
     speed = wp.length(velocity[b])
     length = lookahead(speed, distance, float(steps) * params[b].dt, params[b])
+    if m == 0:
+        reach[b] = length
+        quaternion[b] = q
+        v_goal = goal_velocity_in[b]
+        if wp.isnan(v_goal[0]):
+            v_goal = wp.vec3(0.0, 0.0, 0.0)
+        goal_velocity[b] = v_goal
+        q_goal = goal_quaternion_in[b]
+        if wp.isnan(q_goal[0]):
+            yaw = heading(q)
+            if to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1] > 0.25:
+                yaw = wp.atan2(to_goal[1], to_goal[0])
+            q_goal = quat_from_heading(yaw)
+        goal_quaternion[b] = wp.normalize(q_goal)
+    if distance < 1.0e-3:
+        to_goal = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
     spacing = wp.radians(params[b].spacing)
     if speed < params[b].slow_speed:
         spacing = spacing * params[b].slow_spread
@@ -89,9 +82,7 @@ def place_anchors(
     elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * spacing
     c = wp.cos(elevation)
     d = wp.vec3(c * wp.cos(azimuth), c * wp.sin(azimuth), wp.sin(elevation))
-    if m == 0:
-        reach[b] = length
-    initial_direction[b, m] = quat_inverse_rotate(quaternion[b], d)
+    initial_direction[b, m] = quat_inverse_rotate(q, d)
     initial_endpoint[b, m] = p + length * d
 
 

@@ -147,8 +147,8 @@ def sample_width(device: wp.Device) -> int:
 
 
 def points_width(device: wp.Device) -> int:
-    """Return how many points a thread compares with at once."""
-    return 16 if device.is_cpu else 1
+    """Return how many points a thread compares with at once: vector instructions on a CPU, wide loads on a GPU."""
+    return 16 if device.is_cpu else 4
 
 
 def padded_samples(config: PlannerConfig, device: wp.Device) -> int:
@@ -198,11 +198,9 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             nominal=wp.zeros((batch, M + 1, N), dtype=wp.vec4),
             sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
             sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
-            sample_distance=wp.zeros((batch * M, rows, K), dtype=wp.float32),
+            sample_clearance_cost=wp.zeros((batch * M, rows, K), dtype=wp.float32),
             weight=wp.zeros((batch * M, K), dtype=wp.float32),
-            distance=wp.zeros((batch * (M + 1), rows, 1), dtype=wp.float32),
-            goal_term=wp.zeros((batch, M + 1, N), dtype=wp.float32),
-            speed_term=wp.zeros((batch, M + 1, N), dtype=wp.float32),
+            terms=wp.zeros((batch, M + 1, rows), dtype=wp.vec4),
             nearest=wp.zeros((batch, M + 1), dtype=wp.float32),
             noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
             seed=wp.zeros(batch, dtype=wp.int32),
@@ -211,7 +209,8 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             previous_end=wp.zeros(batch, dtype=wp.vec3),
             previous_time=wp.zeros(batch, dtype=wp.float64),
         )
-        # The same memory twice: by blocks for reading, by coordinates for writing.
+        # The same memory twice, for reading and for writing.
+        work.counts = wp.array(ptr=work.end.ptr, dtype=wp.vec4i, shape=(batch, GRID**3 // 4), device=device)
         work.coordinates = wp.zeros((batch, blocks, 3, points_width(device)), dtype=wp.float32)
         work.blocks = wp.array(
             ptr=work.coordinates.ptr, dtype=block_type(points_width(device)), shape=(batch, blocks), device=device

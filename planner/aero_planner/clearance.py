@@ -13,6 +13,7 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.costs import collision_cost
 from aero_planner.params import Params
 
 __all__ = [
@@ -31,7 +32,7 @@ __all__ = [
 
 wp.set_module_options({"enable_backward": False})
 
-GRID = wp.constant(42)
+GRID = wp.constant(44)
 """Cells along each side of the grid; the outermost hold no points, so that every point has 27 cells around it."""
 
 FAR = wp.constant(1.0e18)
@@ -99,18 +100,21 @@ def allocate_rows(
     lanes: int,
     capacity: int,
     total: wp.array2d(dtype=int),
+    counts: wp.array2d(dtype=wp.vec4i),
     end: wp.array2d(dtype=int),
 ):
-    """Give each row of cells a piece of this lane's `capacity` points; `end` becomes where each cell begins. Launched
-    over [B, rows of the lane].
+    """Give each row of cells a piece of this lane's `capacity` points; `end` becomes where each cell begins.
 
+    `counts` is the same memory by fours, since most rows are empty and have to be read only. Launched over [B, rows of
+    the lane].
     Which piece a row gets depends on the order of the threads; the nearest distance does not.
     """
     b, i = wp.tid()
     first = ((i // GRID) * lanes + lane) * GRID * GRID + (i % GRID) * GRID
-    length = int(0)
-    for x in range(GRID):
-        length += end[b, first + x]
+    four = wp.vec4i(0, 0, 0, 0)
+    for x in range(GRID // 4):
+        four += counts[b, first // 4 + x]
+    length = four[0] + four[1] + four[2] + four[3]
     if length == 0:
         return
     cursor = lane * capacity + wp.atomic_add(total, lane, b, length)
@@ -159,9 +163,10 @@ def fill_rows(
                 coordinates[b, block, 2, j] = point[2]
 
 
-def keep_loops(kernel: wp.Kernel) -> wp.Kernel:
-    """Let the loops over a block stay loops, which LLVM turns into vector instructions; unrolled ones it does not."""
-    kernel.module.options["max_unroll"] = 2
+def keep_loops(kernel: wp.Kernel, width: int) -> wp.Kernel:
+    """Let loops over wide blocks stay loops, which LLVM turns into vector instructions; unrolled ones it does not."""
+    if width > 12:
+        kernel.module.options["max_unroll"] = 2
     return kernel
 
 
@@ -215,7 +220,7 @@ def clearance_at(width: int) -> wp.Function:
         least = best[0]
         for j in range(1, REST):
             least = wp.where(best[j] < least, best[j], least)
-        return wp.sqrt(least)
+        return wp.where(least < limit * limit, wp.sqrt(least), limit)
 
     return clearance_at
 
@@ -246,23 +251,27 @@ def query_clearance(width: int) -> wp.Kernel:
         beside: int,
         end: wp.array2d(dtype=int),
         blocks: wp.array2d(dtype=Block),
-        distance: wp.array3d(dtype=float),
+        cost: wp.array3d(dtype=float),
     ):
-        """Clearance of every position, shape [B M, N + probes, 3, K]; rows past `steps` probe the way to the goal.
+        """What the clearance of every position costs, shape [B M, N + probes, 3, K].
 
+        Rows past `steps` probe the way to the goal: 1 where it is blocked, else 0.
         Launched over [instances of this chunk, N + probes, stride]; a thread takes every `stride`-th of the K positions.
         """
         offset, t, lane = wp.tid()
         i = first + offset
         b = i // instances
-        limit = row_limit(t, steps, params[b])
-        size = cell_size(params[b])
-        unused = t >= steps and params[b].q_blocked == 0.0
-        for k in range(lane, distance.shape[2], stride):
-            if unused:
-                distance[i, t, k] = limit
+        c = params[b]
+        if t >= steps and c.q_blocked == 0.0:
+            return
+        limit = row_limit(t, steps, c)
+        size = cell_size(c)
+        for k in range(lane, cost.shape[2], stride):
+            x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
+            d = clearance(x, limit, b, center[b], size, beside, end, blocks)
+            if t < steps:
+                cost[i, t, k] = collision_cost(d, c)
             else:
-                x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-                distance[i, t, k] = clearance(x, limit, b, center[b], size, beside, end, blocks)
+                cost[i, t, k] = wp.where(d < c.blocked_radius, 1.0, 0.0)
 
-    return keep_loops(query_clearance)
+    return keep_loops(query_clearance, width)

@@ -12,6 +12,7 @@ from aero_planner.params import Params
 
 __all__ = [
     "clamp_control",
+    "near_atan2",
     "quat_from_heading",
     "quat_inverse_rotate",
     "quat_multiply",
@@ -22,6 +23,31 @@ __all__ = [
 ]
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def atan_unit(x: float) -> float:
+    """atan(x) for |x| <= 1, to 1e-7 rad: a minimax polynomial, which a CPU computes for many points at once."""
+    z = x * x
+    f = -0.00405456246
+    f = f * z + 0.0218629402
+    f = f * z - 0.0559123006
+    f = f * z + 0.0964219536
+    f = f * z - 0.139086288
+    f = f * z + 0.199465655
+    f = f * z - 0.333298608
+    f = f * z + 0.999999336
+    return x * f
+
+
+@wp.func
+def near_atan2(y: float, x: float) -> float:
+    """atan2(y, x) to 3e-7 rad, without a branch."""
+    a = wp.abs(y)
+    b = wp.abs(x)
+    angle = 0.25 * wp.PI + atan_unit((a - b) / (a + b + 1.0e-30))
+    angle = wp.where(x < 0.0, wp.PI - angle, angle)
+    return wp.where(y < 0.0, -angle, angle)
 
 
 @wp.func
@@ -89,9 +115,9 @@ def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
     """q after dt at constant body rates: the quaternion part of `rk4_step`."""
     # dq is linear in q and its matrix A satisfies A^2 = -|omega|^2 / 4, so the four RK4 stages sum to this polynomial.
     s = 0.25 * dt * dt * wp.dot(omega, omega)
-    turned = (1.0 - s / 2.0 + s * s / 24.0) * q + (dt * (1.0 - s / 6.0)) * _rate(q, omega)
-    # Not wp.normalize, whose branch for zero length would keep a CPU from turning many at once.
-    return turned / wp.length(turned)
+    turned = (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)) * q + (dt * (1.0 - s * (1.0 / 6.0))) * _rate(q, omega)
+    # Not wp.normalize: its branch for zero length would keep a CPU from turning many at once, and it divides four times.
+    return (1.0 / wp.length(turned)) * turned
 
 
 @wp.func
@@ -111,6 +137,6 @@ def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, gravit
     a3 = specific_thrust * thrust_axis(q3) + g
     a4 = specific_thrust * thrust_axis(q4) + g
     # dp = v makes the position's stages combinations of a1, a2, a3.
-    p_next = p + dt * v + (dt * dt / 6.0) * (a1 + a2 + a3)
-    v_next = v + (dt / 6.0) * (a1 + 2.0 * (a2 + a3) + a4)
+    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (a1 + a2 + a3)
+    v_next = v + (dt * (1.0 / 6.0)) * (a1 + 2.0 * (a2 + a3) + a4)
     return p_next, v_next, rotate_by_rates(q, omega, dt)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.dynamics import clamp_control, quat_inverse_rotate, rotate_by_rates, thrust_axis
+from aero_planner.dynamics import clamp_control, near_atan2, quat_inverse_rotate, rotate_by_rates, thrust_axis
 from aero_planner.params import Params
 
 __all__ = ["Quintic", "heading", "make_guides", "quintic", "wrap_angle", "write_nominal"]
@@ -103,7 +103,7 @@ def write_nominal(
             z_body = quat_inverse_rotate(q, z_wanted)
             # Shortest rotation from the body's z axis: about e_3 x z_body, by the angle between them.
             sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
-            gain = wp.atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
+            gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
             u = wp.vec4(wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], turn)
         u = clamp_control(u, params)
         nominal[b, m, t] = u

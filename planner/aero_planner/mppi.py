@@ -26,7 +26,7 @@ from aero_planner.params import Params
 __all__ = [
     "NOISE_ROWS",
     "PROBES",
-    "clearance_cost",
+    "blocked_cost",
     "fill_noise",
     "improve",
     "probe",
@@ -152,12 +152,21 @@ def sample_rollouts(width: int) -> wp.Kernel:
         if group == 0 and c.keep_nominal != 0:
             noisy[0] = 0.0
         fresh = float(1.0)
+        u_ahead = nominal[b, m, 0]
+        p_ahead = guide[b, m, 1]
+        drawn_ahead = Controls()
+        for axis in range(4):
+            drawn_ahead[axis] = noise_table[0, axis, row]
         for t in range(steps):
-            u_nominal = nominal[b, m, t]
-            p_guide = guide[b, m, t + 1]
-            drawn = Controls()
+            u_nominal = u_ahead
+            p_guide = p_ahead
+            drawn = drawn_ahead
+            # Read ahead, so that a GPU does not wait for memory at every step.
+            ahead = wp.min(t + 1, steps - 1)
+            u_ahead = nominal[b, m, ahead]
+            p_ahead = guide[b, m, ahead + 1]
             for axis in range(4):
-                drawn[axis] = noise_table[t, axis, row]
+                drawn_ahead[axis] = noise_table[ahead, axis, row]
             # J_ctrl leaves out the last control, and the change to the first.
             counted = wp.where(t < steps - 1, 1.0, 0.0)
             change_counted = wp.where(t > 0, counted, 0.0)
@@ -195,34 +204,15 @@ def sample_rollouts(width: int) -> wp.Kernel:
                 positions[i, t, axis, group] = x[axis]
         cost[i, group] = S
         if c.q_blocked > 0.0:
-            for ahead in range(PROBES):
+            for piece in range(PROBES):
                 for j in range(WIDTH):
-                    place = probe(wp.vec3(x[0, j], x[1, j], x[2, j]), p_goal, ahead, c)
+                    place = probe(wp.vec3(x[0, j], x[1, j], x[2, j]), p_goal, piece, c)
                     for axis in range(3):
                         u[axis, j] = place[axis]
                 for axis in range(3):
-                    positions[i, steps + ahead, axis, group] = u[axis]
+                    positions[i, steps + piece, axis, group] = u[axis]
 
     return sample_rollouts
-
-
-@wp.func
-def clearance_cost(
-    i: int, k: int, p_last: wp.vec3, goal: wp.vec3, params: Params, distance: wp.array3d(dtype=float)
-):  # fmt: skip
-    """J_col of a rollout, and its cost-to-go."""
-    steps = distance.shape[1] - PROBES
-    J_col = float(0.0)
-    for t in range(steps):
-        J_col += collision_cost(distance[i, t, k], params)
-    to_go = float(0.0)
-    if params.q_blocked > 0.0:
-        blocked = int(0)
-        for j in range(PROBES):
-            if distance[i, steps + j, k] < params.blocked_radius:
-                blocked += 1
-        to_go = blocked_cost(p_last, goal, blocked, params)
-    return J_col, to_go
 
 
 @wp.func
@@ -259,7 +249,7 @@ def improve(threads: int) -> wp.Kernel:
         nominal: wp.array4d(dtype=float),
         sample_controls: wp.array4d(dtype=float),
         positions: wp.array4d(dtype=float),
-        distance: wp.array3d(dtype=float),
+        clearance_cost: wp.array3d(dtype=float),
         cost: wp.array2d(dtype=float),
         weight: wp.array2d(dtype=float),
         controls: wp.array4d(dtype=float),
@@ -274,12 +264,20 @@ def improve(threads: int) -> wp.Kernel:
         b = i // instances
         m = i % instances
         samples = weight.shape[1]
-        last = distance.shape[1] - PROBES - 1
+        steps = controls.shape[2]
         least = float(wp.INF)
         for k in range(lane, samples, THREADS):
-            end = wp.vec3(positions[i, last, 0, k], positions[i, last, 1, k], positions[i, last, 2, k])
-            J_col, to_go = clearance_cost(i, k, end, goal_position[b], params[b], distance)
-            S = cost[i, k] + J_col + to_go
+            J_col = float(0.0)
+            for t in range(steps):
+                J_col += clearance_cost[i, t, k]
+            S = cost[i, k] + J_col
+            if params[b].q_blocked > 0.0:
+                blocked = float(0.0)
+                for j in range(PROBES):
+                    blocked += clearance_cost[i, steps + j, k]
+                t = steps - 1
+                last = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
+                S += blocked_cost(last, goal_position[b], int(blocked), params[b])
             cost[i, k] = S
             least = wp.min(least, S)
         least = block_min(least)
@@ -289,7 +287,7 @@ def improve(threads: int) -> wp.Kernel:
             weight[i, k] = w
             total += w
         total = block_sum(total)
-        for row in range(lane, 4 * controls.shape[2], THREADS):
+        for row in range(lane, 4 * steps, THREADS):
             t = row // 4
             axis = row % 4
             u = nominal[b, m, t, axis]

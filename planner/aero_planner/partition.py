@@ -11,7 +11,7 @@ import functools
 
 import warp as wp
 
-from aero_planner.dynamics import quat_rotate
+from aero_planner.dynamics import near_atan2, quat_rotate
 from aero_planner.params import Params
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "cell_direction",
     "cell_of_direction",
     "fill_directions",
-    "near_atan2",
     "finish_fine",
     "pool_coarse",
     "safest_fine_cell",
@@ -41,31 +40,6 @@ def cell_of_direction(d: wp.vec3, rows: int, columns: int):
     column = int(wp.floor(azimuth * (0.5 * float(columns) / wp.PI) + 0.5 * float(columns)))
     # a = +180 deg is a = -180 deg, b = +90 deg belongs to the uppermost row.
     return wp.clamp(row, 0, rows - 1), (column + columns) % columns
-
-
-@wp.func
-def atan_unit(x: float) -> float:
-    """atan(x) for |x| <= 1, to 1e-7 rad: a minimax polynomial, which a CPU computes for many points at once."""
-    z = x * x
-    f = -0.00405456246
-    f = f * z + 0.0218629402
-    f = f * z - 0.0559123006
-    f = f * z + 0.0964219536
-    f = f * z - 0.139086288
-    f = f * z + 0.199465655
-    f = f * z - 0.333298608
-    f = f * z + 0.999999336
-    return x * f
-
-
-@wp.func
-def near_atan2(y: float, x: float) -> float:
-    """atan2(y, x) to 3e-7 rad, without a branch."""
-    a = wp.abs(y)
-    b = wp.abs(x)
-    angle = 0.25 * wp.PI + atan_unit((a - b) / (a + b + 1.0e-30))
-    angle = wp.where(x < 0.0, wp.PI - angle, angle)
-    return wp.where(y < 0.0, -angle, angle)
 
 
 @wp.func
@@ -220,14 +194,13 @@ def safest_fine_cell(
             row = coarse_row * pool + i
             column = coarse_column * pool + j
             r = fine_range[b, row * columns + column]
-            if r >= best_range:
-                d = directions[row, column]
-                cosine = wp.dot(d, toward)
-                # The margin lets the first of several equally near cells win, whatever the rounding.
-                if r > best_range or cosine > best_cosine + 1.0e-6:
-                    best_range = r
-                    best_cosine = cosine
-                    best_direction = d
+            d = directions[row, column]
+            cosine = wp.dot(d, toward)
+            # The margin lets the first of several equally near cells win, whatever the rounding.
+            if r > best_range or (r == best_range and cosine > best_cosine + 1.0e-6):
+                best_range = r
+                best_cosine = cosine
+                best_direction = d
     return best_range, best_direction
 
 

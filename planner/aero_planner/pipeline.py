@@ -104,12 +104,9 @@ class Pipeline:
         directions = serial(
             "anchors",
             launch(
-                anchors.prepare, B, i.position, i.quaternion, i.goal_position, i.goal_velocity, i.goal_quaternion,
-                w.quaternion, w.goal_velocity, w.goal_quaternion,
-            ),
-            launch(
-                anchors.place_anchors, (B, anchor_count), *state, i.goal_position, params, config.anchors.columns,
-                config.anchors.rows, N, w.reach, w.initial_direction, o.initial_endpoint,
+                anchors.place_anchors, (B, anchor_count), i.position, i.velocity, i.quaternion, i.goal_position,
+                i.goal_velocity, i.goal_quaternion, params, config.anchors.columns, config.anchors.rows, N,
+                w.quaternion, w.goal_velocity, w.goal_quaternion, w.reach, w.initial_direction, o.initial_endpoint,
             ),
         )  # fmt: skip
         scatter: list[Chunk] = []
@@ -148,7 +145,8 @@ class Pipeline:
                     clearance.count_points, (B, fine), lane, self._lanes, o.occupied, o.filtered, i.position, params,
                     beside, w.end,
                 ),
-                launch(clearance.allocate_rows, (B, rows_of_lane), lane, self._lanes, capacity, w.total, w.end),
+                launch(clearance.allocate_rows, (B, rows_of_lane), lane, self._lanes, capacity, w.total,
+                       w.counts, w.end),
                 launch(
                     clearance.fill_rows, (B, fine), lane, self._lanes, capacity, o.occupied, o.filtered, i.position,
                     params, w.total, beside, w.end, w.coordinates,
@@ -185,11 +183,11 @@ class Pipeline:
                 ("clearance", self._join),
                 ("clearance", launch(
                     clearance.query_clearance(width), (n, N + mppi.PROBES, stride), first, M, N, stride,
-                    w.sample_positions, i.position, params, *cloud, w.sample_distance, block_dim=128,
+                    w.sample_positions, i.position, params, *cloud, w.sample_clearance_cost, block_dim=128,
                 )),
                 ("update", launch(
                     mppi.improve(threads), (n, threads), first, M, i.goal_position, params, as_scalars(w.nominal),
-                    w.sample_controls, w.sample_positions, w.sample_distance, o.cost, w.weight,
+                    w.sample_controls, w.sample_positions, w.sample_clearance_cost, o.cost, w.weight,
                     as_scalars(o.controls), block_dim=threads,
                 )),
             ])  # fmt: skip
@@ -201,11 +199,11 @@ class Pipeline:
             ),
             launch(
                 stage2.evaluate(width), (B, M + 1, N + mppi.PROBES), i.position, *goal, params, *cloud, o.positions,
-                o.velocities, o.quaternions, w.distance, w.goal_term, w.speed_term, block_dim=64,
+                o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
-                stage2.score, (B, M + 1), i.goal_position, params, o.positions, w.distance, w.goal_term, w.speed_term,
-                o.J_goal, o.J_col, o.S2, o.clearance, w.nearest, block_dim=32,
+                stage2.score, (B, M + 1), i.goal_position, params, o.positions, w.terms, o.J_goal, o.J_col, o.S2,
+                w.nearest, block_dim=32,
             ),
             launch(
                 stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, o.best,
@@ -223,13 +221,13 @@ class Pipeline:
         """On CUDA, let the following launches run on a stream of their own."""
         if self._side is not None:
             self._side.wait_event(self._main.record_event())
-            self._device.set_stream(self._side)
+            self._device.set_stream(self._side, sync=False)
 
     def _return(self) -> None:
         """On CUDA, go on where `_fork` left, beside what was launched since."""
         if self._side is not None:
             self._side_done = self._side.record_event()
-            self._device.set_stream(self._main)
+            self._device.set_stream(self._main, sync=False)
 
     def _join(self) -> None:
         """On CUDA, wait for what was launched between `_fork` and `_return`."""

@@ -12,9 +12,9 @@ from typing import Any
 import warp as wp
 
 from aero_planner.clearance import block_type, cell_size, clearance_at, keep_loops, row_limit
-from aero_planner.costs import goal_cost, speed_cost
+from aero_planner.costs import collision_cost, goal_cost, speed_cost
 from aero_planner.dynamics import rk4_step
-from aero_planner.mppi import PROBES, clearance_cost, probe
+from aero_planner.mppi import PROBES, blocked_cost, probe
 from aero_planner.params import Params
 
 __all__ = ["conclude", "evaluate", "roll_out_best", "score", "select"]
@@ -48,11 +48,14 @@ def roll_out_best(
     velocities[b, m, 0] = v
     quaternions[b, m, 0] = q
     is_brake = m == controls.shape[1] - 1
-    for t in range(controls.shape[2]):
-        u = controls[b, m, t]
-        if is_brake:
-            u = nominal[b, m, t]
-            controls[b, m, t] = u
+    steps = controls.shape[2]
+    u_next = wp.where(is_brake, nominal[b, m, 0], controls[b, m, 0])
+    for t in range(steps):
+        u = u_next
+        # Read ahead, so that a GPU does not wait for memory at every step.
+        ahead = wp.min(t + 1, steps - 1)
+        u_next = wp.where(is_brake, nominal[b, m, ahead], controls[b, m, ahead])
+        controls[b, m, t] = u
         p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, c.dt)
         positions[b, m, t + 1] = p
         velocities[b, m, t + 1] = v
@@ -62,7 +65,7 @@ def roll_out_best(
 @functools.cache
 def evaluate(width: int) -> wp.Kernel:
     """Return the kernel for blocks of `width` points."""
-    clearance = clearance_at(width)
+    nearest_point = clearance_at(width)
     Block: Any = block_type(width)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -78,36 +81,33 @@ def evaluate(width: int) -> wp.Kernel:
         positions: wp.array3d(dtype=wp.vec3),
         velocities: wp.array3d(dtype=wp.vec3),
         quaternions: wp.array3d(dtype=wp.vec4),
-        distance: wp.array3d(dtype=float),
-        goal_term: wp.array3d(dtype=float),
-        speed_term: wp.array3d(dtype=float),
+        clearance: wp.array3d(dtype=float),
+        terms: wp.array3d(dtype=wp.vec4),
     ):
-        """Clearance and costs of every state of Stage II, and the clearance on the way to the goal.
+        """Costs and clearance of every state of Stage II, and the clearance on the way to the goal.
 
-        Launched over [B, M + 1, N + PROBES].
+        `terms` are J_goal, J_col, the speed's cost and the distance to the nearest point. Launched over [B, M + 1, N +
+        PROBES].
         """
         b, m, t = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
         x = positions[b, m, wp.min(t + 1, steps)]
-        if t < steps:
-            goal_term[b, m, t] = goal_cost(
-                x,
-                velocities[b, m, t + 1],
-                quaternions[b, m, t + 1],
-                goal_position[b],
-                goal_velocity[b],
-                goal_quaternion[b],
-                c,
-            )
-            speed_term[b, m, t] = speed_cost(velocities[b, m, t + 1], c)
-        else:
+        if t >= steps:
             x = probe(x, goal_position[b], t - steps, c)
         limit = row_limit(t, steps, c)
-        i = b * positions.shape[1] + m
-        distance[i, t, 0] = clearance(x, limit, b, position[b], cell_size(c), beside, end, blocks)
+        d = nearest_point(x, limit, b, position[b], cell_size(c), beside, end, blocks)
+        J_goal = float(0.0)
+        J_speed = float(0.0)
+        if t < steps:
+            v = velocities[b, m, t + 1]
+            q = quaternions[b, m, t + 1]
+            J_goal = goal_cost(x, v, q, goal_position[b], goal_velocity[b], goal_quaternion[b], c)
+            J_speed = speed_cost(v, c)
+            clearance[b, m, t] = wp.min(d, c.distance_max)
+        terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d)
 
-    return keep_loops(evaluate)
+    return keep_loops(evaluate, width)
 
 
 @wp.kernel
@@ -115,33 +115,30 @@ def score(
     goal_position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     positions: wp.array3d(dtype=wp.vec3),
-    distance: wp.array3d(dtype=float),
-    goal_term: wp.array3d(dtype=float),
-    speed_term: wp.array3d(dtype=float),
+    terms: wp.array3d(dtype=wp.vec4),
     J_goal: wp.array2d(dtype=float),
     J_col: wp.array2d(dtype=float),
     S2: wp.array2d(dtype=float),
-    clearance: wp.array3d(dtype=float),
     nearest: wp.array2d(dtype=float),
 ):
     """S2 of each instance, its terms, and how near it comes to a point. Launched over [B, M + 1]."""
     b, m = wp.tid()
     c = params[b]
-    i = b * S2.shape[1] + m
-    steps = clearance.shape[2]
-    goal_sum = float(0.0)
-    speed_sum = float(0.0)
+    steps = positions.shape[2] - 1
+    sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
     least = float(wp.INF)
     for t in range(steps):
-        d = distance[i, t, 0]
-        goal_sum += goal_term[b, m, t]
-        speed_sum += speed_term[b, m, t]
-        least = wp.min(least, d)
-        clearance[b, m, t] = wp.min(d, c.distance_max)
-    collision, to_go = clearance_cost(i, 0, positions[b, m, steps], goal_position[b], c, distance)
-    J_goal[b, m] = goal_sum
-    J_col[b, m] = collision
-    S2[b, m] = goal_sum + collision + to_go + speed_sum
+        term = terms[b, m, t]
+        sums += term
+        least = wp.min(least, term[3])
+    blocked = int(0)
+    for t in range(steps, steps + PROBES):
+        if terms[b, m, t][3] < c.blocked_radius:
+            blocked += 1
+    to_go = blocked_cost(positions[b, m, steps], goal_position[b], blocked, c)
+    J_goal[b, m] = sums[0]
+    J_col[b, m] = sums[1]
+    S2[b, m] = sums[0] + sums[1] + sums[2] + to_go
     nearest[b, m] = least
 
 
@@ -199,7 +196,7 @@ def select(width: int) -> wp.Kernel:
         status[b] = outcome
         braked[b] = replaced
 
-    return keep_loops(select)
+    return keep_loops(select, width)
 
 
 @wp.kernel

@@ -19,18 +19,23 @@ def check_against_brute_force(planner: Planner, case, config) -> None:
     expected = reference.clearance(positions, kept_points(plan), d_max).reshape(plan.clearance.shape)
     # Differences of coordinates up to 30 m plus 20 m of flight: 4e-6 m each.
     np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
-    distance = planner._work.sample_distance.numpy()
-    samples = planner._work.sample_positions.numpy()[..., : distance.shape[2]].swapaxes(2, 3)
-    steps = config.sampling.steps
-    limit = max(d_max, config.candidates.safe_clearance)
-    flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7].astype(np.float64), kept_points(plan), limit)
-    np.testing.assert_allclose(distance[:, :steps].reshape(-1)[::7], flown, atol=2e-5)
-    if config.costs.q_blocked > 0.0:
-        radius = config.costs.blocked_radius
-        ahead = reference.clearance(
-            samples[:, steps:].reshape(-1, 3)[::7].astype(np.float64), kept_points(plan), radius
+    cost = planner._work.sample_clearance_cost.numpy()
+    samples = planner._work.sample_positions.numpy()[..., : cost.shape[2]].swapaxes(2, 3).astype(np.float64)
+    steps, costs = config.sampling.steps, config.costs
+    flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7], kept_points(plan), d_max)
+    away = (np.abs(flown[:, None] - (costs.distance_min, d_max)) > 1e-4).all(axis=1)  # from steps of the cost
+    expected = np.array([reference.J_col(d[None], config) for d in flown])
+    # 2e-5 m at the steepest slope, which is penalty / d_min or decay x penalty.
+    slope = costs.penalty * max(costs.decay, 1.0 / costs.distance_min) + costs.soft_weight / (
+        d_max - costs.distance_min
+    )
+    np.testing.assert_allclose(cost[:, :steps].reshape(-1)[::7][away], expected[away], atol=4e-5 * slope, rtol=1e-5)
+    if costs.q_blocked > 0.0:
+        ahead = reference.clearance(samples[:, steps:].reshape(-1, 3)[::7], kept_points(plan), 10.0)
+        away = np.abs(ahead - costs.blocked_radius) > 1e-4
+        np.testing.assert_array_equal(
+            cost[:, steps:].reshape(-1)[::7][away], (ahead < costs.blocked_radius)[away].astype(np.float32)
         )
-        np.testing.assert_allclose(distance[:, steps:].reshape(-1)[::7], ahead, atol=2e-5)
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
