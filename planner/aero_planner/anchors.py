@@ -48,8 +48,8 @@ def place_anchors(
 ):
     """Initial endpoints p0 + l d, with d spaced around the goal's azimuth and elevation in the world.
 
-    `reach` is l, `initial_direction` is d in the body frame. The first anchor's thread also normalises the attitudes and
-    derives what the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
+    `reach` is l, `initial_direction` is d in the body frame. The first anchor's thread also normalises the attitudes
+    and derives what the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
     """
     b, m = wp.tid()
     p = position[b]

@@ -13,6 +13,7 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.blocks import least_of_block
 from aero_planner.costs import collision_cost
 from aero_planner.params import Params
 
@@ -171,8 +172,13 @@ def keep_loops(kernel: wp.Kernel, width: int) -> wp.Kernel:
 
 
 @functools.cache
-def clearance_at(width: int) -> wp.Function:
-    """Return the function that finds the nearest point in blocks of `width` points."""
+def clearance_at(width: int, threads: int) -> wp.Function:
+    """Return the function that finds the nearest point in blocks of `width` points, with a thread block of `threads`.
+
+    All threads of a block ask for the same position, and share the points.
+    """
+    THREADS = wp.constant(threads)
+    block_min = least_of_block(threads)
     WIDTH, HALF, QUARTER = wp.constant(width), wp.constant(width // 2), wp.constant(width // 4)
     REST = wp.constant(max(QUARTER, 1))
     Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
@@ -183,13 +189,14 @@ def clearance_at(width: int) -> wp.Function:
         x: wp.vec3,
         limit: float,
         b: int,
+        thread: int,
         center: wp.vec3,
         size: float,
         beside: int,
         end: wp.array2d(dtype=int),
         blocks: wp.array2d(dtype=Block),
     ) -> float:
-        """Distance from x to the nearest point [m], or `limit` where that is farther; `limit` must not exceed `size`."""
+        """Distance from x to the nearest point [m], or `limit`, which must not exceed `size`, where that is farther."""
         c = grid_coordinates(x, center, size)
         cx = int(wp.floor(c[0]))
         cy = int(wp.floor(c[1]))
@@ -204,7 +211,7 @@ def clearance_at(width: int) -> wp.Function:
             first = end[b, row + wp.max(cx - 2, 0)]
             last = end[b, row + wp.min(cx + 1, GRID - 1)]
             if first < last:
-                for k in range(first // WIDTH, (last + WIDTH - 1) // WIDTH):
+                for k in range(first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, THREADS):
                     block = blocks[b, k]
                     for j in range(WIDTH):
                         dx = block[0, j] - x[0]
@@ -220,6 +227,7 @@ def clearance_at(width: int) -> wp.Function:
         least = best[0]
         for j in range(1, REST):
             least = wp.where(best[j] < least, best[j], least)
+        least = block_min(least)
         return wp.where(least < limit * limit, wp.sqrt(least), limit)
 
     return clearance_at
@@ -236,7 +244,7 @@ def row_limit(t: int, steps: int, params: Params) -> float:
 @functools.cache
 def query_clearance(width: int) -> wp.Kernel:
     """Return the kernel for blocks of `width` points."""
-    clearance = clearance_at(width)
+    clearance = clearance_at(width, 1)
     Block: Any = block_type(width)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -255,8 +263,8 @@ def query_clearance(width: int) -> wp.Kernel:
     ):
         """What the clearance of every position costs, shape [B M, N + probes, 3, K].
 
-        Rows past `steps` probe the way to the goal: 1 where it is blocked, else 0.
-        Launched over [instances of this chunk, N + probes, stride]; a thread takes every `stride`-th of the K positions.
+        Rows past `steps` probe the way to the goal: 1 where it is blocked, else 0. Launched over [instances of this
+        chunk, N + probes, stride]; a thread takes every `stride`-th of the K positions.
         """
         offset, t, lane = wp.tid()
         i = first + offset
@@ -268,7 +276,7 @@ def query_clearance(width: int) -> wp.Kernel:
         size = cell_size(c)
         for k in range(lane, cost.shape[2], stride):
             x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-            d = clearance(x, limit, b, center[b], size, beside, end, blocks)
+            d = clearance(x, limit, b, 0, center[b], size, beside, end, blocks)
             if t < steps:
                 cost[i, t, k] = collision_cost(d, c)
             else:

@@ -116,7 +116,7 @@ def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
     # dq is linear in q and its matrix A satisfies A^2 = -|omega|^2 / 4, so the four RK4 stages sum to this polynomial.
     s = 0.25 * dt * dt * wp.dot(omega, omega)
     turned = (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)) * q + (dt * (1.0 - s * (1.0 / 6.0))) * _rate(q, omega)
-    # Not wp.normalize: its branch for zero length would keep a CPU from turning many at once, and it divides four times.
+    # Not wp.normalize: its branch for zero length would keep a CPU from turning many at once.
     return (1.0 / wp.length(turned)) * turned
 
 

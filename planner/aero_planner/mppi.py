@@ -1,7 +1,7 @@
 """Model predictive path integral control, Stage I: sampling, rollouts, weights, update.
 
-Instance i = b M + m is instance m of drone b. Samples k are the last axis of sampled arrays, so that neighbouring samples
-touch neighbouring memory, be it in the threads of a GPU or in the vectors of a CPU.
+Instance i = b M + m is instance m of drone b. Samples k are the last axis of sampled arrays, so that neighbouring
+samples touch neighbouring memory, be it in the threads of a GPU or in the vectors of a CPU.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.blocks import least_of_block, sum_of_block
 from aero_planner.costs import (
-    collision_cost,
     control_cost,
     control_rate_cost,
     goal_cost,
@@ -215,30 +215,11 @@ def sample_rollouts(width: int) -> wp.Kernel:
     return sample_rollouts
 
 
-@wp.func
-def only(x: float) -> float:
-    """What a block of one thread has."""
-    return x
-
-
-@wp.func
-def tile_least(x: float) -> float:
-    """The least that any thread of the block has."""
-    return wp.tile_extract(wp.tile_min(wp.tile(x)), 0)
-
-
-@wp.func
-def tile_total(x: float) -> float:
-    """The sum of what the threads of the block have."""
-    return wp.tile_extract(wp.tile_sum(wp.tile(x)), 0)
-
-
 @functools.cache
 def improve(threads: int) -> wp.Kernel:
     """Return the kernel for `threads` threads in a block, of which a CPU has one."""
     THREADS = wp.constant(threads)
-    # Not tiles of one on a CPU: they share memory between the threads that launch.
-    block_min, block_sum = (only, only) if threads == 1 else (tile_least, tile_total)
+    block_min, block_sum = least_of_block(threads), sum_of_block(threads)
 
     @wp.kernel(module="unique", enable_backward=False)
     def improve(
@@ -256,8 +237,8 @@ def improve(threads: int) -> wp.Kernel:
     ):
         """Complete S1 by the terms that need the clearance, and update the nominal by the softmin of the samples.
 
-        w_k = exp(-(S_k - min S) / lambda) / sum; controls = nominal + sum_k w_k (u_k - nominal): the noise as it acted, after
-        the clamp. Launched over [instances of this chunk, threads], a block for each instance.
+        w_k = exp(-(S_k - min S) / lambda) / sum; controls = nominal + sum_k w_k (u_k - nominal): the noise as it acted,
+        after the clamp. Launched over [instances of this chunk, threads], a block for each instance.
         """
         offset, lane = wp.tid()
         i = first + offset

@@ -191,6 +191,8 @@ class Pipeline:
                     as_scalars(o.controls), block_dim=threads,
                 )),
             ])  # fmt: skip
+        # The few positions of Stage II leave a GPU threads to spare, unless there are many drones.
+        team = 1 if self._device.is_cpu or B > 8 else 32
         choose = serial(
             "stage2",
             launch(
@@ -198,8 +200,8 @@ class Pipeline:
                 o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.evaluate(width), (B, M + 1, N + mppi.PROBES), i.position, *goal, params, *cloud, o.positions,
-                o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
+                stage2.evaluate(width, team), (B, M + 1, N + mppi.PROBES, team), i.position, *goal, params, *cloud,
+                o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
                 stage2.score, (B, M + 1), i.goal_position, params, o.positions, w.terms, o.J_goal, o.J_col, o.S2,

@@ -63,9 +63,9 @@ def roll_out_best(
 
 
 @functools.cache
-def evaluate(width: int) -> wp.Kernel:
-    """Return the kernel for blocks of `width` points."""
-    nearest_point = clearance_at(width)
+def evaluate(width: int, threads: int) -> wp.Kernel:
+    """Return the kernel for blocks of `width` points and of `threads` threads."""
+    nearest_point = clearance_at(width, threads)
     Block: Any = block_type(width)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -87,16 +87,16 @@ def evaluate(width: int) -> wp.Kernel:
         """Costs and clearance of every state of Stage II, and the clearance on the way to the goal.
 
         `terms` are J_goal, J_col, the speed's cost and the distance to the nearest point. Launched over [B, M + 1, N +
-        PROBES].
+        PROBES, threads].
         """
-        b, m, t = wp.tid()
+        b, m, t, thread = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
         x = positions[b, m, wp.min(t + 1, steps)]
         if t >= steps:
             x = probe(x, goal_position[b], t - steps, c)
         limit = row_limit(t, steps, c)
-        d = nearest_point(x, limit, b, position[b], cell_size(c), beside, end, blocks)
+        d = nearest_point(x, limit, b, thread, position[b], cell_size(c), beside, end, blocks)
         J_goal = float(0.0)
         J_speed = float(0.0)
         if t < steps:
@@ -145,7 +145,7 @@ def score(
 @functools.cache
 def select(width: int) -> wp.Kernel:
     """Return the kernel for blocks of `width` points."""
-    clearance = clearance_at(width)
+    clearance = clearance_at(width, 1)
     Block: Any = block_type(width)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -166,12 +166,12 @@ def select(width: int) -> wp.Kernel:
         """The instance with the least S2, by `prefer_safe` among the safe ones where there are any. Launched over [B].
 
         An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer
-        already, when it does not come nearer still. Where the status is not OK, `braked` is the instance whose place the
-        plain brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
+        already, when it does not come nearer still. Where the status is not OK, `braked` is the instance whose place
+        the plain brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
         """
         b = wp.tid()
         c = params[b]
-        here = clearance(position[b], c.safe_clearance, b, position[b], cell_size(c), beside, end, blocks)
+        here = clearance(position[b], c.safe_clearance, b, 0, position[b], cell_size(c), beside, end, blocks)
         safe = c.safe_clearance
         if here < safe:
             safe = here - 0.02
@@ -221,8 +221,10 @@ def conclude(
     previous_end: wp.array(dtype=wp.vec3),
     previous_time: wp.array(dtype=wp.float64),
 ):
-    """Put the plain brake in its place where it is needed, and keep what the next plan starts from: the controls to fly,
-    the end they lead to, and the time. Launched over [B, N + 1]."""
+    """Put the plain brake in its place where it is needed, and keep what the next plan starts from.
+
+    That is the controls to fly, the end they lead to, and the time. Launched over [B, N + 1].
+    """
     b, t = wp.tid()
     steps = controls.shape[2]
     m = best[b]
