@@ -200,7 +200,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
             sample_clearance_cost=wp.zeros((batch * M, rows, K), dtype=wp.float32),
             weight=wp.zeros((batch * M, K), dtype=wp.float32),
-            terms=wp.zeros((batch, M + 1, rows), dtype=wp.vec4),
+            terms=wp.zeros((batch, M + 1, rows + N), dtype=wp.vec4),
             nearest=wp.zeros((batch, M + 1), dtype=wp.float32),
             noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
             seed=wp.zeros(batch, dtype=wp.int32),

@@ -200,7 +200,7 @@ class Pipeline:
                 o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.evaluate(width, team), (B, M + 1, N + mppi.PROBES, team), i.position, *goal, params, *cloud,
+                stage2.evaluate(width, team), (B, M + 1, 2 * N + mppi.PROBES, team), i.position, *goal, params, *cloud,
                 o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
@@ -208,8 +208,8 @@ class Pipeline:
                 w.nearest, block_dim=32,
             ),
             launch(
-                stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, o.best,
-                o.status, o.braked,
+                stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.velocities, o.S2, w.nearest,
+                o.best, o.status, o.braked,
             ),
             launch(
                 stage2.conclude, (B, N + 1), i.time, params, o.best, o.braked, o.anchor, o.coefficient,

@@ -84,18 +84,23 @@ def evaluate(width: int, threads: int) -> wp.Kernel:
         clearance: wp.array3d(dtype=float),
         terms: wp.array3d(dtype=wp.vec4),
     ):
-        """Costs and clearance of every state of Stage II, and the clearance on the way to the goal.
+        """Costs and clearance of every state of Stage II, and the clearance on the way to the goal and half way between
+        the states, in this order.
 
         `terms` are J_goal, J_col, the speed's cost and the distance to the nearest point. Launched over [B, M + 1, N +
-        PROBES, threads].
+        PROBES + N, threads].
         """
         b, m, t, thread = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
         x = positions[b, m, wp.min(t + 1, steps)]
-        if t >= steps:
-            x = probe(x, goal_position[b], t - steps, c)
         limit = row_limit(t, steps, c)
+        if t >= steps + PROBES:
+            half = t - steps - PROBES
+            x = 0.5 * (positions[b, m, half] + positions[b, m, half + 1])
+            limit = c.safe_clearance
+        elif t >= steps:
+            x = probe(x, goal_position[b], t - steps, c)
         d = nearest_point(x, limit, b, thread, position[b], cell_size(c), beside, end, blocks)
         J_goal = float(0.0)
         J_speed = float(0.0)
@@ -131,6 +136,9 @@ def score(
         term = terms[b, m, t]
         sums += term
         least = wp.min(least, term[3])
+    if c.between_steps != 0:
+        for t in range(steps + PROBES, terms.shape[2]):
+            least = wp.min(least, terms[b, m, t][3])
     blocked = int(0)
     for t in range(steps, steps + PROBES):
         if terms[b, m, t][3] < c.blocked_radius:
@@ -157,6 +165,7 @@ def select(width: int) -> wp.Kernel:
         beside: int,
         end: wp.array2d(dtype=int),
         blocks: wp.array2d(dtype=Block),
+        velocities: wp.array3d(dtype=wp.vec3),
         S2: wp.array2d(dtype=float),
         nearest: wp.array2d(dtype=float),
         best: wp.array(dtype=int),
@@ -166,8 +175,9 @@ def select(width: int) -> wp.Kernel:
         """The instance with the least S2, by `prefer_safe` among the safe ones where there are any. Launched over [B].
 
         An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer
-        already, when it does not come nearer still. Where the status is not OK, `braked` is the instance whose place
-        the plain brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
+        already, when it does not come nearer still. Where the status is not OK the drone brakes, and `braked` is the
+        instance whose place the plain brake takes: the braking candidate, or the chosen one where there is none. It is
+        -1 where nothing is replaced, because the status is OK or by `dodge`.
         """
         b = wp.tid()
         c = params[b]
@@ -190,8 +200,13 @@ def select(width: int) -> wp.Kernel:
             outcome = STALE_CLOUD
         replaced = int(-1)
         if outcome != OK:
-            replaced = wp.where(brake_index >= 0, brake_index, chosen)
-            chosen = replaced
+            if brake_index >= 0:
+                chosen = brake_index
+            plain = S2.shape[1] - 1
+            steps = velocities.shape[2] - 1
+            slows = wp.length(velocities[b, chosen, steps]) < 0.5 * wp.length(velocities[b, chosen, 0])
+            if c.dodge == 0 or brake_index < 0 or not slows or nearest[b, chosen] <= nearest[b, plain]:
+                replaced = chosen
         best[b] = chosen
         status[b] = outcome
         braked[b] = replaced
