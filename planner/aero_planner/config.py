@@ -110,10 +110,6 @@ class CandidateConfig(_Section):
         True, "Let a safe candidate win over any other, and brake when none is safe. Off as in the paper: the least S2 "
         "wins, and the drone brakes when that one is not safe.",
     )  # fmt: skip
-    dodge: bool = switch(
-        True, "When none is safe, brake by the optimised braking candidate if it slows down as well and stays farther "
-        "from obstacles than braking straight ahead.",
-    )  # fmt: skip
     brake_reach: float = live(
         0.35, "", 0.1, 1.0, "End of the braking guide, as a fraction of v T; the smaller, the harder it brakes."
     )
@@ -293,7 +289,6 @@ _PAPER: dict[str, Value] = {
     "candidates.brake": False,
     "candidates.prefer_safe": False,
     "candidates.between_steps": False,
-    "candidates.dodge": False,
     "sampling.correlation": 0.0,
     "sampling.keep_nominal": False,
     "sampling.fresh_noise": False,

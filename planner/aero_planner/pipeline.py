@@ -208,8 +208,8 @@ class Pipeline:
                 w.nearest, block_dim=32,
             ),
             launch(
-                stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.velocities, o.S2, w.nearest,
-                o.best, o.status, o.braked,
+                stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, o.best,
+                o.status, o.braked,
             ),
             launch(
                 stage2.conclude, (B, N + 1), i.time, params, o.best, o.braked, o.anchor, o.coefficient,

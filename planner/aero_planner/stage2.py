@@ -165,7 +165,6 @@ def select(width: int) -> wp.Kernel:
         beside: int,
         end: wp.array2d(dtype=int),
         blocks: wp.array2d(dtype=Block),
-        velocities: wp.array3d(dtype=wp.vec3),
         S2: wp.array2d(dtype=float),
         nearest: wp.array2d(dtype=float),
         best: wp.array(dtype=int),
@@ -175,9 +174,8 @@ def select(width: int) -> wp.Kernel:
         """The instance with the least S2, by `prefer_safe` among the safe ones where there are any. Launched over [B].
 
         An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer
-        already, when it does not come nearer still. Where the status is not OK the drone brakes, and `braked` is the
-        instance whose place the plain brake takes: the braking candidate, or the chosen one where there is none. It is
-        -1 where nothing is replaced, because the status is OK or by `dodge`.
+        already, when it does not come nearer still. Where the status is not OK, `braked` is the instance whose place
+        the plain brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
         """
         b = wp.tid()
         c = params[b]
@@ -200,13 +198,8 @@ def select(width: int) -> wp.Kernel:
             outcome = STALE_CLOUD
         replaced = int(-1)
         if outcome != OK:
-            if brake_index >= 0:
-                chosen = brake_index
-            plain = S2.shape[1] - 1
-            steps = velocities.shape[2] - 1
-            slows = wp.length(velocities[b, chosen, steps]) < 0.5 * wp.length(velocities[b, chosen, 0])
-            if c.dodge == 0 or brake_index < 0 or not slows or nearest[b, chosen] <= nearest[b, plain]:
-                replaced = chosen
+            replaced = wp.where(brake_index >= 0, brake_index, chosen)
+            chosen = replaced
         best[b] = chosen
         status[b] = outcome
         braked[b] = replaced

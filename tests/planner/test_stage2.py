@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner import Plan, Planner, PlanStatus
+from tests.planner import reference
+from tests.planner.cases import Case, config_of, kept_points, random_case
+
+
+def nearest_approach(plan: Plan, instance: int, *, between: bool) -> float:
+    """Least distance of an instance's states, and of the places half way between them, to the cloud [m]."""
+    x = plan.positions[instance].astype(np.float64)
+    places = np.concatenate((x[1:], 0.5 * (x[1:] + x[:-1]))) if between else x[1:]
+    return float(reference.clearance(places, kept_points(plan), 10.0).min())
+
+
+def cluttered(seed: int) -> Case:
+    """Fast amid thin posts, which fit between two states."""
+    case, rng = random_case(seed, count=0, speed=7.0), np.random.default_rng(seed)
+    foot = rng.uniform(-8, 8, (60, 2))
+    foot = foot[np.linalg.norm(foot, axis=1) > 1.2]
+    points = np.array([(*xy, z) for xy in foot for z in np.arange(-4, 4, 0.1)])
+    case.points = (points + case.position).astype(np.float32)
+    return case
+
+
+@pytest.mark.parametrize("between", [True, False])
+def test_what_is_safe_is_judged_between_the_steps(device: str, between: bool):
+    """With `between_steps` no chosen plan passes a post between two states; without, some do."""
+    config = config_of(candidates__between_steps=between, candidates__safe_clearance=0.3)
+    planner, slipped, chosen = Planner(config, device=device), 0, 0
+    for seed in range(60):
+        plan = cluttered(seed).plan(planner)
+        planner.reset()
+        if plan.status == PlanStatus.OK:
+            chosen += 1
+            # Distances of positions 30 m from the origin are known to 1e-5 m.
+            assert nearest_approach(plan, plan.best, between=False) > 0.3 - 1e-5
+            slipped += nearest_approach(plan, plan.best, between=True) < 0.3 - 1e-5
+    assert chosen > 10
+    assert slipped == 0 if between else slipped > 0
