@@ -29,6 +29,8 @@ format: setup-dev  ## rewrite the sources in the project's style
 
 bench: setup     ## planner benchmark on this machine
 	$(PYTHON_BIN) -m aero_planner.benchmark $(ARGS)
+	$(PYTHON_BIN) -m benchmarks.guard
+	$(PYTHON_BIN) -m benchmarks.floors
 
 clean:           ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis

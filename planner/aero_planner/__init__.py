@@ -5,5 +5,15 @@ from __future__ import annotations
 from aero_planner.config import PlannerConfig
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
 from aero_planner.planner import Planner
+from aero_planner.warmup import compile_ahead, warmup
 
-__all__ = ["Goal", "Plan", "PlanStatus", "Planner", "PlannerConfig", "VehicleState"]
+__all__ = [
+    "Goal",
+    "Plan",
+    "PlanStatus",
+    "Planner",
+    "PlannerConfig",
+    "VehicleState",
+    "compile_ahead",
+    "warmup",
+]

@@ -16,7 +16,6 @@ from aero_planner.partition import fill_directions
 
 __all__ = [
     "Block",
-    "as_scalars",
     "as_vectors",
     "fine_shape",
     "input_block",
@@ -162,12 +161,6 @@ def as_vectors(array: wp.array, width: int) -> wp.array:
     shape = (*array.shape[:-1], array.shape[-1] // width)
     dtype = wp.types.vector(length=width, dtype=wp.float32)
     return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
-
-
-def as_scalars(array: wp.array) -> wp.array:
-    """Return a view of a contiguous array of vectors with their components as the last axis."""
-    shape = (*array.shape, array.dtype._shape_[0])
-    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=array.device)
 
 
 def list_capacity(config: PlannerConfig, lanes: int, device: wp.Device) -> int:

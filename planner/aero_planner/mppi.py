@@ -227,13 +227,13 @@ def improve(threads: int) -> wp.Kernel:
         instances: int,
         goal_position: wp.array(dtype=wp.vec3),
         params: wp.array(dtype=Params),
-        nominal: wp.array4d(dtype=float),
+        nominal: wp.array3d(dtype=wp.vec4),
         sample_controls: wp.array4d(dtype=float),
         positions: wp.array4d(dtype=float),
         clearance_cost: wp.array3d(dtype=float),
         cost: wp.array2d(dtype=float),
         weight: wp.array2d(dtype=float),
-        controls: wp.array4d(dtype=float),
+        controls: wp.array3d(dtype=wp.vec4),
     ):
         """Complete S1 by the terms that need the clearance, and update the nominal by the softmin of the samples.
 
@@ -268,15 +268,19 @@ def improve(threads: int) -> wp.Kernel:
             weight[i, k] = w
             total += w
         total = block_sum(total)
-        for row in range(lane, 4 * steps, THREADS):
-            t = row // 4
-            axis = row % 4
-            u = nominal[b, m, t, axis]
-            du = float(0.0)
+        for t in range(lane, steps, THREADS):
+            u = nominal[b, m, t]
+            du = wp.vec4(0.0, 0.0, 0.0, 0.0)
             for k in range(samples):
                 w = weight[i, k]
                 if w > 0.0:
-                    du += w * (sample_controls[i, t, axis, k] - u)
-            controls[b, m, t, axis] = u + du / total
+                    sample = wp.vec4(
+                        sample_controls[i, t, 0, k],
+                        sample_controls[i, t, 1, k],
+                        sample_controls[i, t, 2, k],
+                        sample_controls[i, t, 3, k],
+                    )
+                    du += w * (sample - u)
+            controls[b, m, t] = u + du / total
 
     return improve

@@ -18,7 +18,6 @@ import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
 from aero_planner.buffers import (
-    as_scalars,
     as_vectors,
     fine_shape,
     list_capacity,
@@ -186,9 +185,9 @@ class Pipeline:
                     w.sample_positions, i.position, params, *cloud, w.sample_clearance_cost, block_dim=128,
                 )),
                 ("update", launch(
-                    mppi.improve(threads), (n, threads), first, M, i.goal_position, params, as_scalars(w.nominal),
+                    mppi.improve(threads), (n, threads), first, M, i.goal_position, params, w.nominal,
                     w.sample_controls, w.sample_positions, w.sample_clearance_cost, o.cost, w.weight,
-                    as_scalars(o.controls), block_dim=threads,
+                    o.controls, block_dim=threads,
                 )),
             ])  # fmt: skip
         # The few positions of Stage II leave a GPU threads to spare, unless there are many drones.

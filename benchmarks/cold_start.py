@@ -1,0 +1,85 @@
+"""Cold start: from the import of the planner to the first plan, with the kernels compiled already and without."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from typing import Any
+
+from benchmarks.common import machine, positive, run_command
+
+__all__ = ["first_plan", "main"]
+
+_PROGRAM = """
+import json, sys, time
+started = time.perf_counter()
+from aero_planner import Goal, Planner, VehicleState
+imported = time.perf_counter()
+planner = Planner(device=sys.argv[1])
+built = time.perf_counter()
+from aero_planner.benchmark import forest_cloud
+cloud = forest_cloud(int(sys.argv[2]))
+made = time.perf_counter()
+planner.plan(VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0]), Goal([30, 0, 2]), cloud)
+planned = time.perf_counter()
+print(json.dumps({"import_s": imported - started, "planner_s": built - imported, "plan_s": planned - made}))
+"""
+
+
+def first_plan(cache: str, *, device: str = "cpu", points: int = 200_000) -> dict[str, float]:
+    """In a process of its own, import the planner, build it and plan once, with Warp's cache in the folder `cache`.
+
+    Returns:
+        "import_s", "planner_s" (in which kernels are compiled and loaded), "plan_s" and their sum, "total_s"; "cpu_s",
+        the processor time of the whole process, which others on the machine hardly change.
+
+    Raises:
+        ValueError: the program failed; says why.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", _PROGRAM, device, str(points)],
+        env={**os.environ, "WARP_CACHE_PATH": cache}, capture_output=True, text=True,
+    )  # fmt: skip
+    if done.returncode:
+        raise ValueError(f"the planner did not start: {done.stderr.strip().splitlines()[-1]}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    times: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {**times, "total_s": sum(times.values()), "cpu_s": cpu}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns 0.
+
+    Raises:
+        ValueError: as for `first_plan`.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.cold_start", description=__doc__)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args(arguments)
+    rows: dict[str, dict[str, Any]] = {}
+    with tempfile.TemporaryDirectory() as cache:
+        for name in ("empty cache", "warm cache"):
+            rows[name] = first_plan(cache, device=options.device, points=options.points)
+    if options.json:
+        print(json.dumps({"device": options.device, "machine": machine(options.device), **rows}))
+        return 0
+    print(f"{options.device} ({machine(options.device)}), {os.cpu_count()} cores, {options.points} points")
+    keys = ("import_s", "planner_s", "plan_s", "total_s", "cpu_s")
+    print(f"{'':14}" + "".join(f"{key.replace('_', ' '):>11}" for key in keys))
+    for name, row in rows.items():
+        print(f"{name:14}" + "".join(f"{row[key]:11.2f}" for key in keys))
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)

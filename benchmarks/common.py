@@ -1,0 +1,75 @@
+"""What the benchmarks share: the situation that is planned in, the clock, the machine, one line per mistake."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner import Goal, VehicleState
+from aero_planner.benchmark import forest_cloud
+from aero_planner.planner import _find_device
+
+__all__ = ["elapsed_ms", "machine", "positive", "run_command", "situation"]
+
+
+def situation(points: int, batch: int | None = None) -> tuple[VehicleState, Goal, Any]:
+    """A drone at 4 m/s in a forest of `points` points, as in `aero_planner.benchmark`; with a batch, B times the
+    same."""
+    values = ([0.0, 0.0, 2.0], [4.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [30.0, 0.0, 2.0])
+    position, velocity, quaternion, goal = (
+        np.array(value) if batch is None else np.tile(value, (batch, 1)) for value in values
+    )
+    cloud: NDArray[np.float32] = forest_cloud(points)
+    return VehicleState(position, velocity, quaternion), Goal(goal), cloud if batch is None else [cloud] * batch
+
+
+def elapsed_ms(work: Callable[[], Any], device: str) -> float:
+    """Time of `work` [ms], on CUDA between two events of the device's stream."""
+    warp_device = wp.get_device(device)
+    if not warp_device.is_cuda:
+        started = time.perf_counter()
+        work()
+        return 1e3 * (time.perf_counter() - started)
+    with wp.ScopedDevice(warp_device):
+        begin, end = wp.Event(warp_device, enable_timing=True), wp.Event(warp_device, enable_timing=True)
+        wp.record_event(begin)
+        work()
+        wp.record_event(end)
+        return float(wp.get_event_elapsed_time(begin, end))
+
+
+def machine(device: str) -> str:
+    """Name of what `device` is, such as the GPU's."""
+    warp_device = _find_device(device)
+    if warp_device.is_cuda:
+        return warp_device.name
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = {line.partition(":")[2].strip() for line in file if line.startswith("model name")}
+    except OSError:
+        names = set()
+    return ", ".join(sorted(names)) or "CPU"
+
+
+def positive(text: str) -> int:
+    """Whole number of at least 1, for argparse."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is less than 1")
+    return value
+
+
+def run_command(command: Callable[[Sequence[str] | None], int]) -> None:
+    """Run a benchmark's `main` and exit; a mistake of the user's is one line and exit code 2."""
+    try:
+        sys.exit(command(None))
+    except (ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

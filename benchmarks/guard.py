@@ -1,0 +1,156 @@
+"""Regression guard: the planner against the naive reference in one run, as a ratio that any machine can judge."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from aero_planner import Planner, PlannerConfig
+from aero_planner.config_file import config_from_name
+from benchmarks.common import elapsed_ms, machine, positive, run_command, situation
+from benchmarks.naive import NaivePlanner
+
+__all__ = ["BOUNDS", "PlansDifferError", "compare_with_naive", "main"]
+
+BOUNDS = {"cpu": {"plan": 40.0, "partition": 1.6, "rollouts": 4.0}, "cuda": {"plan": 1.2}}
+"""Least ratio of the whole plan and of stages, by kind of device: about half of what was measured. The whole plan's
+is mostly the clearance's, which the naive reference finds by brute force, hence those of other stages."""
+
+_WARM_UP = 2
+_BESIDE_STAGES = ("inputs", "graph", "total")
+
+
+class PlansDifferError(RuntimeError):
+    """Naive and present kernels plan differently."""
+
+
+def compare_with_naive(
+    config: PlannerConfig, *, device: str = "cpu", points: int = 200_000, threads: int | None = 1, repeat: int = 20
+) -> dict[str, Any]:
+    """Time naive and present kernels in turn, on the same plans.
+
+    One thread by default, as the naive kernels have, so that the ratio does not depend on the number of cores.
+
+    Returns:
+        "stages": {name: {"naive_ms", "current_ms", "ratio"}}, None where one side has no stage of that name (a stage
+        can be timed on the CPU only); "plan": the same for everything from the device's inputs to its outputs; each
+        the least of `repeat` times, to which others on the machine can only add; and the arguments.
+
+    Raises:
+        ValueError: the device does not exist.
+        PlansDifferError: naive and present kernels plan differently, so that their times say nothing.
+    """
+    planner = Planner(config, device=device, threads=threads)
+    naive = NaivePlanner(planner)
+    state, goal, cloud = situation(points)
+    stages: dict[str, tuple[list[float], list[float]]] = {}
+    naive_ms, current_ms = [], []
+    for i in range(_WARM_UP + repeat):
+        naive.take_over()
+        plan = planner.plan(state, goal, cloud)
+        naive_time = elapsed_ms(naive.replay, device)
+        if i == 0:
+            _check_agreement(plan.fine_range, plan.best, naive.result())
+        current_time = elapsed_ms(planner.launch, device)
+        if i < _WARM_UP:
+            continue
+        naive_ms.append(naive_time)
+        current_ms.append(current_time)
+        # On CUDA the naive stages are one graph as well, and `stage_ms` is what its capture took.
+        for side, times in enumerate((naive.stage_ms if device == "cpu" else {}, plan.stage_ms)):
+            for name, milliseconds in times.items():
+                if name not in _BESIDE_STAGES:
+                    stages.setdefault(name, ([], []))[side].append(milliseconds)
+    planner.close()
+    return {
+        "device": device,
+        "machine": machine(device),
+        "points": points,
+        "samples": config.sampling.samples,
+        "steps": config.sampling.steps,
+        "instances": len(config.kinds),
+        "threads": threads,
+        "repeat": repeat,
+        "stages": {name: _row(*times) for name, times in stages.items()},
+        "plan": _row(naive_ms, current_ms),
+    }
+
+
+def _check_agreement(fine_range: Any, best: Any, naive: dict[str, Any]) -> None:
+    if not np.array_equal(fine_range.ravel(), naive["fine_range"][0]) or best != naive["best"][0]:
+        raise PlansDifferError(
+            "naive and present kernels plan differently, so that their times can't be compared; "
+            "run tests/benchmarks/test_naive.py to see where."
+        )
+
+
+def _row(naive: Sequence[float], current: Sequence[float]) -> dict[str, float | None]:
+    naive_ms, current_ms = (min(times) if times else None for times in (naive, current))
+    ratio = naive_ms / current_ms if naive_ms and current_ms else None
+    return {"naive_ms": naive_ms, "current_ms": current_ms, "ratio": ratio}
+
+
+def _report(result: dict[str, Any]) -> str:
+    def cell(value: float | None) -> str:
+        return f"{'-':>12}" if value is None else f"{value:12.3f}"
+
+    lines = [
+        f"{result['device']} ({result['machine']}), {result['points']} points, {result['instances']} instances x "
+        f"{result['samples']} samples x {result['steps']} steps, threads {result['threads']}, {result['repeat']} plans",
+        f"{'':12}{'naive ms':>12}{'current ms':>12}{'ratio':>12}",
+    ]
+    rows = {**result["stages"], "plan": result["plan"]}
+    lines += [
+        f"{name:12}{cell(row['naive_ms'])}{cell(row['current_ms'])}{cell(row['ratio'])}" for name, row in rows.items()
+    ]
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns 0, or 1 when a ratio is below its bound or the plans differ.
+
+    Raises:
+        ValueError: the device or the configuration does not exist.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.guard", description=__doc__)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
+    parser.add_argument("--samples", type=positive, help="rollouts of each instance")
+    parser.add_argument("--preset", default="default", help="preset or configuration file")
+    parser.add_argument("--threads", type=positive, default=1, help="CPU threads of the planner; the naive has one")
+    parser.add_argument("--repeat", type=positive, default=20, help="plans to time")
+    parser.add_argument("--bound", type=float, help=f"least ratio of the whole plan; else by device, {BOUNDS}")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    options = parser.parse_args(arguments)
+    config = config_from_name(options.preset)
+    if options.samples:
+        config = config.replace({"sampling.samples": options.samples})
+    try:
+        result = compare_with_naive(
+            config, device=options.device, points=options.points, threads=options.threads, repeat=options.repeat
+        )
+    except PlansDifferError as error:
+        print(error, file=sys.stderr)
+        return 1
+    bounds = dict(BOUNDS["cpu" if options.device == "cpu" else "cuda"])
+    if options.bound is not None:
+        bounds["plan"] = options.bound
+    ratios = {name: row["ratio"] for name, row in ({"plan": result["plan"]} | result["stages"]).items()}
+    slow = [name for name, bound in bounds.items() if (ratios.get(name) or np.inf) < bound]
+    print(json.dumps(result | {"bounds": bounds, "slow": slow}) if options.json else _report(result))
+    for name in slow:
+        print(
+            f"{name}: {ratios[name]:.2f} times as fast as the naive reference; {bounds[name]:g} times or more is "
+            "expected, so that something has become slower.",
+            file=sys.stderr,
+        )
+    return 1 if slow else 0
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,178 @@
+"""Quadrotor and costs, function by function from the equations; see the sections of docs/design.md and `costs.py`.
+
+Quaternions are wp.vec4, w x y z, body to world.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from aero_planner.params import Params
+
+__all__ = [
+    "attitude_cost",
+    "blocked_cost",
+    "clamp_control",
+    "collision_cost",
+    "goal_cost",
+    "multiply",
+    "probe_position",
+    "rk4",
+    "rotate",
+    "rotate_back",
+    "rotation",
+    "speed_cost",
+    "yaw",
+]
+
+wp.set_module_options({"enable_backward": False})
+
+PROBES = wp.constant(10)
+"""Positions on the way from the last state to the goal that the cost-to-go looks at."""
+
+
+@wp.func
+def multiply(a: wp.vec4, b: wp.vec4) -> wp.vec4:
+    """a (x) b."""
+    return wp.vec4(
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@wp.func
+def rotation(q: wp.vec4) -> wp.mat33:
+    """R(q)."""
+    w = q[0]
+    x = q[1]
+    y = q[2]
+    z = q[3]
+    return wp.mat33(
+        1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y),
+    )  # fmt: skip
+
+
+@wp.func
+def rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
+    """R(q) x by Rodrigues' formula."""
+    u = wp.vec3(q[1], q[2], q[3])
+    t = 2.0 * wp.cross(u, x)
+    return x + q[0] * t + wp.cross(u, t)
+
+
+@wp.func
+def rotate_back(q: wp.vec4, x: wp.vec3) -> wp.vec3:
+    """R(q)^T x."""
+    return rotate(wp.vec4(q[0], -q[1], -q[2], -q[3]), x)
+
+
+@wp.func
+def yaw(q: wp.vec4) -> float:
+    """Heading [rad]."""
+    R = rotation(q)
+    return wp.atan2(R[1, 0], R[0, 0])
+
+
+@wp.func
+def clamp_control(u: wp.vec4, c: Params) -> wp.vec4:
+    """u within the vehicle's limits."""
+    return wp.vec4(
+        wp.clamp(u[0], c.thrust_min, c.thrust_max),
+        wp.clamp(u[1], -c.rate_xy_max, c.rate_xy_max),
+        wp.clamp(u[2], -c.rate_xy_max, c.rate_xy_max),
+        wp.clamp(u[3], -c.rate_z_max, c.rate_z_max),
+    )
+
+
+@wp.func
+def q_rate(q: wp.vec4, u: wp.vec4) -> wp.vec4:
+    """dq = 1/2 q (x) [0, omega]."""
+    return 0.5 * multiply(q, wp.vec4(0.0, u[1], u[2], u[3]))
+
+
+@wp.func
+def v_rate(q: wp.vec4, u: wp.vec4, c: Params) -> wp.vec3:
+    """dv = R(q) [0, 0, F_t] / m + g."""
+    return rotation(q) * wp.vec3(0.0, 0.0, u[0] / c.mass) - wp.vec3(0.0, 0.0, c.gravity)
+
+
+@wp.func
+def rk4(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, c: Params):
+    """One Runge-Kutta step of dt with u held; returns p, v and q, normalised."""
+    h = c.dt
+    q1 = q_rate(q, u)
+    v1 = v_rate(q, u, c)
+    q2 = q_rate(q + 0.5 * h * q1, u)
+    v2 = v_rate(q + 0.5 * h * q1, u, c)
+    q3 = q_rate(q + 0.5 * h * q2, u)
+    v3 = v_rate(q + 0.5 * h * q2, u, c)
+    q4 = q_rate(q + h * q3, u)
+    v4 = v_rate(q + h * q3, u, c)
+    p1 = v
+    p2 = v + 0.5 * h * v1
+    p3 = v + 0.5 * h * v2
+    p4 = v + h * v3
+    return (
+        p + h / 6.0 * (p1 + 2.0 * p2 + 2.0 * p3 + p4),
+        v + h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4),
+        wp.normalize(q + h / 6.0 * (q1 + 2.0 * q2 + 2.0 * q3 + q4)),
+    )
+
+
+@wp.func
+def attitude_cost(q: wp.vec4, q_goal: wp.vec4) -> float:
+    """|R(q) R(q_goal)^T - I|_F."""
+    E = rotation(q) * wp.transpose(rotation(q_goal)) - wp.identity(n=3, dtype=float)
+    return wp.sqrt(wp.ddot(E, E))
+
+
+@wp.func
+def goal_cost(
+    p: wp.vec3, v: wp.vec3, q: wp.vec4, p_goal: wp.vec3, v_goal: wp.vec3, q_goal: wp.vec4, c: Params
+) -> float:
+    """One step of J_goal."""
+    return (
+        c.q_position * wp.length(p - p_goal)
+        + c.q_velocity * wp.length(v - v_goal)
+        + c.q_attitude * attitude_cost(q, q_goal)
+    )
+
+
+@wp.func
+def speed_cost(v: wp.vec3, c: Params) -> float:
+    """One step of the price of speed above the limit."""
+    excess = wp.max(0.0, wp.length(v) - c.speed_limit)
+    return c.q_speed * excess * excess
+
+
+@wp.func
+def collision_cost(d: float, c: Params) -> float:
+    """One step of J_col at clearance d."""
+    if d >= c.distance_max:
+        return float(0.0)
+    if c.shape == 1:  # exponential
+        if d < c.distance_min:
+            return c.penalty
+        return c.penalty * wp.exp(-c.decay * (d - c.distance_min))
+    if d < c.distance_min:
+        return c.penalty * (2.0 - d / c.distance_min)
+    s = (c.distance_max - d) / (c.distance_max - c.distance_min)
+    return c.soft_weight * s * s
+
+
+@wp.func
+def probe_position(p: wp.vec3, goal: wp.vec3, j: int, c: Params) -> wp.vec3:
+    """Middle of the j-th piece of the way from p toward the goal."""
+    distance = wp.length(goal - p)
+    length = wp.min(c.blocked_range, distance)
+    return p + (float(j) + 0.5) / float(PROBES) * length / wp.max(distance, 1.0e-6) * (goal - p)
+
+
+@wp.func
+def blocked_cost(p: wp.vec3, goal: wp.vec3, blocked: int, c: Params) -> float:
+    """Price of the blocked metres on the way from p to the goal."""
+    return c.q_blocked * wp.min(c.blocked_range, wp.length(goal - p)) * float(blocked) / float(PROBES)

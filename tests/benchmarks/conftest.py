@@ -1,0 +1,5 @@
+from __future__ import annotations
+
+from tests.planner.conftest import device
+
+__all__ = ["device"]

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from benchmarks.guard import main
+
+SHORT = ["--points", "20000", "--samples", "32", "--repeat", "7"]
+
+
+def test_the_planner_is_faster_than_the_naive_reference(device: str):
+    """Two to three times as fast as the bounds when they were set, the whole plan 40 times as the naive reference: what
+    falls below them is a slow-down on any machine, since both sides run on it."""
+    bound = "16" if device == "cpu" else "1"
+    assert main([*SHORT, "--device", device, "--bound", bound]) == 0
+
+
+def test_report_names_stages_and_ratios(capsys: pytest.CaptureFixture[str]):
+    assert main([*SHORT, "--bound", "0", "--preset", "paper"]) in (0, 1)
+    rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[2:]}
+    for name in ("partition", "plan"):
+        naive, current, ratio = (float(value) for value in rows[name])
+        assert ratio == pytest.approx(naive / current, rel=0.05)
+
+
+def test_a_slow_down_is_told_and_fails(capsys: pytest.CaptureFixture[str]):
+    assert main([*SHORT, "--bound", "1e6", "--json"]) == 1
+    output = capsys.readouterr()
+    report = json.loads(output.out)
+    assert "plan" in report["slow"] and report["bounds"]["plan"] == 1e6
+    assert 0.0 < report["plan"]["ratio"] < 1e6 and report["samples"] == 32
+    assert "plan: " in output.err and "1e+06 times or more" in output.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["--device", "gpu"], "device 'gpu' is not available"),
+        (["--preset", "papr"], "'papr' is neither a preset"),
+        (["--points", "0"], "0 is less than 1"),
+    ],
+)
+def test_mistakes_are_told(arguments: list[str], problem: str):
+    done = subprocess.run([sys.executable, "-m", "benchmarks.guard", *arguments], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stdout == ""
+    assert problem in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
