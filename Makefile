@@ -1,5 +1,5 @@
 # `make demo` and `make test` are all that a newcomer needs; each sets up .venv first.
-.PHONY: help demo test check format bench setup setup-dev clean
+.PHONY: help demo test check format bench rig setup setup-dev clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 
@@ -31,6 +31,9 @@ bench: setup     ## planner benchmark on this machine
 	$(PYTHON_BIN) -m aero_planner.benchmark $(ARGS)
 	$(PYTHON_BIN) -m benchmarks.guard
 	$(PYTHON_BIN) -m benchmarks.floors
+
+rig: setup-dev    ## tests that fly the onboard stack over sockets, in real time
+	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)
 
 clean:           ## remove .venv and caches
 	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis

@@ -28,7 +28,18 @@ from aero_planner.config import (
     parameters,
 )
 
-__all__ = ["config_from_name", "format_config", "load_config", "save_config"]
+__all__ = [
+    "config_from_name",
+    "format_config",
+    "format_value",
+    "load_config",
+    "parse_config",
+    "parse_line",
+    "range_text",
+    "read_text",
+    "save_config",
+    "split_onboard",
+]
 
 _KEY = re.compile(r"(?P<indent> *)(?P<key>[A-Za-z_][A-Za-z0-9_-]*):(?:\s+(?P<rest>.*))?")
 _QUOTED = re.compile(r"""(?:"(?P<double>[^"\\]*)"|'(?P<single>(?:[^']|'')*)')(?:\s+#.*)?""")
@@ -38,21 +49,54 @@ _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": 
 
 
 def load_config(path: str | os.PathLike[str]) -> PlannerConfig:
-    """Read a configuration file.
+    """Read a configuration file; what it holds under `onboard:`, for the node that flies, is left out.
 
     Raises:
         ValueError: the file can't be read, has a line that is not understood, an unknown or repeated name, or a value
             out of its bounds; names the file, the line, and the nearest known name.
     """
+    return parse_config(split_onboard(read_text(path), str(path))[0], str(path))
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a configuration file; ValueError where it can't be read."""
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        return Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path} is not a text file in UTF-8 (byte {error.start}); give a configuration file."
         ) from error
     except OSError as error:
         raise ValueError(f"{path} can't be read: {error.strerror or error}.") from error
-    return _parse(text, str(path))
+
+
+def split_onboard(content: str, path: str) -> tuple[str, str, bool]:
+    """Return the lines outside and inside of `onboard:`, each on the line where it was, and whether there is one."""
+    outside: list[str] = []
+    inside: list[str] = []
+    within = found = False
+    for number, line in enumerate(content.split("\n"), start=1):
+        bare = line.strip()
+        if bare and not bare.startswith("#") and not line.startswith(" "):
+            within = re.match(r"onboard:(\s|$)", line) is not None
+            if within:
+                if found:
+                    raise ValueError(f"{path}, line {number}: 'onboard' is given twice; put its sections in one place.")
+                if not re.fullmatch(r"onboard:\s*(#.*)?", line):
+                    raise ValueError(f"{path}, line {number}: put the sections of 'onboard' on lines below it.")
+                found = True
+                line = ""
+        if within and bare and not bare.startswith("#") and line:
+            indent = len(line) - len(line.lstrip(" "))
+            if indent not in (2, 4):
+                raise ValueError(
+                    f"{path}, line {number}: {bare!r} is indented by {indent} spaces; below 'onboard' use two for a "
+                    "section, four for a setting."
+                )
+            line = line[2:]
+        inside.append(line if within else "")
+        outside.append("" if within else line)
+    return "\n".join(outside), "\n".join(inside), found
 
 
 def save_config(config: PlannerConfig, path: str | os.PathLike[str]) -> None:
@@ -82,11 +126,11 @@ def format_config(config: PlannerConfig) -> str:
         lines += ["", f"# {(kind.__doc__ or '').splitlines()[0]}", f"{section}:"]
         for info in parameters():
             if info.section == section:
-                note = f"{info.help} [{_range(info)}]"
+                note = f"{info.help} [{range_text(info)}]"
                 lines += textwrap.wrap(
                     note, 100, initial_indent="  # ", subsequent_indent="  #   ", break_on_hyphens=False
                 )
-                lines.append(f"  {info.name}: {_format_value(config.get(info.path))}")
+                lines.append(f"  {info.name}: {format_value(config.get(info.path))}")
     return "\n".join(lines) + "\n"
 
 
@@ -106,8 +150,8 @@ def config_from_name(name_or_path: str | os.PathLike[str]) -> PlannerConfig:
     )
 
 
-def _range(info: ParameterInfo) -> str:
-    """Choices, or bounds and unit."""
+def range_text(info: ParameterInfo) -> str:
+    """Return the choices, or bounds and unit, of a parameter."""
     if info.choices:
         return ", ".join(info.choices)
     if isinstance(info.default, bool):
@@ -115,7 +159,8 @@ def _range(info: ParameterInfo) -> str:
     return f"{info.low:g} to {info.high:g} {info.unit}".rstrip()
 
 
-def _format_value(value: Value) -> str:
+def format_value(value: Value) -> str:
+    """Return a value as YAML reads it back."""
     if isinstance(value, bool):
         return "true" if value else "false"
     text = value if isinstance(value, str) else repr(value)
@@ -125,13 +170,14 @@ def _format_value(value: Value) -> str:
     return text
 
 
-def _parse(text: str, path: str) -> PlannerConfig:
+def parse_config(text: str, path: str) -> PlannerConfig:
+    """Return the configuration that `text` says; `path` is named in errors, see `load_config`."""
     values: dict[str, Value] = {}
     config, preset_given, seen = PlannerConfig(), False, set[str]()
     section = ""
     for number, line in enumerate(text.split("\n"), start=1):
         try:
-            entry = _parse_line(line)
+            entry = parse_line(line)
             if entry is None:
                 continue
             indent, key, value = entry
@@ -164,7 +210,7 @@ def _parse(text: str, path: str) -> PlannerConfig:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _parse_line(line: str) -> tuple[int, str, Any] | None:
+def parse_line(line: str) -> tuple[int, str, Any] | None:
     """Return indentation, key and value (None where there is none) of a line, or None when it holds nothing."""
     bare = line.strip()
     if not bare or bare.startswith("#"):

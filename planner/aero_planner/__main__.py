@@ -1,0 +1,12 @@
+"""`python -m aero_planner` is `aero-planner`."""
+
+from __future__ import annotations
+
+import sys
+
+from aero_planner.cli import main
+
+__all__: list[str] = []
+
+if __name__ == "__main__":
+    sys.exit(main())

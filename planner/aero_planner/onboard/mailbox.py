@@ -1,0 +1,84 @@
+"""A thread of its own for whoever looks at what the node does, so that nobody who looks can delay it."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+__all__ = ["Mailbox", "yield_to_others"]
+
+_log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+_NICENESS = 10
+
+
+def yield_to_others() -> None:
+    """Let the calling thread run when the node's others need no processor, where the system has it (Linux)."""
+    with contextlib.suppress(AttributeError, OSError):
+        thread = threading.get_native_id()
+        nice = os.getpriority(os.PRIO_PROCESS, thread)
+        os.setpriority(os.PRIO_PROCESS, thread, min(nice + _NICENESS, 19))
+
+
+class Mailbox(Generic[T]):
+    """Calls a function with each item, from a thread of its own.
+
+    Args:
+        callback: called with one item at a time; what it raises is logged and counted.
+        capacity: items that may wait; when full the oldest goes.
+        name: of the thread.
+
+    Attributes:
+        dropped: items that went because the box was full.
+        failures: items at which the callback raised.
+    """
+
+    def __init__(self, callback: Callable[[T], None], *, capacity: int, name: str) -> None:
+        self.dropped = 0
+        self.failures = 0
+        self._callback = callback
+        self._items: deque[T] = deque()
+        self._capacity = capacity
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, item: T) -> None:
+        """Hand over an item without waiting for anyone who works on one."""
+        with self._changed:
+            if len(self._items) == self._capacity:
+                self._items.popleft()
+                self.dropped += 1
+            self._items.append(item)
+            self._changed.notify()
+
+    def _run(self) -> None:
+        yield_to_others()
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._items or self._closed)
+                if not self._items:
+                    return
+                item = self._items.popleft()
+            try:
+                self._callback(item)
+            except Exception:
+                self.failures += 1
+                if self.failures == 1:
+                    _log.exception("%s failed; it goes on, and further failures are only counted", self._thread.name)
+
+    def close(self, timeout: float = 5.0) -> None:
+        """Deliver what waits, for `timeout` [s] at most, and end the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout)

@@ -1,0 +1,65 @@
+"""The plans being flown: which control belongs to which time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner.plan import PlanStatus
+
+__all__ = ["FlyablePlan", "PlanTrack"]
+
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class FlyablePlan:
+    """Controls over time."""
+
+    number: int
+    """Counts the plans."""
+    measured: float
+    """When the state was measured on which the plan builds, host time [s]."""
+    time: float
+    """When its first control begins, host time [s]."""
+    dt: float
+    """Length of a step [s]."""
+    controls: NDArray[np.float64]
+    """Thrust [N] and body rates [rad/s], shape [N, 4], finite."""
+    status: PlanStatus
+
+    def command(self, now: float) -> NDArray[np.float64] | None:
+        """Return the control of step floor((now - time) / dt), shape [4]; None before the first and after the last."""
+        step = math.floor((now - self.time) / self.dt + _ROUNDING)
+        return self.controls[step] if 0 <= step < len(self.controls) else None
+
+
+class PlanTrack:
+    """The newest plan, and the one before it, which is flown until the newest begins.
+
+    Replaced whole by one thread and read by others.
+    """
+
+    def __init__(self) -> None:
+        self._plans: tuple[FlyablePlan, ...] = ()
+
+    @property
+    def newest(self) -> FlyablePlan | None:
+        """The newest plan."""
+        return self._plans[0] if self._plans else None
+
+    def append(self, plan: FlyablePlan) -> None:
+        """Add a plan."""
+        self._plans = (plan, *self._plans[:1])
+
+    def at(self, now: float) -> FlyablePlan | None:
+        """Return the newest plan that has begun and has not ended at `now` [s]."""
+        return next((plan for plan in self._plans if plan.command(now) is not None), None)
+
+    def command(self, now: float) -> NDArray[np.float64] | None:
+        """Return the control to fly at `now` [s], shape [4]; None when no plan reaches so far."""
+        plan = self.at(now)
+        return None if plan is None else plan.command(now)

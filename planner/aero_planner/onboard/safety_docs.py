@@ -1,0 +1,61 @@
+"""Diagram and tables of the documentation, from the safety machine's own table.
+
+    python -m aero_planner.onboard.safety_docs
+
+prints what docs/onboard.md holds.
+"""
+
+from __future__ import annotations
+
+from aero_planner.onboard.safety import COMMANDING, DETECTION, FAULTS, REACTIONS, TRANSITIONS, Cause, Reaction, State
+from aero_planner.onboard.settings import OnboardConfig
+
+__all__ = ["format_diagram", "format_failsafes", "format_states"]
+
+
+def format_diagram() -> str:
+    """Return the machine as a Mermaid state diagram; "any fault" stands for all of `FAULTS`."""
+    edges: dict[tuple[State, State], list[Cause]] = {}
+    for row in TRANSITIONS:
+        for source in row.sources:
+            edges.setdefault((source, row.target), []).append(row.cause)
+    lines = ["stateDiagram-v2", f"    [*] --> {State.WAITING.name}"]
+    for (source, target), causes in edges.items():
+        names = [_words(cause) for cause in causes if cause not in FAULTS]
+        faults = [cause for cause in causes if cause in FAULTS]
+        names += ["any fault"] if len(faults) == len(FAULTS) else [_words(cause) for cause in faults]
+        lines.append(f"    {source.name} --> {target.name}: {', '.join(names)}")
+    return "\n".join(lines)
+
+
+def format_states() -> str:
+    """Return Markdown tables of the states, with the reaction in each, and of the reactions."""
+    lines = ["| state | meaning | reaction |", "| --- | --- | --- |"]
+    lines += [f"| {state.name} | {state.value} | {REACTIONS[state].name} |" for state in State]
+    lines += ["", "| reaction | what is sent to the autopilot |", "| --- | --- |"]
+    lines += [f"| {reaction.name} | {reaction.value} |" for reaction in Reaction]
+    return "\n".join(lines)
+
+
+def format_failsafes(config: OnboardConfig | None = None) -> str:
+    """Return a Markdown table: for each thing that ends or disturbs a flight, what follows and within which time."""
+    config = config or OnboardConfig()
+    lines = ["| event | in | then | reaction | within | setting |", "| --- | --- | --- | --- | --- | --- |"]
+    for cause, paths in DETECTION.items():
+        within = sum(float(config.get(path)) for path in paths) + 1.0 / config.rates.control
+        names = " + ".join(f"`{path}`" for path in paths)
+        for target in State:
+            rows = [row for row in TRANSITIONS if row.cause is cause and row.target is target]
+            sources = [state.name for row in rows for state in row.sources if state in COMMANDING]
+            if sources:
+                cells = (cause.value, ", ".join(sources), target.name, REACTIONS[target].name)
+                lines.append(f"| {' | '.join(cells)} | {within:.2f} s | {names} |")
+    return "\n".join(lines)
+
+
+def _words(cause: Cause) -> str:
+    return cause.name.lower().replace("_", " ")
+
+
+if __name__ == "__main__":
+    print(format_diagram(), format_states(), format_failsafes(), sep="\n\n")

@@ -1,0 +1,277 @@
+"""Every setting of the node that flies: default, unit, bounds, help. `settings_file` reads and writes them."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from aero_planner.config import PlannerConfig
+from aero_planner.parameter import ParameterInfo, Value, did_you_mean, live, structural, switch
+
+__all__ = [
+    "BrakeSettings",
+    "LidarSettings",
+    "LimitSettings",
+    "MavlinkSettings",
+    "OnboardConfig",
+    "RateSettings",
+    "TelemetrySettings",
+    "TextInfo",
+    "ThrustSettings",
+    "check_together",
+    "find_setting",
+    "settings",
+]
+
+
+@dataclass(frozen=True)
+class TextInfo(ParameterInfo):
+    """A parameter that is a word."""
+
+    pattern: str = ""
+    wanted: str = ""
+
+    def check(self, value: Any) -> Value:
+        """Return `value`; ValueError when it is no text of the right form."""
+        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
+            raise ValueError(f"{self.path} is {value!r}; it must be {self.wanted}.")
+        return value
+
+
+def text(default: str, pattern: str, wanted: str, help: str) -> Any:
+    """Return the field of a word that matches `pattern`."""
+    return field(default=default, metadata=dict(unit="", help=help, pattern=pattern, wanted=wanted, live=False))
+
+
+@dataclass(frozen=True)
+class _Section:
+    """Checks every field against its metadata when a section is made."""
+
+    def __post_init__(self) -> None:
+        for info in _SETTINGS:
+            if SECTIONS[info.section] is type(self):
+                object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
+
+
+_ADDRESS = r"[A-Za-z0-9_.:-]+"
+
+
+@dataclass(frozen=True)
+class LidarSettings(_Section):
+    """The LiDAR: where its packets arrive, and how it is mounted."""
+
+    host: str = text("0.0.0.0", _ADDRESS, "an address of this computer", "Address on which points arrive; all of them.")
+    port: int = structural(56301, 0, 65535, "UDP port to which the sensor sends its points; 0 takes any free one.")
+    sensor: str = text("any", _ADDRESS, "an address, or any", "Address of the sensor; others are not listened to.")
+    keep_uncertain: bool = switch(True, "Keep points that the sensor thinks perhaps, not likely, to be rain or dust.")
+    mount_x: float = live(0.0, "m", -5.0, 5.0, "Sensor in the body frame, forward of the centre.")
+    mount_y: float = live(0.0, "m", -5.0, 5.0, "Sensor in the body frame, left of the centre.")
+    mount_z: float = live(0.0, "m", -5.0, 5.0, "Sensor in the body frame, above the centre.")
+    mount_roll: float = live(0.0, "deg", -180.0, 180.0, "Sensor turned about the body's x axis; 180 hangs upside down.")
+    mount_pitch: float = live(0.0, "deg", -180.0, 180.0, "Sensor turned about the y axis; positive looks down.")
+    mount_yaw: float = live(0.0, "deg", -180.0, 180.0, "Sensor turned about the z axis; positive looks left.")
+    sweeps: int = structural(10, 1, 50, "Sweeps that make up the cloud.")
+    sweep_period: float = live(0.1, "s", 0.01, 1.0, "Duration of a sweep: 10 sweeps per second.")
+    points_max: int = structural(
+        200_000, 100, 5_000_000, "Points of the cloud at most, the oldest go first; a Mid-360 measures 20 000 a sweep."
+    )
+
+
+@dataclass(frozen=True)
+class MavlinkSettings(_Section):
+    """The autopilot."""
+
+    url: str = text(
+        "udpin:127.0.0.1:14540", r"[A-Za-z0-9_./:,-]+", "a connection such as udpin:0.0.0.0:14540 or /dev/ttyTHS1",
+        "Where the autopilot is, as pymavlink writes it: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or a serial device.",
+    )  # fmt: skip
+    baud: int = structural(921_600, 1200, 12_500_000, "Bits per second of a serial device.")
+    system: int = structural(1, 1, 255, "System id of the autopilot, and ours: this computer is part of the vehicle.")
+    component: int = structural(191, 1, 255, "Component id of this computer; 191 is the first onboard computer.")
+    state_rate: float = live(100.0, "Hz", 0.0, 500.0, "States that the autopilot is asked for; 0 asks for nothing.")
+
+
+@dataclass(frozen=True)
+class RateSettings(_Section):
+    """How often things happen."""
+
+    control: float = live(50.0, "Hz", 10.0, 200.0, "Commands per second.")
+    replan: float = live(20.0, "Hz", 1.0, 100.0, "Plans per second, as far as planning is fast enough.")
+    compensate: bool = switch(
+        True, "Plan from where the drone will be when the plan is ready, not from where it was when planning began."
+    )
+
+
+@dataclass(frozen=True)
+class ThrustSettings(_Section):
+    """From newton to the autopilot's thrust of 0 to 1."""
+
+    hover_thrust: float = live(
+        0.5, "", 0.05, 0.95, "Thrust of 0 to 1 at which the drone hovers: the autopilot's MPC_THR_HOVER, measured."
+    )
+    curve: float = live(
+        0.0, "", 0.0, 1.0, "Share of the square in thrust over command: the autopilot's THR_MDL_FAC; 0 is linear."
+    )
+
+
+@dataclass(frozen=True)
+class LimitSettings(_Section):
+    """What may go on, and for how long."""
+
+    state_age: float = live(0.2, "s", 0.02, 2.0, "Age of the vehicle's state above which the drone brakes.")
+    cloud_age: float = live(0.5, "s", 0.05, 5.0, "Age of the newest point above which the drone brakes.")
+    plan_age: float = live(0.3, "s", 0.05, 2.0, "Age of a plan above which it is not flown any more.")
+    heartbeat_age: float = live(
+        3.0, "s", 0.2, 10.0, "Time without heartbeat after which the link counts as lost; PX4 sends one per second."
+    )
+    deadline: float = live(
+        0.1, "s", 0.02, 1.0, "Time for which the control loop may stand still; the watchdog then brakes in its place."
+    )
+    blind_time: float = live(
+        1.0, "s", 0.0, 5.0, "Time for which the drone is levelled by dead reckoning before it is handed back."
+    )
+    brake_time: float = live(5.0, "s", 0.5, 30.0, "Time in which the drone must have come to rest.")
+    hold_time: float = live(10.0, "s", 0.0, 600.0, "Time for which the drone waits at rest for a way to go on.")
+    speed_stopped: float = live(0.3, "m/s", 0.05, 2.0, "Speed below which the drone counts as at rest.")
+    arrival_radius: float = live(0.5, "m", 0.05, 10.0, "Distance from the goal at which it is reached.")
+    fence_radius: float = live(100.0, "m", 1.0, 1e5, "Horizontal distance from the local origin not to be exceeded.")
+    fence_height_min: float = live(
+        0.3, "m", -1e4, 1e4, "Height above the local origin not to be undercut; a drone on the ground is below it."
+    )
+    fence_height_max: float = live(30.0, "m", -1e4, 1e4, "Height above the local origin not to be exceeded.")
+    fence_x_min: float = live(-1e5, "m", -1e5, 1e5, "Box around the local origin: least x (north).")
+    fence_x_max: float = live(1e5, "m", -1e5, 1e5, "Box around the local origin: largest x (north).")
+    fence_y_min: float = live(-1e5, "m", -1e5, 1e5, "Box around the local origin: least y (west).")
+    fence_y_max: float = live(1e5, "m", -1e5, 1e5, "Box around the local origin: largest y (west).")
+    join_armed: bool = switch(
+        False, "Take part in a flight that is under way when the node starts. Off, the drone must be seen disarmed "
+        "first, so that a node that was restarted in the air stays silent.",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class BrakeSettings(_Section):
+    """How the drone is stopped and held where no plan is flown."""
+
+    acceleration: float = live(6.0, "m/s^2", 0.5, 20.0, "Largest deceleration.")
+    time_constant: float = live(0.4, "s", 0.1, 5.0, "Time in which the last of the speed falls to a third.")
+    position_gain: float = live(1.5, "1/s^2", 0.0, 10.0, "Pull back to the place to hold.")
+    attitude_gain: float = live(8.0, "1/s", 1.0, 30.0, "Body rate per angle of tilt to be corrected.")
+
+
+@dataclass(frozen=True)
+class TelemetrySettings(_Section):
+    """What the desk sees."""
+
+    enabled: bool = switch(True, "Serve the live plan to `aero-viz connect`.")
+    host: str = text(
+        "127.0.0.1", _ADDRESS, "an address of this computer",
+        "Address to listen on; 0.0.0.0 lets everyone in the network watch, and nobody steer.",
+    )  # fmt: skip
+    port: int = structural(14650, 0, 65535, "TCP port to listen on; 0 takes any free one.")
+    rate: float = live(10.0, "Hz", 0.1, 50.0, "Frames per second at most.")
+    points_max: int = structural(20_000, 0, 1_000_000, "Points per frame at most; of more, every n-th is sent.")
+    clients_max: int = structural(4, 1, 64, "Viewers at a time.")
+
+
+@dataclass(frozen=True)
+class OnboardConfig:
+    """All settings of the node.
+
+    Raises:
+        ValueError: a setting is outside its bounds or contradicts another one; names it, its value and the range.
+    """
+
+    lidar: LidarSettings = field(default_factory=LidarSettings)
+    mavlink: MavlinkSettings = field(default_factory=MavlinkSettings)
+    rates: RateSettings = field(default_factory=RateSettings)
+    thrust: ThrustSettings = field(default_factory=ThrustSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    brake: BrakeSettings = field(default_factory=BrakeSettings)
+    telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
+
+    def __post_init__(self) -> None:
+        for stem in ("fence_height", "fence_x", "fence_y"):
+            low, high = getattr(self.limits, f"{stem}_min"), getattr(self.limits, f"{stem}_max")
+            if low >= high:
+                raise ValueError(
+                    f"limits.{stem}_min is {low}; it must be less than limits.{stem}_max, which is {high}."
+                )
+        if self.limits.plan_age * self.rates.replan < 2.0:
+            raise ValueError(
+                f"limits.plan_age is {self.limits.plan_age}; at {self.rates.replan:g} plans per second it must be at "
+                f"least {2.0 / self.rates.replan:g} s, or every plan is too old before the next one is there."
+            )
+        if self.limits.deadline * self.rates.control < 2.0:
+            raise ValueError(
+                f"limits.deadline is {self.limits.deadline}; at {self.rates.control:g} commands per second it must be "
+                f"at least {2.0 / self.rates.control:g} s."
+            )
+
+    def replace(self, changes: Mapping[str, Value]) -> OnboardConfig:
+        """Return a copy with the settings of `changes`, keyed by path, such as {"limits.plan_age": 0.2}.
+
+        Raises:
+            ValueError: a path names no setting (the message suggests the nearest); see also the class.
+        """
+        grouped: dict[str, dict[str, Any]] = {}
+        for path, value in changes.items():
+            info = find_setting(path)
+            grouped.setdefault(info.section, {})[info.name] = value
+        sections = {name: dataclasses.replace(getattr(self, name), **values) for name, values in grouped.items()}
+        return dataclasses.replace(self, **sections)
+
+    def get(self, path: str) -> Value:
+        """Return the value of the setting at `path`, such as "limits.plan_age"; ValueError as in `replace`."""
+        info = find_setting(path)
+        return getattr(getattr(self, info.section), info.name)
+
+    def to_dict(self) -> dict[str, dict[str, Value]]:
+        """Return {section: {name: value}}, the form of the file."""
+        return dataclasses.asdict(self)
+
+
+SECTIONS: dict[str, type[_Section]] = {
+    "lidar": LidarSettings, "mavlink": MavlinkSettings, "rates": RateSettings, "thrust": ThrustSettings,
+    "limits": LimitSettings, "brake": BrakeSettings, "telemetry": TelemetrySettings,
+}  # fmt: skip
+
+
+def settings() -> tuple[ParameterInfo, ...]:
+    """Return every setting, in the order of the file."""
+    return _SETTINGS
+
+
+def find_setting(path: str) -> ParameterInfo:
+    """Return the setting at `path`, such as "limits.plan_age"; ValueError with a suggestion when there is none."""
+    if path not in _BY_PATH:
+        name = str(path).rpartition(".")[2]
+        same_name = [info.path for info in _SETTINGS if info.name == name]
+        raise ValueError(f"unknown setting {path!r}{did_you_mean(path, same_name[:1] or _BY_PATH)}.")
+    return _BY_PATH[path]
+
+
+def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
+    """Raise ValueError when the planner's configuration and the node's contradict each other."""
+    if onboard.limits.plan_age >= planner.horizon:
+        raise ValueError(
+            f"limits.plan_age is {onboard.limits.plan_age}; it must be less than the planner's horizon, "
+            f"sampling.steps x sampling.dt = {planner.horizon:g} s."
+        )
+    if planner.vehicle.thrust_max <= planner.vehicle.mass * planner.vehicle.gravity:
+        raise ValueError(
+            f"vehicle.thrust_max is {planner.vehicle.thrust_max} N; it must exceed the weight of "
+            f"{planner.vehicle.mass * planner.vehicle.gravity:.2f} N, or the drone can't fly."
+        )
+
+
+def _info(section: str, setting: Any) -> ParameterInfo:
+    kind = TextInfo if "pattern" in setting.metadata else ParameterInfo
+    return kind(section=section, name=setting.name, default=setting.default, **setting.metadata)
+
+
+_SETTINGS = tuple(_info(name, setting) for name, section in SECTIONS.items() for setting in dataclasses.fields(section))
+_BY_PATH = {info.path: info for info in _SETTINGS}

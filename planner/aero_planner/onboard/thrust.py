@@ -1,0 +1,83 @@
+"""Newtons to the autopilot's normalised thrust and back, from one number that every pilot knows: the hover thrust.
+
+The total thrust at the normalised thrust s in [0, 1] is F(s) = F_1 ((1 - c) s + c s^2), PX4's model of a motor: c = 0
+where the autopilot makes thrust linear itself (THR_MDL_FAC set to fit the motors), up to 1 for motors whose thrust goes
+with the square of the signal. F_1, the thrust at full signal, need not be known: hovering gives F(h) = m g at the hover
+thrust h (PX4's MPC_THR_HOVER).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = ["calibrate_hover_thrust", "force_from_signal", "signal_from_force"]
+
+
+def force_from_signal(
+    signal: float, *, mass: float, gravity: float = 9.81, hover_thrust: float, curve: float = 0.0
+) -> float:
+    """Return the total thrust [N] at a normalised thrust.
+
+    Args:
+        signal: normalised thrust s.
+        mass: m [kg].
+        gravity: g [m/s^2].
+        hover_thrust: h, the normalised thrust that holds the vehicle, in (0, 1].
+        curve: c in [0, 1].
+    """
+    return mass * gravity * _shape(signal, curve) / _shape(hover_thrust, curve)
+
+
+def signal_from_force(
+    force: float, *, mass: float, gravity: float = 9.81, hover_thrust: float, curve: float = 0.0
+) -> float:
+    """Return the normalised thrust in [0, 1] that gives a total thrust F [N], or the nearest there is.
+
+    Arguments as in `force_from_signal`.
+    """
+    ratio = force / (mass * gravity) * _shape(hover_thrust, curve)
+    return min(1.0, _solve(ratio, curve))
+
+
+def calibrate_hover_thrust(
+    signals: ArrayLike, accelerations: ArrayLike, *, gravity: float = 9.81, curve: float = 0.0
+) -> float:
+    """Return the hover thrust h that fits a log best, by least squares in the specific force.
+
+    Args:
+        signals: normalised thrusts sent, shape [n].
+        accelerations: specific force along the body's z axis at the same times, as an accelerometer measures it
+            (9.81 in hover) [m/s^2], shape [n].
+        gravity: g [m/s^2].
+        curve: c in [0, 1].
+
+    Raises:
+        ValueError: the log has other shapes, is empty, not finite, or shows no thrust.
+    """
+    s, a = np.asarray(signals, dtype=np.float64), np.asarray(accelerations, dtype=np.float64)
+    if s.ndim != 1 or s.shape != a.shape or len(s) == 0 or not (np.isfinite(s).all() and np.isfinite(a).all()):
+        raise ValueError(
+            f"the log has signals of shape {s.shape} and accelerations of shape {a.shape}; "
+            "give one finite number of each per time."
+        )
+    shape = (1.0 - curve) * s + curve * s * s
+    if not shape @ a > 0.0:
+        raise ValueError("the log shows no thrust; give a log of a hover with signals in (0, 1].")
+    gain = (shape @ a) / (shape @ shape)  # a = gain ((1 - c) s + c s^2)
+    return _solve(float(gravity / gain), curve)
+
+
+def _shape(signal: float, curve: float) -> float:
+    return (1.0 - curve) * signal + curve * signal * signal
+
+
+def _solve(value: float, curve: float) -> float:
+    """Return the s >= 0 at which (1 - c) s + c s^2 = value; 0 for values below 0."""
+    if value <= 0.0:
+        return 0.0
+    # The positive root in a form without cancellation, good for c = 0 too.
+    linear = 1.0 - curve
+    return 2.0 * value / (linear + math.sqrt(linear * linear + 4.0 * curve * value))

@@ -1,0 +1,232 @@
+"""A drone, a LiDAR and an autopilot in simulated time, behind the protocols that the node knows; no sockets.
+
+`Simulation.run` advances the time; the control loop and the watchdog tick along with it. A plan takes `plan_time` of
+simulated time, in which the control loop goes on, because `SlowPlanner.plan` runs the simulation before it returns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner import Plan, Planner, PlannerConfig, VehicleState
+from aero_planner.onboard.frames import rotate
+from aero_planner.onboard.lidar import PointCounters, PointPacket
+from aero_planner.onboard.link import VehicleSample
+from aero_planner.onboard.motion import Motion, StopController, propagate
+from aero_planner.onboard.node import Node
+from aero_planner.onboard.record import Observer
+from aero_planner.onboard.safety import State
+from aero_planner.onboard.settings import OnboardConfig
+
+STEP = 0.005
+"""Of the simulated vehicle [s]."""
+SMALL = PlannerConfig().replace({"sampling.samples": 16, "vehicle.speed_limit": 5.0})
+PLACES = [(4.0, 0.1), (6.0, -1.6), (6.2, 1.8), (8.0, 0.2), (10.0, -1.4), (11.0, 1.2), (13.0, 0.0)]
+"""Of poles in the way, from the origin to (18, 0) [m]."""
+
+
+def poles(places: Sequence[tuple[float, float]], *, radius: float = 0.25, height: float = 5.0) -> NDArray[np.float32]:
+    """Return the surface of vertical poles, shape [P, 3], world frame."""
+    angle, z = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.arange(0.0, height, 0.08))
+    ring = np.stack([radius * np.cos(angle).ravel(), radius * np.sin(angle).ravel(), z.ravel()], axis=1)
+    return np.concatenate([ring + np.array([x, y, 0.0]) for x, y in places]).astype(np.float32)
+
+
+class SimulatedLink:
+    """An autopilot with PX4's rules: OFFBOARD is left 0.5 s after the last command."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self.state: VehicleSample | None = None
+        self.goal: NDArray[np.float64] | None = None
+        self.armed = self.offboard = False
+        self.alive = True
+        """Whether anything arrives from the vehicle."""
+        self.frozen = False
+        """Whether states stop while heartbeats go on."""
+        self.spoil: Callable[[VehicleState], VehicleState] = lambda state: state
+        self.sent: list[tuple[float, NDArray[np.float64]]] = []
+        self.closed = False
+        self._heartbeat = -math.inf
+
+    def poll(self) -> None:
+        if not self.alive:
+            return
+        simulation = self._simulation
+        now = simulation.now
+        self._heartbeat = now
+        motion, before = simulation.motion, self.state
+        state = before.state if before is not None and self.frozen else self.spoil(
+            VehicleState(motion.position, motion.velocity, motion.quaternion, None, motion.time)
+        )  # fmt: skip
+        time = before.time if before is not None and self.frozen else motion.time - simulation.state_delay
+        self.state = VehicleSample(time, state, self.armed, self.offboard, self._heartbeat)
+
+    def send(self, command: ArrayLike) -> None:
+        values = np.array(command, dtype=np.float64)
+        if values.shape != (4,) or not np.isfinite(values).all():
+            raise ValueError(f"the command is {values.tolist()}")
+        self.sent.append((self._simulation.now, values))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class SimulatedLidar:
+    """Sees every point of the world within 10 m, one in twenty at each poll."""
+
+    def __init__(self, simulation: Simulation, world: NDArray[np.float32]) -> None:
+        self._simulation, self._world = simulation, world
+        self.counters = PointCounters()
+        self.alive = True
+        self.closed = False
+
+    def poll(self) -> list[PointPacket]:
+        if not self.alive:
+            return []
+        motion = self._simulation.motion
+        self.counters.packets += 1
+        near = self._world[self.counters.packets % 20 :: 20] - motion.position
+        near = near[np.linalg.norm(near, axis=1) < 10.0]
+        inverse = motion.quaternion * [1.0, -1.0, -1.0, -1.0]
+        points = rotate(inverse, near).astype(np.float32)
+        return [PointPacket(points, np.full(len(points), motion.time))]
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class SlowPlanner:
+    """A planner whose plans take simulated time."""
+
+    def __init__(self, planner: Planner, simulation: Simulation) -> None:
+        self.simulation, self._planner = simulation, planner
+        self.config = planner.config
+        self.reserve, self.reset = planner.reserve, planner.reset
+        self.spoil: Callable[[Plan], Plan] = lambda plan: plan
+
+    def plan(self, *arguments: Any, **options: Any) -> Plan:
+        plan = self._planner.plan(*arguments, **options)
+        self.simulation.run(self.simulation.plan_time)
+        return self.spoil(plan)
+
+
+class Simulation:
+    """A node at work.
+
+    Args:
+        planner: shared between tests; its history is reset.
+        world: points, shape [P, 3], world frame.
+        goal: [m], shape [3].
+        plan_time: of each plan [s].
+        state_delay: age of a state when it arrives [s].
+        changes: to the node's settings.
+        observers: of the node.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        world: NDArray[np.float32],
+        goal: ArrayLike | None = (30.0, 0.0, 2.0),
+        *,
+        plan_time: float = 0.04,
+        state_delay: float = 0.0,
+        changes: dict[str, Any] | None = None,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        planner.reset()
+        self.now = 100.0
+        self.plan_time, self.state_delay = plan_time, state_delay
+        self.motion = Motion(self.now, np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        self.link = SimulatedLink(self)
+        self.lidar = SimulatedLidar(self, world)
+        self.planner = SlowPlanner(planner, self)
+        config = OnboardConfig().replace(changes or {})
+        self.node = Node(
+            self.planner,  # type: ignore[arg-type]
+            self.link,
+            self.lidar,
+            config,
+            goal=goal,
+            clock=lambda: self.now,
+            observers=observers,
+        )
+        self.control_alive = True
+        """Whether the control loop ticks."""
+        self.planning_alive = True
+        self.path: list[NDArray[np.float64]] = []
+        self.states: list[tuple[float, str]] = []
+        self._vehicle = planner.config.vehicle
+        self._hold = StopController(self._vehicle, config.brake)
+        self._control_period, self._plan_period = 1.0 / config.rates.control, 1.0 / config.rates.replan
+        self._next_control = self._next_plan = self.now
+        self._planning = False
+
+    def run(self, seconds: float) -> None:
+        """Let time go on."""
+        end = self.now + seconds
+        while self.now < end - 1e-9:
+            self._fly(min(STEP, end - self.now))
+            if self.now >= self._next_control - 1e-9:
+                self._next_control += self._control_period
+                if self.control_alive:
+                    self.node.control_once()
+                self.node.watch_once()
+                self.path.append(self.motion.position)
+                self.states.append((self.now, self.node.state.name))
+            if not self._planning and self.planning_alive and self.now >= self._next_plan - 1e-9:
+                self._planning = True
+                self.node.plan_once()
+                self._planning = False
+                self._next_plan = max(self._next_plan + self._plan_period, self.now)
+
+    def engage(self, timeout: float = 2.0) -> None:
+        """Be the pilot: arm, and switch to OFFBOARD when commands have been coming for a while."""
+        self.run(0.3)
+        self.link.armed = True
+        end = self.now + timeout
+        while self.now < end and not (len(self.link.sent) > 20 and self.now - self.link.sent[-1][0] < 0.1):
+            self.run(0.05)
+        self.link.offboard = True
+        self.run(0.02)
+
+    def run_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Let time go on until `condition` holds; return whether it did before `timeout` [s] had passed."""
+        end = self.now + timeout
+        while self.now < end and not condition():
+            self.run(0.02)
+        return condition()
+
+    def _fly(self, dt: float) -> None:
+        link = self.link
+        last = link.sent[-1] if link.sent else (-math.inf, None)
+        if link.offboard and self.now - last[0] > 0.5:
+            link.offboard = False
+        if link.armed:
+            obeys = link.offboard and last[1] is not None
+            command = last[1] if obeys else self._hold.command(self.motion)
+            self.motion = propagate(self.motion, command, self.now + dt, self._vehicle)
+        else:
+            self.motion = Motion(self.now + dt, self.motion.position, np.zeros(3), self.motion.quaternion)
+        self.now += dt
+
+
+WORLD = poles(PLACES)
+GOAL = (18.0, 0.0, 2.0)
+LANE = [(x, side * 2.5) for x in range(1, 20, 2) for side in (-1.0, 1.0)]
+"""Of poles on both sides of the way there: who brakes hits none."""
+
+
+def in_flight(planner: Planner, **options: Any) -> Simulation:
+    """Return a simulation in full flight, from the origin along the lane to the goal."""
+    simulation = Simulation(planner, poles(LANE), GOAL, **options)
+    simulation.engage()
+    assert simulation.run_until(lambda: simulation.motion.position[0] > 3.0, 5.0)
+    assert simulation.node.state is State.FLYING and simulation.motion.speed > 2.0
+    return simulation

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from aero_planner import Planner, PlannerConfig
+from aero_planner.config_file import load_config
+from aero_planner.onboard import messages
+from aero_planner.onboard.flight_log import FlightLog
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.settings_file import load_onboard
+from aero_viz.logs.messages import PLAN_DEFINITION, definition
+from aero_viz.recordings import RecordingSource, inspect, open_recording
+from tests.planner.onboard.conftest import Records
+from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
+
+WORLD = poles(PLACES)
+
+
+def decoded(path: Path) -> dict[str, list[tuple[int, Any]]]:
+    """Messages by topic, as a ROS 2 reader with the embedded definitions sees them."""
+    topics: dict[str, list[tuple[int, Any]]] = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, ros in reader.iter_decoded_messages():
+            topics.setdefault(channel.topic, []).append((message.log_time, ros))
+    return topics
+
+
+@pytest.fixture(scope="module")
+def flown(small_planner: Planner, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records, Simulation]:
+    """A second of flight and its log."""
+    path, seen = tmp_path_factory.mktemp("log") / "flight.mcap", Records()
+    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0))
+    log = FlightLog(path, SMALL, OnboardConfig(), clock=lambda: simulation.now)
+    simulation.node._observers = (log, seen)
+    simulation.engage()
+    simulation.run(1.5)
+    simulation.node.close()
+    assert log.dropped == 0 and not log.failed
+    return path, seen, simulation
+
+
+def test_the_log_holds_what_was_seen_and_done(flown: tuple[Path, Records, Simulation]):
+    path, seen, simulation = flown
+    topics = decoded(path)
+    assert set(topics) == {"/odometry", "/tf", "/sweep", "/plan", "/plan/best", "/safety"}
+    assert len(topics["/plan"]) == len(topics["/plan/best"]) == len(seen.plans) > 20
+    for (_, plan), (_, route), record in zip(topics["/plan"], topics["/plan/best"], seen.plans, strict=True):
+        assert (plan.best, plan.status, tuple(plan.kinds)) == (
+            record.plan.best, record.plan.status, record.plan.kinds,
+        )  # fmt: skip
+        np.testing.assert_array_equal(plan.stage2_cost, record.plan.stage2_cost)
+        np.testing.assert_array_equal(plan.command, record.plan.command[0])
+        assert plan.plan_ms == pytest.approx(record.plan_ms)
+        drawn = [[s.pose.position.x, s.pose.position.y, s.pose.position.z] for s in route.poses]
+        np.testing.assert_array_equal(np.array(drawn, np.float32), record.plan.positions[record.plan.best])
+    changes = [(change.source, change.target) for _, change in topics["/safety"]]
+    assert changes == [("WAITING", "READY"), ("READY", "FLYING")]
+    stamp, last = topics["/odometry"][-1]
+    assert stamp == last.header.stamp.sec * 10**9 + last.header.stamp.nanosec
+    p, q = last.pose.pose.position, last.pose.pose.orientation
+    assert [p.x, p.y, p.z] == pytest.approx(simulation.motion.position.tolist(), abs=0.1)
+    assert [q.w, q.x, q.y, q.z] == pytest.approx(simulation.motion.quaternion.tolist(), abs=0.05)
+    assert last.child_frame_id == "body" and len(topics["/odometry"]) == len(topics["/tf"])
+
+
+def test_configurations_are_attached(flown: tuple[Path, Records, Simulation], tmp_path: Path):
+    with flown[0].open("rb") as file:
+        texts = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    assert load_config(tmp_path / "config_0.yaml") == SMALL
+    assert load_onboard(tmp_path / "onboard.yaml") == OnboardConfig()
+
+
+def test_the_log_plays(flown: tuple[Path, Records, Simulation]):
+    info = inspect(str(flown[0]))
+    assert info.sweeps and info.poses
+    source = RecordingSource(open_recording(str(flown[0])))
+    try:
+        times = source.times
+        assert times is not None and len(times) > 50
+        source.seek(float(times[-1]))
+        observation = source.observe()
+        # Points that were logged raw come to lie on the poles again; the recording counts from its first position.
+        cloud = observation.points + np.array([0.0, 0.0, 2.0], np.float32)
+        axes = np.linalg.norm(cloud[:, None, :2] - np.array(PLACES), axis=2).min(axis=1)
+        assert len(cloud) > 1000 and np.abs(axes - 0.25).max() < 0.02
+    finally:
+        source.close()
+
+
+def test_definitions_are_those_of_ros():
+    assert messages.PLAN_DEFINITION == PLAN_DEFINITION
+
+    def fields(text: str) -> set[str]:
+        lines = (" ".join(line.split("#")[0].replace("/msg/", "/").split()) for line in text.splitlines())
+        return {line for line in lines if line and "=" not in line}
+
+    for kind in (messages.ODOMETRY, messages.TRANSFORMS, messages.CLOUD, messages.PATH):
+        assert fields(messages.DEFINITIONS[kind]) <= fields(definition(kind)), kind
+
+
+WRITER = """
+import sys
+import numpy as np
+from aero_planner import PlannerConfig, VehicleState
+from aero_planner.onboard.flight_log import FlightLog
+from aero_planner.onboard.lidar import PointPacket
+from aero_planner.onboard.link import VehicleSample
+from aero_planner.onboard.settings import OnboardConfig
+import time
+
+log = FlightLog(sys.argv[1], PlannerConfig(), OnboardConfig())
+k = 0
+while True:
+    now = time.monotonic()
+    state = VehicleState(np.array([0.01 * k, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]), np.array([1.0, 0, 0, 0]), None, now)
+    log.sample(VehicleSample(now, state, True, True, now))
+    log.points(PointPacket(np.ones((500, 3), np.float32) * (1 + k % 7), now - np.linspace(0.02, 0.0, 500)))
+    k += 1
+    if k % 50 == 0:
+        print(k, flush=True)
+    time.sleep(0.02)
+"""
+
+
+def test_a_log_that_was_cut_off_plays(tmp_path: Path):
+    path = tmp_path / "cut.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as process:
+        assert process.stdout is not None
+        for _ in range(3):  # three seconds' worth
+            assert process.stdout.readline()
+        process.send_signal(signal.SIGKILL)
+    recording = open_recording(str(path))
+    try:
+        assert len(recording.sweep_times) >= 10 and recording.poses is not None
+        assert any("truncated" in problem for problem in recording.problems)
+    finally:
+        recording.close()
+
+
+def test_a_full_disk_ends_the_log_and_not_the_flight(
+    small_planner: Planner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0))
+    log = FlightLog(tmp_path / "full.mcap", SMALL, OnboardConfig(), clock=lambda: simulation.now)
+    simulation.node._observers = (log,)
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    log._flushed = -np.inf  # due
+    simulation.engage()
+    simulation.run(0.5)
+    simulation.node.close()
+    assert log.failed and simulation.node.failures == 0
+    assert "full.mcap ends here: No space left on device" in caplog.text
+
+
+def test_a_log_that_cannot_be_written_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(OSError):
+        FlightLog(tmp_path / "absent" / "a.mcap", PlannerConfig(), OnboardConfig())
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(ImportError, match=r"pip install 'aero-planner\[log\]'"):
+        FlightLog(tmp_path / "a.mcap", PlannerConfig(), OnboardConfig())

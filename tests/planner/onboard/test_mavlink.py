@@ -1,0 +1,399 @@
+"""The MAVLink connection over real sockets, with the autopilot's side made of pymavlink's own messages."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aero_planner.onboard import mavlink as mavlink_module
+from aero_planner.onboard import port as port_module
+from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
+
+mavlink = load_dialect()
+HALF = math.sqrt(0.5)
+NAN21 = [math.nan] * 21
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED | mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+OFFBOARD, HOLD = 6 << 16, 4 << 16 | 3 << 24
+
+
+class Clock:
+    """Host time that a test sets."""
+
+    now = 1000.0
+
+    def __call__(self):
+        return self.now
+
+
+class Partner:
+    """The other end of a link."""
+
+    def __init__(self, url_port, system=1, component=1):
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setblocking(False)
+        self.address = ("127.0.0.1", url_port)
+        self.protocol = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.parser = mavlink.MAVLink(None)
+
+    def send(self, *messages):
+        self.socket.sendto(b"".join(bytes(m.pack(self.protocol)) for m in messages), self.address)
+
+    def heartbeat(self, base=ARMED, mode=OFFBOARD):
+        self.send(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, base, mode, 4, 3))
+
+    def received(self, name):
+        messages = []
+        while True:
+            try:
+                messages += self.parser.parse_buffer(self.socket.recv(2048)) or []
+            except BlockingIOError:
+                return [m for m in messages if m.get_type() == name]
+
+
+def odometry(p=(0, 0, 0), q=(1, 0, 0, 0), v=(0, 0, 0), *, time=5.0, frame=1, child=1):
+    values = [*map(float, p), list(map(float, q)), *map(float, v), 0.0, 0.0, 0.0]
+    return mavlink.MAVLink_odometry_message(int(1e6 * time), frame, child, *values, NAN21, NAN21, 0, 0)
+
+
+def local_position(p, v, time):
+    return mavlink.MAVLink_local_position_ned_message(int(1e3 * time), *map(float, p), *map(float, v))
+
+
+def attitude(q, rates, time):
+    return mavlink.MAVLink_attitude_quaternion_message(int(1e3 * time), *map(float, q), *map(float, rates))
+
+
+def goal_message(p, *, system=1, component=191, mask=0b110111111000, frame=1):
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        0, system, component, frame, mask, *map(float, p), *[0.0] * 8
+    )
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def link(clock):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        number = probe.getsockname()[1]
+    link = MavlinkLink(f"udpin:127.0.0.1:{number}", mass=2.0, hover_thrust=0.4, clock=clock)
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def autopilot(link):
+    partner = Partner(link._port._socket.getsockname()[1])
+    yield partner
+    partner.socket.close()
+
+
+def state_after(link, autopilot, *messages) -> Any:
+    autopilot.send(*messages)
+    link.poll()
+    return None if link.state is None else link.state.state
+
+
+def test_odometry_with_world_velocity_by_hand(link, autopilot):
+    # 10 m north, 4 m east, 3 m up; nose to the east; 2 m/s north, 1 m/s east, climbing 0.5 m/s.
+    state = state_after(link, autopilot, odometry((10, 4, -3), (HALF, 0, 0, HALF), (2, 1, -0.5)))
+    np.testing.assert_allclose(state.position, [10, -4, 3])
+    np.testing.assert_allclose(state.velocity, [2, -1, 0.5])
+    np.testing.assert_allclose(state.quaternion, [HALF, 0, 0, -HALF], atol=1e-7)
+
+
+@pytest.mark.parametrize("child", [mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_FRAME_BODY_NED])
+def test_odometry_with_body_velocity_by_hand(link, autopilot, child):
+    # Nose to the east, 3 m/s forward and 1 m/s to the right (south): -y and -x of the world.
+    state = state_after(link, autopilot, odometry(q=(HALF, 0, 0, HALF), v=(3, 1, 0), child=child))
+    np.testing.assert_allclose(state.velocity, [-1, -3, 0], atol=1e-6)
+
+
+def test_position_and_attitude_messages_make_a_state(link, autopilot, clock):
+    state = state_after(
+        link, autopilot, attitude((1, 0, 0, 0), (0, 0, 0), 5.0), local_position((1, 2, -3), (4, 5, -6), 5.0)
+    )
+    np.testing.assert_allclose(state.position, [1, -2, 3])
+    np.testing.assert_allclose(state.velocity, [4, -5, 6])
+    # The attitude is carried to the time of the position: nose up (FRD) at 2 rad/s for 20 ms.
+    clock.now += 0.03
+    turning = attitude((1, 0, 0, 0), (0, 2, 0), 5.01)
+    state = state_after(link, autopilot, turning, local_position((1, 2, -3), (4, 5, -6), 5.03))
+    np.testing.assert_allclose(state.quaternion, [math.cos(0.02), 0, -math.sin(0.02), 0], atol=1e-6)
+
+
+def test_an_old_attitude_makes_no_state(link, autopilot):
+    stale = attitude((1, 0, 0, 0), (0, 0, 0), 5.0)
+    assert state_after(link, autopilot, stale, local_position((1, 2, 3), (0, 0, 0), 5.2)) is None
+
+
+def test_odometry_goes_before_the_pair(link, autopilot, clock):
+    pair = attitude((1, 0, 0, 0), (0, 0, 0), 5.02), local_position((9, 9, 9), (0, 0, 0), 5.02)
+    state_after(link, autopilot, odometry((1, 0, 0)))
+    clock.now += 0.5
+    np.testing.assert_allclose(state_after(link, autopilot, *pair).position, [1, 0, 0])
+    clock.now += 2.0
+    later = attitude((1, 0, 0, 0), (0, 0, 0), 7.5), local_position((9, 9, 9), (0, 0, 0), 7.5)
+    np.testing.assert_allclose(state_after(link, autopilot, *later).position, [9, -9, -9])
+
+
+def test_states_carry_host_time_and_never_go_back(link, autopilot, clock):
+    for k, delay in enumerate([0.004, 0.001, 0.009]):
+        clock.now = 1000.0 + 0.02 * k + delay
+        state_after(link, autopilot, odometry((k, 0, 0), time=5.0 + 0.02 * k))
+    assert link.state.time == pytest.approx(1000.041)
+    assert link.state.state.time == link.state.time
+    before = link.state
+    state_after(link, autopilot, odometry((7, 0, 0), time=5.01))
+    assert link.state is before
+    # A state that is repeated does not get younger.
+    clock.now += 1.0
+    state_after(link, autopilot, odometry((8, 0, 0), time=5.04))
+    assert link.state is before
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        odometry((math.nan, 0, 0)),
+        odometry((0, math.inf, 0)),
+        odometry((0, 0, 2e6)),
+        odometry(v=(0, math.nan, 0)),
+        odometry(v=(math.nan, 0, 0), child=mavlink.MAV_FRAME_BODY_FRD),
+        odometry(q=(math.nan, 0, 0, 0)),
+        odometry(q=(0, 0, 0, 0)),
+        odometry(frame=mavlink.MAV_FRAME_GLOBAL),
+        odometry(child=mavlink.MAV_FRAME_GLOBAL),
+    ],
+)
+def test_unusable_states_are_dropped_and_counted(link, autopilot, message):
+    assert state_after(link, autopilot, message) is None
+    assert link.dropped == 1
+    state_after(link, autopilot, odometry(time=5.1))
+    assert link.state is not None
+
+
+@pytest.mark.parametrize(
+    ("base", "mode", "armed", "offboard"),
+    [
+        (ARMED, OFFBOARD, True, True),
+        (ARMED, HOLD, True, False),
+        (ARMED ^ mavlink.MAV_MODE_FLAG_SAFETY_ARMED, OFFBOARD, False, True),
+        (mavlink.MAV_MODE_FLAG_SAFETY_ARMED, OFFBOARD, True, False),
+    ],
+)
+def test_heartbeats_tell_arming_and_mode(link, autopilot, clock, base, mode, armed, offboard):
+    state_after(link, autopilot, odometry())
+    assert link.state.heartbeat_time == -math.inf
+    clock.now += 0.5
+    autopilot.heartbeat(base, mode)
+    link.poll()
+    assert (link.state.armed, link.state.offboard) == (armed, offboard)
+    assert link.state.heartbeat_time == clock.now
+
+
+def test_heartbeats_of_others_mean_nothing(link, autopilot):
+    state_after(link, autopilot, odometry())
+    for system, component in [(255, 190), (1, 154), (2, 1)]:
+        other = Partner(autopilot.address[1], system, component)
+        other.heartbeat()
+        other.send(odometry((5, 5, 5), time=6.0))
+        other.socket.close()
+    link.poll()
+    assert not link.state.armed
+    np.testing.assert_allclose(link.state.state.position, [0, 0, 0])
+
+
+def test_commands_by_hand(link, autopilot):
+    autopilot.heartbeat()
+    link.poll()
+    # Twice the weight; roll right 0.1, nose down 0.2, turn left 0.3 rad/s.
+    link.send([2.0 * 2.0 * 9.81, 0.1, 0.2, 0.3])
+    (message,) = autopilot.received("SET_ATTITUDE_TARGET")
+    rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
+    np.testing.assert_allclose(rates, [0.1, -0.2, -0.3], rtol=1e-6)
+    assert message.thrust == pytest.approx(0.8)
+    assert message.type_mask == mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
+    assert (message.target_system, message.target_component) == (1, 1)
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 191)
+    assert np.isfinite(message.q).all()
+    assert link.sent == 1
+
+
+@pytest.mark.parametrize("command", [[1, 2, 3], [math.nan, 0, 0, 0], [9.8, math.inf, 0, 0], [[1, 2, 3, 4]]])
+def test_commands_that_are_none_are_refused(link, autopilot, command):
+    autopilot.heartbeat()
+    link.poll()
+    with pytest.raises(ValueError, match="finite"):
+        link.send(command)
+    assert autopilot.received("SET_ATTITUDE_TARGET") == []
+
+
+def test_commands_go_to_the_autopilot_only(link, autopilot):
+    link.send([9.81, 0, 0, 0])  # nobody is there yet
+    assert link.sent == 0
+    autopilot.heartbeat()
+    link.poll()
+    stranger = Partner(autopilot.address[1], 255, 190)
+    stranger.heartbeat()
+    link.poll()
+    link.send([9.81, 0, 0, 0])
+    assert len(autopilot.received("SET_ATTITUDE_TARGET")) == 1
+    assert stranger.received("SET_ATTITUDE_TARGET") == []
+    stranger.socket.close()
+
+
+def test_only_commands_heartbeats_and_requests_for_states_are_sent(link, autopilot, clock):
+    seen = {}
+    for _ in range(200):
+        clock.now += 0.05
+        autopilot.heartbeat()
+        autopilot.send(goal_message((1, 2, -3)))
+        link.poll()
+        link.send([9.81, 0, 0, 0])
+        while True:
+            try:
+                messages = autopilot.parser.parse_buffer(autopilot.socket.recv(2048)) or []
+            except BlockingIOError:
+                break
+            for message in messages:
+                seen.setdefault(message.get_type(), []).append(message)
+    assert set(seen) == {"SET_ATTITUDE_TARGET", "HEARTBEAT", "COMMAND_LONG"}
+    assert {m.command for m in seen["COMMAND_LONG"]} == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL}
+    assert {m.type for m in seen["HEARTBEAT"]} == {mavlink.MAV_TYPE_ONBOARD_CONTROLLER}
+    assert len(seen["HEARTBEAT"]) == pytest.approx(10, abs=1)
+
+
+def test_odometry_is_asked_for_until_it_comes(link, autopilot, clock):
+    autopilot.heartbeat()
+    link.poll()
+    (request,) = autopilot.received("COMMAND_LONG")
+    assert (request.param1, request.param2) == (mavlink.MAVLINK_MSG_ID_ODOMETRY, 10_000.0)
+    for k in range(250):
+        clock.now += 0.01
+        autopilot.send(odometry(time=5.0 + 0.01 * k))
+        link.poll()
+    autopilot.heartbeat()
+    link.poll()
+    assert autopilot.received("COMMAND_LONG") == []
+
+
+def test_goals(link, autopilot):
+    (station := Partner(autopilot.address[1], 255, 190)).send(goal_message((10, 2, -3)))
+    link.poll()
+    np.testing.assert_allclose(link.goal, [10, -2, 3])
+    for other in (goal_message((1, 1, 1), component=1), goal_message((1, 1, 1), system=7)):
+        station.send(other)  # for the autopilot, for another vehicle
+    unusable = goal_message((math.nan, 0, 0)), goal_message((1, 1, 1), mask=0b1), goal_message((1, 1, 1), frame=0)
+    station.send(*unusable)
+    link.poll()
+    np.testing.assert_allclose(link.goal, [10, -2, 3])
+    assert link.dropped == 3
+    station.socket.close()
+
+
+def test_garbage_does_not_swallow_what_follows(link, autopilot):
+    good = bytes(odometry((1, 0, 0)).pack(autopilot.protocol))
+    for bad in (b"\xfd\xff\x00", b"\xfe\xff", os.urandom(500), good[:-5], good[:40] + b"\x55" + good[41:], b""):
+        autopilot.socket.sendto(bad, autopilot.address)
+    link.poll()
+    assert link.state is None
+    assert link.bad >= 4
+    autopilot.socket.sendto(good, autopilot.address)
+    link.poll()
+    assert link.state is not None
+
+
+def test_unknown_messages_are_counted_as_one(link, autopilot):
+    for number in (60_000, 60_001, 16_000_000):
+        header = bytes([0xFD, 0, 0, 0, 0, 1, 1]) + number.to_bytes(3, "little")
+        autopilot.socket.sendto(header + b"\0\0", autopilot.address)
+    link.poll()
+    assert link.received == {"UNKNOWN": 3}
+
+
+def test_a_flood_is_taken_in_parts(link, autopilot, monkeypatch):
+    size = len(bytes(odometry().pack(autopilot.protocol)))
+    monkeypatch.setattr(mavlink_module, "_BYTES_PER_POLL", 20 * size)
+    for _ in range(50):
+        autopilot.send(odometry())
+    for total in (20, 40, 50, 50):
+        link.poll()
+        assert link.received["ODOMETRY"] == total
+
+
+def test_udpout_speaks_first():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        autopilot.bind(("127.0.0.1", 0))
+        autopilot.settimeout(5.0)
+        link = MavlinkLink(f"udpout:127.0.0.1:{autopilot.getsockname()[1]}")
+        link.poll()
+        data, address = autopilot.recvfrom(2048)
+        (heartbeat,) = mavlink.MAVLink(None).parse_buffer(data)
+        assert heartbeat.get_type() == "HEARTBEAT"
+        protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        autopilot.sendto(bytes(odometry((1, 2, 3)).pack(protocol)), address)
+        link.poll()
+        assert link.state is not None
+        link.close()
+
+
+def test_serial_devices_are_streams():
+    there, device = os.openpty()
+    try:
+        link = MavlinkLink(os.ttyname(device), baud=115_200)
+        protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        for k in range(50):
+            data = bytes(odometry((k, 0, 0), time=5.0 + 0.01 * k).pack(protocol))
+            for part in (data[:7], data[7:100], data[100:]):  # wherever the bytes happen to be cut
+                os.write(there, part)
+                link.poll()
+            os.write(there, b"\x00\xfe")  # noise on the line
+        assert link.received["ODOMETRY"] >= 49
+        assert len(link._parser.buf) < 1000
+        os.set_blocking(there, False)
+        os.read(there, 65536)
+        link.send([9.81, 0, 0, 0])
+        (message,) = mavlink.MAVLink(None).parse_buffer(os.read(there, 65536))
+        assert message.get_type() == "SET_ATTITUDE_TARGET"
+        link.close()
+    finally:
+        os.close(there)
+        os.close(device)
+
+
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("tcp:1.2.3.4:5", "not understood"),
+        ("udpin:14540", "no address and port"),
+        ("udpin:h:99999", "no address and port"),
+    ],
+)
+def test_urls_that_are_none(url, error):
+    with pytest.raises(ValueError, match=error):
+        MavlinkLink(url)
+
+
+def test_devices_that_are_none(tmp_path):
+    with pytest.raises(OSError, match="missing"):
+        MavlinkLink(str(tmp_path / "missing"))
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="no serial device"):
+        MavlinkLink(str(tmp_path / "file"))
+    with pytest.raises(ValueError, match="baud rate"):
+        port_module.open_port("/dev/null", baud=12345)
+
+
+def test_a_taken_port_is_an_error(link, autopilot):
+    with pytest.raises(OSError, match="in use"):
+        MavlinkLink(f"udpin:127.0.0.1:{autopilot.address[1]}")

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig, PlanStatus, VehicleState
+from aero_planner.onboard.link import VehicleSample
+from aero_planner.onboard.motion import DeadReckoning, Motion, StopController, acceleration, propagate
+from aero_planner.onboard.plan_track import FlyablePlan, PlanTrack
+from aero_planner.onboard.settings import BrakeSettings
+
+VEHICLE = PlannerConfig().vehicle
+HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def matrix(q: np.ndarray) -> np.ndarray:
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rk4(motion: Motion, command: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """dp = v, dv = R(q) [0, 0, F_t] / m + g, dq = 1/2 q (x) [0, omega], in a thousand steps."""
+
+    def slope(y: np.ndarray) -> np.ndarray:
+        w, x, y_, z = y[6:]
+        p, q, r = command[1:]
+        turn = 0.5 * np.array(
+            [-x * p - y_ * q - z * r, w * p + y_ * r - z * q, w * q - x * r + z * p, w * r + x * q - y_ * p]
+        )
+        lift = matrix(y[6:]) @ [0.0, 0.0, command[0]] / VEHICLE.mass - [0.0, 0.0, VEHICLE.gravity]
+        return np.concatenate([y[3:6], lift, turn])
+
+    y, h = np.concatenate([motion.position, motion.velocity, motion.quaternion]), (time - motion.time) / 1000
+    for _ in range(1000):
+        a = slope(y)
+        b = slope(y + 0.5 * h * a)
+        c = slope(y + 0.5 * h * b)
+        d = slope(y + h * c)
+        y = y + h / 6.0 * (a + 2 * b + 2 * c + d)
+    return y[:3], y[3:6], y[6:]
+
+
+def tilted(angle: float, axis: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> np.ndarray:
+    return np.array([math.cos(angle / 2), *(math.sin(angle / 2) * np.array(axis))])
+
+
+def test_one_step_is_the_vehicle_model():
+    motion = Motion(5.0, np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.0, -0.5]), tilted(0.4, (0.6, 0.8, 0.0)))
+    command = np.array([12.0, 1.5, -2.0, 0.7])
+    moved = propagate(motion, command, 5.05, VEHICLE)
+    position, velocity, quaternion = rk4(motion, command, 5.05)
+    np.testing.assert_allclose(moved.quaternion, quaternion, atol=1e-9)
+    np.testing.assert_allclose(moved.velocity, velocity, atol=2e-3)  # the thrust's direction halfway stands for all
+    np.testing.assert_allclose(moved.position, position, atol=1e-3)
+    assert moved.time == 5.05 and moved.finite
+    np.testing.assert_allclose(acceleration(LEVEL, HOVER[0], VEHICLE), 0.0, atol=1e-12)
+
+
+def test_without_command_the_velocity_stays():
+    motion = Motion(0.0, np.zeros(3), np.array([1.0, 2.0, 0.0]), tilted(0.3))
+    moved = propagate(motion, None, 2.0, VEHICLE)
+    np.testing.assert_array_equal(moved.position, [2.0, 4.0, 0.0])
+    np.testing.assert_array_equal(moved.velocity, motion.velocity)
+
+
+def sample(motion: Motion) -> VehicleSample:
+    state = VehicleState(motion.position, motion.velocity, motion.quaternion, None, motion.time)
+    return VehicleSample(motion.time, state, True, True, motion.time)
+
+
+def test_dead_reckoning_flies_the_commands_that_were_sent():
+    rng = np.random.default_rng(0)
+    truth = Motion(10.0, np.zeros(3), np.array([3.0, 0.0, 0.0]), LEVEL)
+    reckoning = DeadReckoning(VEHICLE)
+    assert reckoning.at(10.0) is None
+    reckoning.correct(sample(truth))
+    for k in range(60):
+        command = HOVER + rng.normal(size=4) * (1.0, 0.5, 0.5, 0.5)
+        reckoning.command(10.0 + 0.02 * k, command)
+        truth = propagate(truth, command, 10.0 + 0.02 * (k + 1), VEHICLE)
+        if k == 30:
+            delayed = truth
+        if k == 35:
+            reckoning.correct(sample(delayed))  # a state that is 0.1 s old when it arrives
+        if k % 7 == 0:
+            found = reckoning.at(truth.time)
+            assert found is not None
+            np.testing.assert_allclose(found.position, truth.position, atol=1e-9)
+            np.testing.assert_allclose(found.quaternion, truth.quaternion, atol=1e-9)
+
+
+def test_where_the_drone_does_not_obey_it_goes_straight_on():
+    reckoning = DeadReckoning(VEHICLE)
+    reckoning.correct(sample(Motion(1.0, np.zeros(3), np.array([2.0, 0.0, 0.0]), tilted(0.5))))
+    reckoning.command(1.0, HOVER)
+    reckoning.command(1.0, None)
+    found = reckoning.at(1.5)
+    assert found is not None
+    np.testing.assert_allclose(found.velocity, [2.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_drone_comes_to_rest_from_any_attitude_and_stays(seed: int):
+    rng = np.random.default_rng(seed)
+    axis, velocity, angle = rng.normal(size=3), rng.uniform(-6, 6, 3), rng.uniform(0, math.pi)
+    unit = tuple(axis / np.linalg.norm(axis))
+    motion = Motion(0.0, np.array([0.0, 0.0, 50.0]), velocity, tilted(angle, unit))
+    stop, hold = StopController(VEHICLE, BrakeSettings()), None
+    for k in range(400):
+        if hold is None and motion.speed < 0.3:
+            hold = motion.position
+        command = stop.command(motion, hold=hold)
+        assert VEHICLE.thrust_min <= command[0] <= VEHICLE.thrust_max
+        assert np.abs(command[1:3]).max() <= VEHICLE.rate_xy_max and command[3] == 0.0
+        motion = propagate(motion, command, 0.02 * (k + 1), VEHICLE)
+    assert motion.speed < 0.05 and hold is not None
+    assert np.linalg.norm(motion.position - hold) < 0.05
+    assert matrix(motion.quaternion)[2, 2] > 0.999
+
+
+def test_a_level_drone_at_six_metres_per_second_stops_within_five_metres():
+    motion = Motion(0.0, np.zeros(3), np.array([6.0, 0.0, 0.0]), LEVEL)
+    stop = StopController(VEHICLE, BrakeSettings())
+    for k in range(200):
+        motion = propagate(motion, stop.command(motion), 0.02 * (k + 1), VEHICLE)
+    assert 3.0 < motion.position[0] < 5.0 and abs(motion.position[2]) < 0.5
+
+
+def flyable(number: int, time: float, *, steps: int = 5, dt: float = 0.05) -> FlyablePlan:
+    controls = np.arange(4.0 * steps).reshape(steps, 4) + 100.0 * number
+    return FlyablePlan(number, time, time, dt, controls, PlanStatus.OK)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.1, 12345.678, 1e6 + 0.3])
+def test_the_command_at_a_time_is_that_of_its_step(start: float):
+    plan = flyable(0, start)
+    for step in range(5):
+        for within in (0.0, 0.01, 0.049):
+            command = plan.command(start + 0.05 * step + within)
+            assert command is not None and command[0] == 4.0 * step
+    assert plan.command(start - 0.001) is None and plan.command(start + 0.25) is None
+
+
+def test_the_plan_before_is_flown_until_the_newest_begins():
+    track = PlanTrack()
+    assert track.newest is None and track.command(0.0) is None
+    track.append(flyable(1, 10.0))
+    track.append(flyable(2, 10.1))
+    for now, first in ((10.06, 104.0), (10.1, 200.0), (10.34, 216.0)):
+        command = track.command(now)
+        assert command is not None and command[0] == first
+    assert track.command(10.36) is None and track.command(9.9) is None
+    track.append(flyable(3, 10.5))
+    assert track.newest is not None and track.newest.number == 3
+    assert track.command(10.36) is None  # never beyond the end of a plan

@@ -1,0 +1,323 @@
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from aero_planner import Plan, Planner, PlanStatus, VehicleState
+from aero_planner.onboard.plan_track import FlyablePlan
+from aero_planner.onboard.record import Observer, PlanRecord
+from aero_planner.onboard.safety import State
+from tests.planner.onboard.simulated import GOAL, LANE, PLACES, WORLD, Simulation, in_flight
+
+PERIOD = 0.02
+
+
+def states(simulation: Simulation) -> list[str]:
+    return [change.target.name for change in simulation.node.changes]
+
+
+def since(simulation: Simulation, began: float, name: str) -> float:
+    """How long after `began` the state `name` was entered first [s]."""
+    changes = [change.time for change in simulation.node.changes if change.target.name == name]
+    return next(time for time in changes if time >= began) - began
+
+
+def clearance(simulation: Simulation, places: Sequence[tuple[float, float]] = LANE) -> float:
+    path = np.array(simulation.path)[:, None, :2]
+    return float(np.linalg.norm(path - np.array(places), axis=2).min()) - 0.25
+
+
+@pytest.fixture
+def flight(small_planner: Planner) -> Simulation:
+    """In full flight, with little patience."""
+    return in_flight(small_planner, changes={"limits.hold_time": 1.0, "limits.brake_time": 3.0})
+
+
+def test_a_flight_from_start_to_goal(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    simulation.run(0.5)
+    assert simulation.node.state is State.READY
+    before = [command for _, command in simulation.link.sent]
+    # What PX4 wants to see before OFFBOARD is what would keep the drone where it is.
+    np.testing.assert_allclose(before, np.tile([9.81, 0.0, 0.0, 0.0], (len(before), 1)), atol=1e-6)
+    simulation.engage()
+    assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 15.0)
+    simulation.run(3.0)
+    assert np.linalg.norm(simulation.motion.position - GOAL) < 1.0 and simulation.motion.speed < 0.1
+    assert clearance(simulation, PLACES) > 0.2
+    assert states(simulation) == ["READY", "FLYING", "ARRIVED"]
+    gaps = np.diff([when for when, _ in simulation.link.sent])
+    np.testing.assert_allclose(gaps, PERIOD, atol=1e-6)
+
+
+def test_what_is_sent_is_the_planned_control_of_that_time(flight: Simulation):
+    plans: list[tuple[float, FlyablePlan]] = []
+    append = flight.node._track.append
+
+    def keep(plan: FlyablePlan) -> None:
+        plans.append((flight.now, plan))
+        append(plan)
+
+    flight.node._track.append = keep  # type: ignore[method-assign]
+    first = len(flight.link.sent)
+    flight.run(0.5)
+    checked = 0
+    for now, command in flight.link.sent[first:]:
+        begun = [plan for there, plan in plans if plan.time <= now and there < now]
+        if not begun:
+            continue
+        plan = begun[-1]
+        planned = plan.controls[math.floor((now - plan.time) / plan.dt + 1e-9)]
+        np.testing.assert_allclose(command, planned)
+        assert 0.0 <= now - plan.measured <= flight.node.config.limits.plan_age
+        checked += 1
+    assert checked >= 20
+
+
+def test_plans_start_where_the_drone_will_be(small_planner: Planner):
+    class Compare(Observer):
+        """Keeps the states planned from, and where the drone was at their time."""
+
+        def __init__(self) -> None:
+            self.planned: list[VehicleState] = []
+
+        def plan(self, record: PlanRecord) -> None:
+            self.planned.append(record.state)
+
+    observer = Compare()
+    simulation = in_flight(small_planner, plan_time=0.06, state_delay=0.0, observers=[observer])
+    del observer.planned[:-1]
+    truth: dict[float, NDArray[np.float64]] = {}
+    for _ in range(60):
+        simulation.run(0.005)
+        truth[simulation.now] = simulation.motion.position
+    times = np.array(list(truth))
+    off = []
+    for state in observer.planned:
+        nearest = int(np.abs(times - float(state.time)).argmin())  # type: ignore[arg-type]
+        if abs(times[nearest] - float(state.time)) < 0.004:  # type: ignore[arg-type]
+            off.append(np.linalg.norm(np.asarray(state.position) - truth[times[nearest]]))
+    # Without looking ahead it would be 60 ms of flight: more than 0.1 m.
+    assert len(off) >= 3 and max(off) < 0.05
+
+
+def test_without_goal_or_points_it_waits_in_silence(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, None)
+    simulation.run(1.0)
+    assert simulation.node.state is State.WAITING and not simulation.link.sent
+    simulation.link.goal = np.array(GOAL)
+    simulation.run(0.3)
+    assert simulation.node.state is State.READY
+    np.testing.assert_array_equal(simulation.node.goal, GOAL)
+    simulation.lidar.alive = False
+    simulation.run(1.0)
+    assert simulation.node.state is State.WAITING
+
+
+def test_a_goal_from_the_ground_replaces_the_first(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, (2.5, 0.0, 2.0))
+    simulation.engage()
+    assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 8.0)
+    simulation.link.goal = np.array([2.5, 3.0, 2.0])
+    assert simulation.run_until(lambda: simulation.node.state is State.FLYING, 1.0)
+    assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 8.0)
+    assert np.linalg.norm(simulation.motion.position - [2.5, 3.0, 2.0]) < 1.0
+
+
+def test_a_goal_outside_the_fence_is_refused(small_planner: Planner, caplog: pytest.LogCaptureFixture):
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    for goal in ((500.0, 0.0, 2.0), (5.0, 0.0, 0.0), (math.nan, 0.0, 2.0)):
+        simulation.link.goal = np.array(goal)
+        simulation.run(0.1)
+    np.testing.assert_array_equal(simulation.node.goal, GOAL)
+    assert caplog.text.count("is refused: it lies outside the geofence") == 3
+
+
+# --- what goes wrong --------------------------------------------------------------------------------------------------
+
+
+def test_a_dead_lidar_brakes_in_time_and_hands_back(flight: Simulation):
+    limits, began = flight.node.config.limits, flight.now
+    flight.lidar.alive = False
+    flight.run(limits.cloud_age + 2 * PERIOD)
+    assert flight.node.state is State.BRAKING
+    assert since(flight, began, "BRAKING") <= limits.cloud_age + 2 * PERIOD
+    assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
+    place = flight.motion.position
+    flight.run(1.0)
+    assert np.linalg.norm(flight.motion.position - place) < 0.3
+    assert flight.run_until(lambda: flight.node.state is State.HANDED_BACK, 10.0)
+    count = len(flight.link.sent)
+    flight.run(1.0)
+    assert len(flight.link.sent) == count and not flight.link.offboard and clearance(flight) > 0.0
+
+
+def test_a_lidar_that_comes_back_is_flown_with(flight: Simulation):
+    flight.lidar.alive = False
+    assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
+    flight.lidar.alive = True
+    assert flight.run_until(lambda: flight.node.state is State.ARRIVED, 15.0)
+    assert clearance(flight) > 0.1
+
+
+@pytest.mark.parametrize("fault", ["frozen", "dead", "nan"])
+def test_without_states_it_levels_blindly_and_hands_back(flight: Simulation, fault: str):
+    limits, began = flight.node.config.limits, flight.now
+    if fault == "nan":
+        flight.link.spoil = lambda state: dataclasses.replace(state, velocity=np.full(3, np.nan))
+    else:
+        setattr(flight.link, "frozen" if fault == "frozen" else "alive", fault == "frozen")
+    stated = PERIOD if fault == "nan" else limits.state_age + PERIOD
+    flight.run(stated + PERIOD)
+    assert flight.node.state is State.BRAKING and since(flight, began, "BRAKING") <= stated + PERIOD
+    flight.run(limits.state_age + limits.blind_time)
+    assert flight.node.state is State.HANDED_BACK
+    assert since(flight, began, "HANDED_BACK") <= limits.state_age + limits.blind_time + 2 * PERIOD
+    # By dead reckoning alone it has come almost to rest, level; the last command is to hover without turning.
+    np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
+    assert flight.motion.speed < 0.5
+    count = len(flight.link.sent)
+    flight.link.alive, flight.link.frozen, flight.link.spoil = True, False, lambda state: state
+    flight.run(2.0)
+    assert len(flight.link.sent) == count and flight.node.state is State.HANDED_BACK
+
+
+def test_a_short_gap_in_the_states_is_bridged(flight: Simulation):
+    flight.link.alive = False
+    flight.run(0.4)
+    assert flight.node.state is State.BRAKING
+    flight.link.alive = True
+    flight.run(0.3)
+    assert flight.node.state is State.FLYING
+
+
+def test_a_planner_that_pauses_brakes_in_time_and_goes_on(flight: Simulation):
+    began, flight.plan_time = flight.now, 0.5
+    flight.run(0.6)
+    # The newest plan may have been made up to 0.1 s before.
+    assert since(flight, began, "BRAKING") <= flight.node.config.limits.plan_age + 2 * PERIOD
+    flight.plan_time = 0.04
+    assert flight.run_until(lambda: flight.node.state is State.ARRIVED, 15.0)
+    assert clearance(flight) > 0.1
+
+
+def test_a_planner_that_hangs_brakes_in_time_and_hands_back(flight: Simulation):
+    began, flight.planning_alive = flight.now, False
+    flight.run(flight.node.config.limits.plan_age + 2 * PERIOD)
+    assert since(flight, began, "BRAKING") <= flight.node.config.limits.plan_age + 2 * PERIOD
+    assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
+    assert flight.run_until(lambda: flight.node.state is State.HANDED_BACK, 16.0)
+    assert clearance(flight) > 0.0
+
+
+def spoiled(plan: Plan, **changes: Any) -> Plan:
+    return dataclasses.replace(plan, **changes)
+
+
+def test_a_plan_with_nan_is_never_flown(flight: Simulation, caplog: pytest.LogCaptureFixture):
+    flight.planner.spoil = lambda plan: spoiled(plan, controls=np.full_like(plan.controls, np.nan))
+    with caplog.at_level(logging.ERROR):
+        flight.run(0.3)
+    assert "BRAKING" in states(flight) and "the plan is not finite" in caplog.text
+    assert np.isfinite([command for _, command in flight.link.sent]).all()
+    assert flight.node.statistics()["planner_failures"] >= 1
+    flight.planner.spoil = lambda plan: plan
+    flight.run(0.4)
+    assert flight.node.state is State.FLYING
+
+
+def test_a_planner_that_raises_is_a_planner_that_is_late(flight: Simulation, caplog: pytest.LogCaptureFixture):
+    def fail(plan: Plan) -> Plan:
+        raise RuntimeError("CUDA error 700: an illegal memory access was encountered")
+
+    flight.planner.spoil = fail
+    with caplog.at_level(logging.ERROR):
+        flight.run(0.6)
+    assert flight.node.state in (State.BRAKING, State.HOLDING) and "CUDA error 700" in caplog.text
+
+
+def test_where_nothing_is_safe_it_stops_and_waits(flight: Simulation):
+    began = flight.now
+    flight.planner.spoil = lambda plan: spoiled(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
+    flight.run(0.2)
+    assert flight.node.state is State.BRAKING and since(flight, began, "BRAKING") < 0.2
+    assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
+    flight.planner.spoil = lambda plan: plan
+    assert flight.run_until(lambda: flight.node.state is State.ARRIVED, 15.0)
+
+
+def test_the_fence_stops_it(small_planner: Planner):
+    """The way round the first pole leads out of a lane that is too narrow."""
+    lane = {"limits.fence_y_min": -0.3, "limits.fence_y_max": 0.3, "limits.hold_time": 1.0}
+    simulation = Simulation(small_planner, WORLD, GOAL, changes=lane)
+    simulation.engage()
+    assert simulation.run_until(lambda: simulation.node.state is State.BRAKING, 5.0)
+    assert str(simulation.node.changes[-1]).endswith("outside the geofence")
+    assert 0.3 < abs(simulation.motion.position[1]) < 0.3 + 5.0 * 2 * PERIOD
+    assert simulation.run_until(lambda: simulation.node.state is State.HANDED_BACK, 8.0)
+    assert abs(simulation.motion.position[1]) < 2.0
+
+
+def test_the_pilot_takes_over_at_any_time(flight: Simulation):
+    began, flight.link.offboard = flight.now, False
+    flight.run(0.2)
+    # At once silent, then ready to be called again, sending what would stop the drone.
+    assert states(flight)[-2:] == ["WAITING", "READY"] and since(flight, began, "WAITING") <= PERIOD
+    flight.link.offboard = True
+    flight.run(0.1)
+    assert flight.node.state is State.FLYING
+
+
+def test_a_node_that_starts_in_the_air_stays_silent(small_planner: Planner):
+    flight = in_flight(small_planner)
+    again = Simulation(small_planner, WORLD, GOAL)
+    again.motion, again.link.armed, again.link.offboard = (
+        dataclasses.replace(flight.motion, time=again.now), True, True,
+    )  # fmt: skip
+    again.run(3.0)
+    assert not again.link.sent and again.node.state is State.HANDED_BACK and not again.link.offboard
+
+
+# --- the watchdog -----------------------------------------------------------------------------------------------------
+
+
+def test_the_watchdog_brakes_when_the_control_loop_hangs(flight: Simulation, caplog: pytest.LogCaptureFixture):
+    limits, began, count = flight.node.config.limits, flight.now, len(flight.link.sent)
+    flight.control_alive = False
+    with caplog.at_level(logging.ERROR):
+        flight.run(limits.deadline + 2 * PERIOD)
+    assert len(flight.link.sent) > count and flight.link.sent[count][0] - began <= limits.deadline + 2 * PERIOD
+    assert "the control loop has stood still" in caplog.text
+    flight.run(limits.blind_time)
+    assert flight.motion.speed < 1.0  # by dead reckoning alone
+    count = len(flight.link.sent)
+    flight.run(0.3)
+    assert len(flight.link.sent) == count  # and then the autopilot's failsafe
+    assert flight.node.statistics()["watchdog_interventions"] == 1
+
+
+def test_a_control_loop_that_comes_back_brakes_first_and_goes_on(flight: Simulation):
+    flight.control_alive = False
+    flight.run(0.4)
+    flight.control_alive = True
+    flight.run(PERIOD)
+    assert flight.node.state is State.BRAKING and str(flight.node.changes[-1]).endswith("the control loop stood still")
+    flight.run(0.5)
+    assert flight.node.state is State.FLYING
+
+
+def test_the_watchdog_never_speaks_where_the_pilot_flies(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    simulation.run(0.5)
+    assert simulation.node.state is State.READY
+    simulation.control_alive = False
+    count = len(simulation.link.sent)
+    simulation.run(1.0)
+    assert len(simulation.link.sent) == count

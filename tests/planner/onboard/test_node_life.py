@@ -1,0 +1,157 @@
+"""How a node ends, who looks on, and the same with real threads."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from aero_planner import Planner, VehicleState
+from aero_planner.onboard.lidar import PointCounters, PointPacket
+from aero_planner.onboard.link import VehicleSample
+from aero_planner.onboard.node import Node
+from aero_planner.onboard.record import Observer, PlanRecord
+from aero_planner.onboard.safety import Reaction, State
+from aero_planner.onboard.settings import OnboardConfig
+from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, in_flight
+
+
+def test_told_to_end_it_comes_to_rest_and_falls_silent(small_planner: Planner):
+    flight = in_flight(small_planner)
+    flight.node.stop()
+    flight.run(0.1)
+    assert flight.node.state is State.BRAKING and not flight.node.wait(0.0)
+    assert flight.run_until(lambda: flight.node.wait(0.0), 5.0)
+    assert flight.node.state is State.HANDED_BACK and flight.motion.speed < 0.5
+    count = len(flight.link.sent)
+    flight.run(1.0)
+    assert len(flight.link.sent) == count and not flight.link.offboard
+    flight.node.close()
+    assert flight.link.closed and flight.lidar.closed
+
+
+class Faulty(Observer):
+    """Fails at everything, and counts."""
+
+    def __init__(self) -> None:
+        self.calls: dict[str, int] = {}
+
+    def _fail(self, name: str) -> None:
+        self.calls[name] = self.calls.get(name, 0) + 1
+        raise RuntimeError(name)
+
+    def plan(self, record: PlanRecord) -> None:
+        self._fail("plan")
+
+    def change(self, change: object) -> None:
+        self._fail("change")
+
+    def sample(self, sample: VehicleSample) -> None:
+        self._fail("sample")
+
+    def points(self, packet: PointPacket) -> None:
+        self._fail("points")
+
+    def close(self) -> None:
+        self._fail("close")
+
+
+def test_those_who_look_on_cannot_harm(small_planner: Planner):
+    observer = Faulty()
+    simulation = in_flight(small_planner, observers=[observer])
+    simulation.node.close()
+    assert {"plan", "change", "sample", "points", "close"} == set(observer.calls)
+
+
+def test_wrong_arguments_say_what_to_do(small_planner: Planner):
+    with pytest.raises(ValueError, match=r"the goal is .*; it must be three finite numbers"):
+        Simulation(small_planner, WORLD, (1.0, math.nan, 2.0))
+    with pytest.raises(ValueError, match=r"the goal .* lies outside the geofence; correct it or limits\.fence_"):
+        Simulation(small_planner, WORLD, (1.0, 500.0, 2.0))
+    with pytest.raises(ValueError, match="less than the planner's horizon"):
+        Simulation(small_planner, WORLD, GOAL, changes={"limits.plan_age": 1.5})
+
+
+# --- real threads -----------------------------------------------------------------------------------------------------
+
+
+class StandingLink:
+    """A drone that hangs in the air in real time, whatever it is told."""
+
+    def __init__(self) -> None:
+        self.armed = self.offboard = False
+        self.goal = np.array(GOAL)
+        self.many = threading.Event()
+        """Set when twenty commands have come since `count` was zeroed."""
+        self.count = 0
+        self.failing = False
+
+    @property
+    def state(self) -> VehicleSample:
+        now = time.monotonic()
+        state = VehicleState(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), None, now)
+        return VehicleSample(now, state, self.armed, self.offboard, now)
+
+    def poll(self) -> None:
+        if self.failing:
+            raise RuntimeError("the control loop's own mistake")
+
+    def send(self, command: ArrayLike) -> None:
+        self.count += 1
+        if self.count >= 20:
+            self.many.set()
+
+    def wait_for_commands(self) -> bool:
+        self.count = 0
+        self.many.clear()
+        return self.many.wait(20.0)
+
+    def close(self) -> None:
+        pass
+
+
+class StandingLidar:
+    """Sees the world from there."""
+
+    counters = PointCounters()
+
+    def poll(self) -> list[PointPacket]:
+        points = (WORLD[::10] - np.array([0.0, 0.0, 2.0])).astype(np.float32)
+        return [PointPacket(points, np.full(len(points), time.monotonic() - 0.001))]
+
+    def close(self) -> None:
+        pass
+
+
+def test_with_real_threads(small_planner: Planner):
+    small_planner.reset()
+    link = StandingLink()
+    # A shared machine may stand still for a moment: the limits are wide.
+    config = OnboardConfig().replace({"limits.plan_age": 1.0, "limits.cloud_age": 2.0, "limits.state_age": 1.0})
+    node = Node(small_planner, link, StandingLidar(), config)
+    assert node.warm_up() > 0.0
+    node.start()
+    with pytest.raises(RuntimeError, match="already started"):
+        node.start()
+    try:
+        assert link.wait_for_commands()
+        assert node.safety.reaction is Reaction.BRAKE
+        link.armed = link.offboard = True
+        assert link.wait_for_commands()
+        assert any(change.target is State.FLYING for change in node.changes)
+        # A mistake in the control loop itself: the watchdog speaks in its place.
+        link.failing = True
+        assert link.wait_for_commands()
+        assert node.failures > 0 and node.statistics()["watchdog_interventions"] >= 1
+        link.failing = False
+        node.stop()
+        assert node.wait(20.0)
+    finally:
+        node.close()
+    statistics = node.statistics()
+    assert statistics["plans"] > 0 and statistics["control"]["ticks"] > 40
+    assert not any(thread.name.startswith("aero-planner-control") for thread in threading.enumerate())

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aero_planner import Planner
+from aero_planner.onboard.preflight import Check, PreflightReport, check_inputs, preflight
+from aero_planner.onboard.settings import OnboardConfig
+from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
+
+FAST = SMALL.replace({"sampling.samples": 2, "sampling.steps": 8})
+
+
+@pytest.fixture
+def drone(small_planner: Planner) -> Simulation:
+    """A drone whose node does nothing: what it sends is there to be looked at."""
+    simulation = Simulation(small_planner, poles(PLACES), None)
+    simulation.control_alive = simulation.planning_alive = False
+    return simulation
+
+
+def look(drone: Simulation, config: OnboardConfig | None = None, **options) -> dict[str, Check]:
+    checks = check_inputs(
+        drone.link, drone.lidar, config or OnboardConfig(), clock=lambda: drone.now, sleep=drone.run, **options
+    )
+    return {check.name: check for check in checks}
+
+
+def test_a_drone_in_order_passes(drone: Simulation):
+    checks = look(drone, goal=(18.0, 0.0, 2.0))
+    assert all(check.ok for check in checks.values()), checks
+    assert set(checks) == {
+        "vehicle state", "heartbeat", "vehicle mode", "LiDAR", "cloud", "packets", "deskewing", "position", "goal",
+    }  # fmt: skip
+    assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].found
+    assert not drone.link.sent  # nothing is commanded
+
+
+def test_nothing_there_is_told(drone: Simulation):
+    drone.link.alive = drone.lidar.alive = False
+    checks = look(drone)
+    assert checks["vehicle state"].found == checks["LiDAR"].found == "nothing arrived"
+    assert not checks["vehicle state"].ok and "mavlink.url" in checks["vehicle state"].advice
+    assert not checks["LiDAR"].ok and "lidar.port" in checks["LiDAR"].advice
+    assert not checks["goal"].ok and not checks["goal"].required
+
+
+def test_what_is_wrong_is_named(drone: Simulation):
+    drone.link.armed = True
+    drone.lidar.counters.lost = 50
+    checks = look(drone, goal=(500.0, 0.0, 2.0))
+    assert [name for name, check in checks.items() if not check.ok] == ["vehicle mode", "packets", "goal"]
+
+    drone.link.armed, drone.lidar.counters.lost = False, 0
+    drone.motion = dataclasses.replace(drone.motion, position=np.array([0.0, 200.0, 0.0]))
+    drone.link.goal = np.array([1.0, 0.0, 2.0])
+    checks = look(drone)
+    failed = [name for name, check in checks.items() if not check.ok]
+    assert "position" in failed and "goal" not in failed  # on the ground, but outside; the goal came over the link
+
+
+def test_states_that_are_late_or_seldom_fail(drone: Simulation):
+    drone.state_delay = 0.4
+    checks = look(drone)
+    assert not checks["vehicle state"].ok and "They are late" in checks["vehicle state"].advice
+    assert checks["deskewing"].ok  # later poses place the points that waited
+
+    drone.state_delay, drone.link.frozen = 0.0, True
+    checks = look(drone)
+    assert not checks["vehicle state"].ok and checks["vehicle state"].found.startswith("0 per second")
+    assert "raise the autopilot's rate" in checks["vehicle state"].advice
+
+
+def test_the_whole_list(tmp_path: Path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    config = OnboardConfig().replace(
+        {"lidar.port": 0, "lidar.points_max": 2000, "mavlink.url": f"udpin:127.0.0.1:{port}", "telemetry.port": 0}
+    )
+    report = preflight(FAST, config, log=tmp_path, listen=0.1)
+    found = {check.name: check for check in report.checks}
+    failed = [check.name for check in report.checks if not check.ok and check.required]
+    assert failed == ["vehicle state", "LiDAR"] and not report.passed
+    assert found["warp-lang"].ok and found["pymavlink"].ok and found["mcap"].ok
+    assert "plans 2000 points in" in found["device cpu"].found
+    assert str(tmp_path) in found["disk for the log"].found and found["hover thrust"].ok
+    content = json.loads(json.dumps(report.to_json()))
+    assert content["passed"] is False and len(content["checks"]) == len(report.checks)
+    table = report.format_table()
+    assert table.count("FAIL") == 2 and "-> Check the cable" in table and table.endswith("see above.")
+
+
+def test_what_fails_before_anything_is_heard(tmp_path: Path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken, socket.create_server(("127.0.0.1", 0)) as viewer:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        config = OnboardConfig().replace(
+            {
+                "lidar.host": "127.0.0.1",
+                "lidar.port": port,
+                "lidar.points_max": 2000,
+                "mavlink.url": f"udpin:127.0.0.1:{port}",
+                "telemetry.port": viewer.getsockname()[1],
+                "thrust.hover_thrust": 0.8,
+                "limits.plan_age": 0.5,
+            }
+        )
+        report = preflight(FAST, config, device="cuda:7", log=tmp_path / "absent" / "a.mcap", listen=0.1)
+    found = {check.name: check for check in report.checks}
+    for name in ("configuration", "device cuda:7", "hover thrust", "autopilot port", "LiDAR port", "disk for the log"):
+        assert not found[name].ok and found[name].required, name
+    assert "the planner's horizon" in found["configuration"].found
+    assert "vehicle.thrust_max" in found["hover thrust"].advice
+    assert "lidar.port" in found["LiDAR port"].found and "in use" in found["LiDAR port"].found
+    assert not found["telemetry port"].ok and not found["telemetry port"].required
+    assert "vehicle state" not in found
+
+
+def test_a_report_passes_when_all_that_is_required_does():
+    good, warning = Check("a", "yes"), Check("b", "no", False, "Do it.", required=False)
+    assert PreflightReport((good, warning)).passed
+    assert "warn  b  no" in PreflightReport((good, warning)).format_table()
+    assert not PreflightReport((good, dataclasses.replace(warning, required=True))).passed

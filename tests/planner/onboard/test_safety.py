@@ -1,0 +1,363 @@
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from aero_planner import PlanStatus
+from aero_planner.onboard.safety import (
+    BLINDING,
+    COMMANDING,
+    DETECTION,
+    FAULTS,
+    HARMLESS_AT_REST,
+    REACTIONS,
+    TRANSITIONS,
+    Cause,
+    Inputs,
+    Reaction,
+    Safety,
+    State,
+    holds,
+    inside_fence,
+    next_state,
+)
+from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
+from aero_planner.onboard.settings import LimitSettings, OnboardConfig
+
+LIMITS = LimitSettings()
+PERIOD = 0.02
+DOCS = Path(__file__).parents[3] / "docs" / "onboard.md"
+
+WELL = Inputs(
+    armed=True,
+    offboard=True,
+    state_age=0.01,
+    heartbeat_age=0.5,
+    cloud_age=0.05,
+    plan_age=0.05,
+    plan_status=PlanStatus.OK,
+    state_finite=True,
+    plan_finite=True,
+    inside_fence=True,
+    overrun=False,
+    speed=3.0,
+    goal_distance=20.0,
+)
+
+# What breaks, and how it looks to the machine. Ages: just beyond their limit, or NaN, or far beyond.
+BREAKS: dict[str, dict[str, object]] = {
+    "link": {"heartbeat_age": LIMITS.heartbeat_age + 0.1},
+    "link gone": {"heartbeat_age": math.inf},
+    "state": {"state_age": LIMITS.state_age + 0.01},
+    "state gone": {"state_age": LIMITS.state_age + LIMITS.blind_time + 0.01},
+    "state age unknown": {"state_age": math.nan},
+    "state not finite": {"state_finite": False, "speed": math.nan, "goal_distance": math.nan},
+    "fence": {"inside_fence": False},
+    "overrun": {"overrun": True},
+    "cloud": {"cloud_age": math.inf},
+    "cloud age unknown": {"cloud_age": math.nan},
+    "plan": {"plan_age": LIMITS.plan_age + 0.01},
+    "no plan": {"plan_age": math.inf},
+    "plan not finite": {"plan_finite": False},
+    "unsafe": {"plan_status": PlanStatus.NO_SAFE_CANDIDATE},
+    "stale for the planner": {"plan_status": PlanStatus.STALE_CLOUD},
+}
+
+
+def every_input() -> Iterator[Inputs]:
+    """All inputs with at most two things broken, in every mode, at rest and not, in time and not."""
+    broken = [(), *itertools.combinations(BREAKS, 1), *itertools.combinations(BREAKS, 2)]
+    for names in broken:
+        base = WELL
+        for name in names:
+            base = dataclasses.replace(base, **BREAKS[name])  # type: ignore[arg-type]
+        for armed, offboard, stopping, seen, slow, near, long in itertools.product((True, False), repeat=7):
+            yield dataclasses.replace(
+                base,
+                armed=armed,
+                offboard=offboard,
+                stopping=stopping,
+                seen_disarmed=seen or not armed,
+                speed=0.1 if slow and not math.isnan(base.speed) else base.speed,
+                goal_distance=0.2 if near and not math.isnan(base.goal_distance) else base.goal_distance,
+                state_time=100.0 if long else 0.1,
+                fault_time=100.0 if long else 0.1,
+            )
+
+
+ALL_INPUTS = tuple(every_input())
+
+
+def is_well(inputs: Inputs) -> bool:
+    """Whether nothing stands against flying a plan, said once more and otherwise than the machine says it."""
+    ages = (
+        (inputs.heartbeat_age, LIMITS.heartbeat_age), (inputs.state_age, LIMITS.state_age),
+        (inputs.cloud_age, LIMITS.cloud_age), (inputs.plan_age, LIMITS.plan_age),
+    )  # fmt: skip
+    fresh = all(age <= limit for age, limit in ages)  # which NaN is not
+    right = inputs.state_finite and inputs.plan_finite and inputs.inside_fence and inputs.plan_status is PlanStatus.OK
+    return fresh and right and not inputs.overrun and not inputs.stopping
+
+
+def check_one_step(state: State, inputs: Inputs, target: State) -> None:
+    """The invariants that hold at every single step, whatever came before."""
+    reaction, ours, well = REACTIONS[target], inputs.armed and inputs.offboard, is_well(inputs)
+    if not ours:
+        # Outside OFFBOARD nothing is sent, save the neutral stream that PX4 wants before it, and only if all is well.
+        assert reaction is Reaction.SILENT or (target is State.READY and reaction is Reaction.BRAKE and well)
+    if reaction is Reaction.STREAM_PLAN:
+        assert ours and well
+    if target is State.READY:
+        assert well and not ours  # who finds himself in OFFBOARD unawares begins nothing
+    if reaction is Reaction.HOLD and target is State.HOLDING:
+        assert not any(holds(fault, inputs, LIMITS) for fault in BLINDING)
+    if state is State.HANDED_BACK:
+        assert target is State.HANDED_BACK or not inputs.armed
+    if target in COMMANDING and state not in COMMANDING:
+        assert state is State.READY and ours and well and inputs.seen_disarmed
+
+
+@pytest.mark.parametrize("state", State, ids=lambda state: state.name)
+def test_invariants_hold_for_every_input(state: State):
+    for inputs in ALL_INPUTS:
+        check_one_step(state, inputs, next_state(state, inputs, LIMITS)[0])
+
+
+def test_every_row_can_be_taken_and_every_cause_is_used():
+    taken = set()
+    for state, inputs in itertools.product(State, ALL_INPUTS):
+        for row in TRANSITIONS:
+            if state in row.sources and holds(row.cause, inputs, LIMITS):
+                taken.add(row)
+                break
+    assert taken == set(TRANSITIONS)
+    assert {row.cause for row in TRANSITIONS} == set(Cause)
+    assert set(DETECTION) >= set(FAULTS) and set(REACTIONS) == set(State)
+
+
+def test_no_state_is_a_dead_end():
+    """With a pilot who lands, disarms and tries again, and nothing broken, every state leads to FLYING."""
+    patient = dataclasses.replace(WELL, armed=False, offboard=False), dataclasses.replace(WELL, offboard=False), WELL
+    for start in State:
+        state = start
+        for inputs in patient:
+            for _ in range(3):
+                state, _ = next_state(state, inputs, LIMITS)
+        assert state is State.FLYING, start
+
+
+def test_whatever_stays_broken_ends_in_silence_or_rest():
+    """From every state and for every input that persists: no endless chain of transitions, and no flight."""
+    for state, inputs in itertools.product(State, ALL_INPUTS):
+        chain = [state]
+        while (target := next_state(chain[-1], inputs, LIMITS)[0]) is not chain[-1]:
+            chain.append(target)
+            assert len(chain) < 8, (chain, inputs)
+        broken = any(holds(fault, inputs, LIMITS) for fault in FAULTS)
+        if broken:
+            assert REACTIONS[chain[-1]] is not Reaction.STREAM_PLAN
+        if broken and inputs.fault_time > LIMITS.brake_time + LIMITS.hold_time:
+            faults = {fault for fault in FAULTS if holds(fault, inputs, LIMITS)}
+            resting = chain[-1] is State.ARRIVED and faults <= set(HARMLESS_AT_REST)
+            assert REACTIONS[chain[-1]] is Reaction.SILENT or resting
+
+
+SOURCES: tuple[str, ...] = ("link", "state", "cloud", "plan", "fence", "status", "nan state", "nan plan", "overrun")
+"""Things that can be broken for a while."""
+CAUSES = {
+    "link": Cause.LINK_LOST, "state": Cause.STATE_STALE, "cloud": Cause.CLOUD_STALE, "plan": Cause.PLAN_STALE,
+    "fence": Cause.FENCE, "status": Cause.UNSAFE, "nan state": Cause.STATE_NOT_FINITE,
+    "nan plan": Cause.PLAN_NOT_FINITE, "overrun": Cause.OVERRUN,
+}  # fmt: skip
+
+segments = st.lists(
+    st.tuples(
+        st.floats(0.02, 6.0),
+        st.frozensets(st.sampled_from(SOURCES), max_size=3),
+        st.sampled_from(("offboard", "offboard", "offboard", "armed", "disarmed")),
+        st.floats(0.0, 8.0),
+    ),
+    min_size=1,
+    max_size=6,
+)
+
+
+class World:
+    """A vehicle and its pilot over time, as the machine sees them."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.safety = Safety(LIMITS)
+        self.fresh: dict[str, float] = dict.fromkeys(SOURCES, 0.0)
+        """When each thing was last in order."""
+
+    def step(self, broken: frozenset[str], mode: str, speed: float) -> Reaction:
+        self.now += PERIOD
+        for name in SOURCES:
+            if name not in broken:
+                self.fresh[name] = self.now
+        age = {name: self.now - time for name, time in self.fresh.items()}
+        return self.safety.step(
+            self.now,
+            dataclasses.replace(
+                WELL,
+                armed=mode != "disarmed",
+                offboard=mode == "offboard",
+                heartbeat_age=age["link"],
+                state_age=max(age["state"], age["nan state"]),
+                cloud_age=age["cloud"],
+                plan_age=max(age["plan"], age["nan plan"]),
+                plan_status=PlanStatus.NO_SAFE_CANDIDATE if "status" in broken else PlanStatus.OK,
+                state_finite="nan state" not in broken,
+                plan_finite="nan plan" not in broken,
+                inside_fence="fence" not in broken,
+                overrun="overrun" in broken,
+                speed=speed,
+            ),
+        )
+
+    def broken_for(self, name: str) -> float:
+        return self.now - self.fresh[name]
+
+
+@settings(max_examples=150, deadline=None)
+@given(segments)
+def test_reactions_come_in_time_whatever_breaks_when(plan: list[tuple[float, frozenset[str], str, float]]):
+    world = World()
+    for _ in range(5):
+        world.step(frozenset(), "disarmed", 0.0)
+    for _ in range(5):
+        world.step(frozenset(), "armed", 0.0)
+    assert world.step(frozenset(), "offboard", 0.0) is Reaction.STREAM_PLAN
+    config = OnboardConfig()
+    since_flying = 0.0
+    for duration, broken, mode, speed in plan:
+        for _ in range(round(duration / PERIOD)):
+            before = world.safety.state
+            reaction = world.step(broken, mode, speed)
+            assert world.safety.inputs is not None
+            check_one_step(before, world.safety.inputs, world.safety.state)
+            for name in broken:
+                stated = sum(float(config.get(path)) for path in DETECTION[CAUSES[name]])
+                if world.broken_for(name) > stated + PERIOD:
+                    assert reaction is not Reaction.STREAM_PLAN, name
+            blind = max(world.broken_for("state"), world.broken_for("nan state"))
+            if blind > LIMITS.state_age + LIMITS.blind_time + 2 * PERIOD:
+                assert reaction is Reaction.SILENT
+            flying = world.safety.state in (State.FLYING, State.ARRIVED)
+            since_flying = 0.0 if flying else since_flying + PERIOD
+            if since_flying > LIMITS.brake_time + LIMITS.hold_time + 3 * PERIOD and mode == "offboard":
+                assert reaction is Reaction.SILENT or world.safety.state is State.READY
+
+
+def run(safety: Safety, inputs: Inputs, seconds: float, start: float) -> float:
+    for _ in range(round(seconds / PERIOD)):
+        start += PERIOD
+        safety.step(start, inputs)
+    return start
+
+
+def flying() -> tuple[Safety, float]:
+    safety = Safety(LIMITS)
+    now = run(safety, dataclasses.replace(WELL, armed=False, offboard=False), 0.1, 0.0)
+    now = run(safety, WELL, 0.1, now)
+    assert safety.state is State.FLYING
+    return safety, now
+
+
+def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
+    changes = []
+    safety = Safety(LIMITS, on_change=changes.append)
+    ground = dataclasses.replace(WELL, armed=False, offboard=False)
+    now = run(safety, dataclasses.replace(ground, inside_fence=False), 0.1, 0.0)
+    assert safety.state is State.WAITING and safety.missing() == (Cause.FENCE,)
+    now = run(safety, dataclasses.replace(ground, armed=True), 0.1, now)
+    assert safety.state is State.READY and safety.reaction is Reaction.BRAKE
+    now = run(safety, WELL, 0.1, now)
+    now = run(safety, dataclasses.replace(WELL, goal_distance=0.3), 60.0, now)
+    assert safety.state is State.ARRIVED and safety.reaction is Reaction.HOLD
+    now = run(safety, dataclasses.replace(WELL, goal_distance=0.8), 0.1, now)
+    assert safety.state is State.ARRIVED  # a little drift is no new goal
+    now = run(safety, WELL, 0.1, now)
+    assert safety.state is State.FLYING
+    run(safety, dataclasses.replace(WELL, offboard=False), 0.02, now)
+    assert [change.target.name for change in changes] == [
+        "READY", "FLYING", "ARRIVED", "FLYING", "WAITING",
+    ]  # fmt: skip
+    assert str(changes[-1]) == "FLYING -> WAITING: the vehicle is disarmed or has left OFFBOARD"
+
+
+def test_a_drone_that_is_armed_when_the_node_starts_is_left_alone():
+    safety = Safety(LIMITS)
+    now = run(safety, dataclasses.replace(WELL, offboard=False), 1.0, 0.0)
+    now = run(safety, WELL, 1.0, now)
+    assert safety.state is State.HANDED_BACK and safety.reaction is Reaction.SILENT
+    now = run(safety, dataclasses.replace(WELL, armed=False, offboard=False), 0.1, now)
+    run(safety, WELL, 0.1, now)
+    assert safety.state is State.FLYING
+
+    joining = Safety(dataclasses.replace(LIMITS, join_armed=True))
+    now = run(joining, dataclasses.replace(WELL, offboard=False), 0.1, 0.0)
+    run(joining, WELL, 0.1, now)
+    assert joining.state is State.FLYING
+
+
+def test_before_the_first_heartbeat_nobody_was_seen_disarmed():
+    safety = Safety(LIMITS)
+    unknown = dataclasses.replace(WELL, armed=False, offboard=False, heartbeat_age=math.inf)
+    now = run(safety, unknown, 1.0, 0.0)
+    run(safety, WELL, 0.1, now)
+    assert safety.state is State.HANDED_BACK
+
+
+def test_a_lost_way_is_waited_for_and_then_handed_back_until_disarmed():
+    safety, now = flying()
+    stuck = dataclasses.replace(WELL, plan_status=PlanStatus.NO_SAFE_CANDIDATE)
+    now = run(safety, stuck, 1.0, now)
+    assert safety.state is State.BRAKING
+    stuck = dataclasses.replace(stuck, speed=0.1)
+    now = run(safety, stuck, 1.0, now)
+    assert safety.state is State.HOLDING
+    now = run(safety, WELL, 0.02, now)
+    assert safety.state is State.FLYING  # a way is found
+    now = run(safety, stuck, LIMITS.brake_time + LIMITS.hold_time - 0.1, now)
+    assert safety.state is State.HOLDING
+    now = run(safety, stuck, 0.3, now)
+    assert safety.state is State.HANDED_BACK
+    now = run(safety, dataclasses.replace(WELL, offboard=False), 5.0, now)
+    now = run(safety, WELL, 5.0, now)
+    assert safety.state is State.HANDED_BACK  # PX4 may return to OFFBOARD by itself: that starts nothing
+
+
+def test_telling_the_node_to_end_brakes_first():
+    safety, now = flying()
+    now = run(safety, dataclasses.replace(WELL, stopping=True), 1.0, now)
+    assert safety.state is State.BRAKING
+    run(safety, dataclasses.replace(WELL, stopping=True, speed=0.1), 0.1, now)
+    assert safety.state is State.HANDED_BACK
+    safety, now = flying()
+    run(safety, dataclasses.replace(WELL, stopping=True), LIMITS.brake_time + 0.1, now)
+    assert safety.state is State.HANDED_BACK  # though it never came to rest
+
+
+def test_the_fence_is_a_cylinder_and_a_box():
+    limits = dataclasses.replace(LIMITS, fence_radius=10.0, fence_x_max=5.0, fence_y_min=-2.0)
+    assert inside_fence((0.0, 0.0, 1.0), limits) and inside_fence((-9.9, 0.0, 30.0), limits)
+    outside = [(6.0, 0, 1), (0, -2.1, 1), (-10.1, 0, 1), (-8, 8, 1), (0, 0, 0.2), (0, 0, 30.1), (math.nan, 0, 1)]
+    assert not any(inside_fence(np.array(place), limits) for place in outside)
+
+
+def test_the_documentation_shows_the_table_that_is_flown():
+    text = DOCS.read_text(encoding="utf-8")
+    assert f"```mermaid\n{format_diagram()}\n```" in text
+    assert f"\n{format_states()}\n" in text and f"\n{format_failsafes()}\n" in text
+    for state in State:
+        assert state.name in format_diagram()

@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_planner.cli import main
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.settings_file import load_flight_config
+
+Outcome = tuple[int, str, str]
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    """Run the command line here; returns exit code, output and errors."""
+
+    def run(*arguments: str) -> Outcome:
+        try:
+            code = main(arguments)
+        except SystemExit as end:  # argparse's own
+            code = int(end.code or 0)
+        output = capsys.readouterr()
+        return code, output.out, output.err
+
+    return run
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def flight_file(tmp_path: Path) -> Path:
+    """A configuration whose ports nobody uses, and a planner that is quick."""
+    path = tmp_path / "flight.yaml"
+    path.write_text(
+        "sampling:\n  samples: 4\nonboard:\n  lidar:\n    host: 127.0.0.1\n"
+        f"    port: {free_port()}\n    points_max: 2000\n  mavlink:\n    url: 'udpin:127.0.0.1:{free_port()}'\n"
+        "  telemetry:\n    port: 0\n"
+    )
+    return path
+
+
+def test_import_is_light_and_leaves_cuda_alone():
+    script = (
+        "import sys, aero_planner, aero_planner.cli, warp\n"
+        "context = sys.modules.get('warp._src.context') or warp.context\n"
+        "assert context.runtime is None, 'Warp was initialised, which looks for GPUs'\n"
+        "print(sorted(name for name in ('pymavlink', 'mcap', 'yaml', 'aero_viz', 'concurrent.futures.process', "
+        "'aero_planner.onboard.node') if name in sys.modules))\n"
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert result.stdout == "[]\n" and result.stderr == ""
+
+
+def test_help_lists_the_verbs(call: Callable[..., Outcome]):
+    code, out, _ = call("--help")
+    assert code == 0 and all(verb in out for verb in ("run", "preflight", "config"))
+    code, out, _ = call("run", "--help")
+    assert code == 0 and "Never arms and never changes the mode" in " ".join(out.split())
+    code, out, _ = call("--version")
+    assert code == 0 and re.fullmatch(r"aero-planner \S+\n", out)
+    code, out, _ = call()
+    assert code == 2 and "usage" in out
+
+
+def test_the_module_is_the_command(flight_file: Path):
+    command = [sys.executable, "-m", "aero_planner", "config", "validate", str(flight_file)]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert (result.returncode, result.stdout) == (0, f"{flight_file} is valid\n")
+
+
+def test_what_is_shown_reads_back(call: Callable[..., Outcome], tmp_path: Path, flight_file: Path):
+    for arguments in (("--config", "paper"), ("--config", str(flight_file)), ()):
+        code, out, _ = call("config", "show", *arguments)
+        assert code == 0
+        path = tmp_path / "shown.yaml"
+        path.write_text(out)
+        planner, onboard = load_flight_config(path)
+        if "paper" in arguments:
+            assert (planner, onboard) == (PlannerConfig.preset("paper"), OnboardConfig())
+        elif arguments:
+            assert planner.sampling.samples == 4 and onboard.telemetry.port == 0
+
+
+def test_settings_from_a_file_of_their_own(call: Callable[..., Outcome], tmp_path: Path, flight_file: Path):
+    own = tmp_path / "node.yaml"
+    own.write_text("rates:\n  replan: 33\n")
+    _, out, _ = call("config", "show", "--config", str(flight_file), "--onboard", str(own))
+    assert "replan: 33.0" in out and "samples: 4" in out
+    assert call("config", "validate", str(own))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["rnu"], "there is no verb 'rnu' (did you mean 'run'?)"),
+        (["run", "--config", "papr"], "'papr' is neither a preset (did you mean 'paper'?) nor a file"),
+        (["run", "--config", "{bad}"], "bad.yaml, line 3: limits.plan_age is 9; it must be a number in [0.05, 2] s."),
+        (["preflight", "--config", "{bad}"], "bad.yaml, line 3"),
+        (["preflight", "--listen", "0"], "--listen is 0; it must be in [0.1, 600] s."),
+        (["config", "validate", "{absent}"], "absent.yaml can't be read: No such file"),
+        (["config", "validate", "{unfit}"], "it must be less than the planner's horizon"),
+        (["run", "--onboard", "{absent}"], "absent.yaml can't be read"),
+        (["run", "--config", "{flight}", "--device", "cuda:9"], "device 'cuda:9' is not available"),
+        (["run", "--config", "{flight}", "--threads", "0"], "threads is 0"),
+        (["run", "--config", "{flight}", "--goal", "1", "nan", "2"], "the goal is [1.0, nan, 2.0]"),
+        (["run", "--config", "{flight}", "--log", "{absent}/a.mcap"], "can't be written: No such file"),
+        (["run", "--config", "{taken}"], "the LiDAR's UDP port 127.0.0.1:"),
+        (["run", "--config", "{serial}"], "the autopilot's connection /dev/absent (mavlink.url) can't be opened"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(
+    call: Callable[..., Outcome], tmp_path: Path, flight_file: Path, arguments: list[str], problem: str
+):
+    (tmp_path / "bad.yaml").write_text("onboard:\n  limits:\n    plan_age: 9\n")
+    (tmp_path / "unfit.yaml").write_text("sampling:\n  steps: 4\n")
+    (tmp_path / "serial.yaml").write_text("onboard:\n  mavlink:\n    url: /dev/absent\n")
+    names = {name: tmp_path / f"{name}.yaml" for name in ("bad", "absent", "unfit", "serial", "taken")}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        own = f"    port: {taken.getsockname()[1]}\n"
+        names["taken"].write_text(re.sub(r"    port: [1-9]\d*\n", own, flight_file.read_text()))
+        code, _, err = call(*(part.format(flight=flight_file, **names) for part in arguments))
+    lines = [line for line in err.splitlines() if line.startswith("aero-planner: ")]
+    assert code == 2 and len(lines) == 1 and problem in lines[0] and "Traceback" not in err
+
+
+def test_preflight_prints_a_table_or_json(call: Callable[..., Outcome], flight_file: Path):
+    code, out, _ = call("preflight", "--config", str(flight_file), "--listen", "0.1")
+    assert code == 2 and "FAIL  vehicle state" in out and "NOT ready to fly" in out
+    code, out, _ = call("preflight", "--config", str(flight_file), "--listen", "0.1", "--json")
+    content = json.loads(out)
+    assert code == 2 and content["passed"] is False
+    assert {check["name"] for check in content["checks"] if not check["ok"]} >= {"vehicle state", "LiDAR"}
+
+
+@pytest.fixture
+def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installed package that adds verbs."""
+    (tmp_path / "other_verbs.py").write_text(
+        "def swim(arguments):\n    print('swims', *arguments)\n    return 7\n\n\ndef rest(arguments):\n    pass\n"
+    )
+    folder = tmp_path / "other_verbs-1.0.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: other-verbs\nVersion: 1.0\n")
+    (folder / "entry_points.txt").write_text(
+        "[aero_planner.commands]\nswim = other_verbs:swim\nrest = other_verbs:rest\nbroken = absent_module:main\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+def test_other_packages_add_verbs(call: Callable[..., Outcome], other_package: None):
+    assert call("swim", "--far", "3") == (7, "swims --far 3\n", "")
+    assert call("rest")[0] == 0
+    code, _, err = call("broken")
+    assert code == 2 and err.startswith("aero-planner: No module named 'absent_module'")
+    assert "swim" in call("--help")[1] and "(did you mean 'swim'?)" in call("swmi")[2]
+
+
+def test_a_node_starts_waits_and_ends(flight_file: Path, tmp_path: Path):
+    command = [sys.executable, "-m", "aero_planner", "run", "--config", str(flight_file), "--goal", "5", "0", "2"]
+    command += ["--log", str(tmp_path), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None and process.stdout is not None
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if "waiting for states, points and a goal" in line:
+                process.send_signal(signal.SIGTERM)
+        statistics = json.loads(process.stdout.read())
+        assert process.wait(30.0) == 0
+    text = "".join(lines)
+    assert "viewers may connect to 127.0.0.1:" in text and "silent: the autopilot has the drone" in text
+    assert statistics["state"] == "WAITING" and statistics["commands_sent"] == 0
+    logs = [name for name in os.listdir(tmp_path) if name.startswith("flight_") and name.endswith(".mcap")]
+    assert len(logs) == 1 and (tmp_path / logs[0]).stat().st_size > 1000
