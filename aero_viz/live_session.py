@@ -1,0 +1,261 @@
+"""A drone that flies elsewhere, as a session for the dashboard."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, Literal
+
+import numpy as np
+
+from aero_planner import PlannerConfig
+from aero_viz.connect import READ_ONLY, LiveSource, NodeClient
+from aero_viz.errors import UserError
+from aero_viz.frame import Frame, Notice
+from aero_viz.sinks import Publisher, Sink
+
+__all__ = ["LiveSession"]
+
+_log = logging.getLogger(__name__)
+
+_KEPT = 300
+"""Frames that can be returned to while paused: half a minute at 10 Hz."""
+_RETRY = 1.0
+"""Time between two attempts to connect again [s]."""
+
+
+class LiveSession:
+    """A drone in the place of `aero_viz.session.Session`, for the dashboard: looks on, and can hold still and go back.
+
+    Args:
+        client: the connection; closed with the session. When it ends, another is tried every second.
+        reconnect: makes another connection; None stays with the first.
+    """
+
+    def __init__(self, client: NodeClient, *, reconnect: Callable[[], NodeClient] | None = None) -> None:
+        self._client = client
+        self._reconnect = reconnect
+        self._frames, self._notices, self._states = Publisher(), Publisher(), Publisher()
+        self._kept: deque[Frame] = deque(maxlen=_KEPT)
+        self._shown: Frame | None = None
+        self._epoch = 0
+        self._playing = True
+        self._closed = threading.Event()
+        self._lock = threading.RLock()
+        self._thread = threading.Thread(target=self._run, name="aero-viz-live", daemon=True)
+
+    # --- what anyone may read ---------------------------------------------------------------------------------------
+
+    @property
+    def frame(self) -> Frame | None:
+        """The frame to be shown."""
+        return self._shown
+
+    @property
+    def source(self) -> LiveSource:
+        """What is known of the drone."""
+        shown = self._shown
+        if shown is not None:
+            return shown.source  # type: ignore[return-value]
+        return LiveSource(self._client.name, 1.0 / self._client.onboard.rates.replan, np.zeros(3))
+
+    @property
+    def config(self) -> PlannerConfig:
+        """The configuration that the drone flies with."""
+        return self._client.config
+
+    @property
+    def playing(self) -> bool:
+        """Whether the page follows the drone."""
+        return self._playing
+
+    @property
+    def speed(self) -> float:
+        """A drone's time is everyone's."""
+        return 1.0
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time that `seek` can reach [s]."""
+        with self._lock:
+            return (self._kept[0].time, self._kept[-1].time) if self._kept else (0.0, 0.0)
+
+    # --- sinks ------------------------------------------------------------------------------------------------------
+
+    def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink:
+        """Call `callback` with the newest frame, from a thread of its own; see `Session.subscribe`."""
+        sink = self._frames.subscribe(callback, capacity=256 if every else 1, name=name)
+        if self._shown is not None:
+            sink.put(self._shown)
+        return sink
+
+    def subscribe_notices(self, callback: Callable[[Notice], None]) -> Sink:
+        """Call `callback` with each notice, from a thread of its own."""
+        return self._notices.subscribe(callback, capacity=64, name="notices")
+
+    def subscribe_playing(self, callback: Callable[[bool], None]) -> Sink:
+        """Call `callback` with `playing`, now and whenever it changes, from a thread of its own."""
+        sink = self._states.subscribe(callback, capacity=64, name="playing")
+        sink.put(self._playing)
+        return sink
+
+    def unsubscribe(self, sink: Sink) -> None:
+        """Close a sink and forget it."""
+        for publisher in (self._frames, self._notices, self._states):
+            publisher.unsubscribe(sink)
+
+    def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
+        """Send a notice to everyone."""
+        self._notices.publish(Notice(level, text))
+
+    # --- what the page may do ---------------------------------------------------------------------------------------
+
+    def play(self) -> None:
+        """Follow the drone again."""
+        with self._lock:
+            self._set_playing(True)
+            if self._kept:
+                self._jump_to(self._kept[-1])
+
+    def pause(self) -> None:
+        """Hold the picture; the drone flies on."""
+        with self._lock:
+            self._set_playing(False)
+
+    def step(self, count: int = 1) -> Future[Any]:
+        """Hold the picture and go `count` frames on, or back when negative, within the last half minute."""
+        with self._lock:
+            self._set_playing(False)
+            shown = self._shown
+            indices = [frame.index for frame in self._kept]
+            if shown is not None and indices:
+                now = indices.index(shown.index) if shown.index in indices else 0
+                self._jump_to(self._kept[min(max(now + count, 0), len(indices) - 1)])
+        return _done()
+
+    def seek(self, time: float) -> Future[Any]:
+        """Show the frame at or before `time` [s], or the oldest that is kept."""
+        with self._lock:
+            earlier = [frame for frame in self._kept if frame.time <= time + 1e-9]
+            if self._kept:
+                self._jump_to(earlier[-1] if earlier else self._kept[0])
+        return _done()
+
+    def set_samples(self, wanted: bool) -> Future[Any]:
+        """Samples stay on the drone."""
+        if wanted:
+            self.notify("The drone does not send its samples: they would fill the link.")
+        return _done()
+
+    def set_speed(self, speed: float) -> None:
+        """A drone's time can't be changed."""
+        self.notify("The drone flies in its own time; pause, and step or go back, to look closer.", level="error")
+
+    def set_goal(self, position: Any, *, quiet: bool = False) -> Future[Any]:
+        """The goal is the drone's; see `Session.set_goal`."""
+        return self._refuse(quiet=quiet)
+
+    def set_source(self, source: Any) -> Future[Any]:
+        """There is no other source than the drone."""
+        return self._refuse()
+
+    def configure(self, change: Any) -> PlannerConfig:
+        """The settings are the drone's.
+
+        Raises:
+            UserError: always.
+        """
+        raise UserError(READ_ONLY)
+
+    def undo(self) -> PlannerConfig:
+        """See `configure`."""
+        raise UserError(READ_ONLY)
+
+    def redo(self) -> PlannerConfig:
+        """See `configure`."""
+        raise UserError(READ_ONLY)
+
+    def _refuse(self, *, quiet: bool = False) -> Future[Any]:
+        if not quiet:
+            self.notify(READ_ONLY, level="error")
+        future: Future[Any] = Future()
+        future.set_exception(UserError(READ_ONLY))
+        return future
+
+    def _set_playing(self, playing: bool) -> None:
+        if playing != self._playing:
+            self._playing = playing
+            self._states.publish(playing)
+
+    def _jump_to(self, frame: Frame) -> None:
+        self._epoch += 1
+        self._show(frame)
+
+    def _show(self, frame: Frame) -> None:
+        self._shown = dataclasses.replace(frame, epoch=self._epoch)
+        self._frames.publish(self._shown)
+
+    # --- listening --------------------------------------------------------------------------------------------------
+
+    def start(self, *, play: bool = True) -> None:
+        """Start to listen."""
+        self._set_playing(play)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            try:
+                for item in self._client:
+                    self._take(item)
+                reason = "the connection has ended"
+            except UserError as error:
+                reason = str(error)
+            self._client.close()
+            if self._closed.is_set():
+                return
+            _log.warning("%s: %s", self._client.name, reason)
+            self.notify(f"The drone is out of sight: {reason}", level="error")
+            if self._reconnect is None or not self._find_again():
+                return
+
+    def _find_again(self) -> bool:
+        assert self._reconnect is not None
+        while not self._closed.wait(_RETRY):
+            with contextlib.suppress(UserError):
+                client = self._reconnect()
+                with self._lock:
+                    self._client = client
+                    self._kept.clear()
+                    self._epoch += 1
+                self.notify("The drone is in sight again.")
+                return True
+        return False
+
+    def _take(self, item: Frame | Notice) -> None:
+        if isinstance(item, Notice):
+            self._notices.publish(item)
+            return
+        with self._lock:
+            self._kept.append(item)
+            if self._playing or self._shown is None:
+                self._show(item)
+
+    def close(self) -> None:
+        """End the connection and the sinks."""
+        self._closed.set()
+        self._client.close()
+        if self._thread.is_alive():
+            self._thread.join(timeout=5.0)
+        for publisher in (self._frames, self._notices, self._states):
+            publisher.close()
+
+
+def _done() -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(None)
+    return future

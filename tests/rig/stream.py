@@ -1,0 +1,47 @@
+"""A companion computer that only hovers, or flies straight: what the rig flies where a test needs no planner."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from aero_planner.onboard.frames import rotate
+from aero_planner.onboard.livox import LivoxSource
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.settings_file import load_flight_config
+
+PERIOD = 0.02
+
+
+def main(config: Path, speed: float) -> None:
+    """Stream commands that keep a velocity toward the goal, once goal, state and points are there."""
+    _, onboard = load_flight_config(config)
+    lidar = LivoxSource(onboard.lidar.port, host=onboard.lidar.host)
+    link = MavlinkLink(onboard.mavlink.url, hover_thrust=onboard.thrust.hover_thrust)
+    seen = False
+    print("streaming", flush=True)
+    due = time.monotonic()
+    while True:
+        due += PERIOD
+        time.sleep(max(0.0, due - time.monotonic()))
+        link.poll()
+        seen |= any(len(packet.points) for packet in lidar.poll())
+        sample = link.state
+        if sample is None or link.goal is None or not seen:
+            continue
+        p, v, q = (
+            np.asarray(x, dtype=float) for x in (sample.state.position, sample.state.velocity, sample.state.quaternion)
+        )
+        toward = link.goal - p
+        wanted = speed * toward / max(float(np.linalg.norm(toward)), speed)
+        force = np.clip(2.0 * (wanted - v), -4.0, 4.0) + np.array([0.0, 0.0, 9.81])
+        up = rotate(q, [0.0, 0.0, 1.0])
+        rates = 6.0 * rotate(q * [1.0, -1.0, -1.0, -1.0], np.cross(up, force / np.linalg.norm(force)))
+        link.send([float(force @ up), rates[0], rates[1], 0.0])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), float(sys.argv[2]))

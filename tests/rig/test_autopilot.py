@@ -1,0 +1,265 @@
+"""The simulated autopilot: PX4's rules for offboard control, messages by hand, and the vehicle behind them."""
+
+from __future__ import annotations
+
+import math
+import socket
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from aero_planner.onboard.mavlink import load_dialect
+from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.rig.autopilot import PERIOD, Mode, SimulatedAutopilot
+
+mavlink = load_dialect()
+HALF = math.sqrt(0.5)
+START = (1.0, 2.0, 3.0)
+
+
+class Companion:
+    """The other end, in simulated time."""
+
+    def __init__(self, **options: Any) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setblocking(False)
+        self.protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+        options = {"heading": 0.0} | options
+        self.autopilot = SimulatedAutopilot(
+            VehicleModel(step=PERIOD), START, address=self.socket.getsockname(), **options
+        )
+        self.tick = 0
+        self.messages = []
+
+    @property
+    def now(self):
+        return self.tick * PERIOD
+
+    def send(self, message):
+        target = ("127.0.0.1", self.autopilot._socket.getsockname()[1])
+        self.socket.sendto(bytes(message.pack(self.protocol)), target)
+
+    def command(self, thrust=0.5, rates=(0.0, 0.0, 0.0), *, mask=128, component=1):
+        self.send(
+            mavlink.MAVLink_set_attitude_target_message(0, 1, component, mask, [1.0, 0.0, 0.0, 0.0], *rates, thrust)
+        )
+
+    def run(self, seconds, *, every=0.02, **command):
+        """Step on, with a command now and then; None sends nothing."""
+        for _ in range(round(seconds / PERIOD)):
+            if every is not None and self.tick % round(every / PERIOD) == 0:
+                self.command(**command)
+            self.tick += 1
+            self.autopilot.step(self.tick - 1, self.now)
+            while True:
+                try:
+                    data = self.socket.recv(2048)
+                except BlockingIOError:
+                    break
+                self.messages += [(self.now, message) for message in mavlink.MAVLink(None).parse_buffer(data)]
+
+    def got(self, name):
+        return [(time, message) for time, message in self.messages if message.get_type() == name]
+
+    def fly(self, seconds=0.0, **command):
+        """Get the vehicle by the rules."""
+        self.run(1.1)
+        self.autopilot.arm()
+        assert self.autopilot.engage()
+        self.run(seconds, **command)
+
+
+@pytest.fixture
+def make():
+    made = []
+
+    def make(**options):
+        made.append(Companion(**options))
+        return made[-1]
+
+    yield make
+    for companion in made:
+        companion.autopilot.close()
+        companion.socket.close()
+
+
+def test_offboard_needs_arms_and_a_stream(make):
+    c = make()
+    c.autopilot.arm()
+    assert not c.autopilot.engage()  # nothing has come
+    c.run(0.9)
+    assert not c.autopilot.engage()  # not for long enough
+    c.run(0.2)
+    assert c.autopilot.engage()
+    assert c.autopilot.mode is Mode.OFFBOARD
+    other = make()
+    other.run(1.1)
+    assert not other.autopilot.engage()  # not armed
+
+
+def test_a_stream_slower_than_two_per_second_is_none(make):
+    c = make()
+    c.autopilot.arm()
+    c.run(5.0, every=0.6)
+    assert not c.autopilot.engage()
+    slow = make()
+    slow.autopilot.arm()
+    slow.run(5.0, every=0.4)
+    assert slow.autopilot.engage()
+
+
+def test_offboard_ends_half_a_second_after_the_stream(make):
+    c = make()
+    c.fly(1.0, rates=(0.0, -0.3, 0.0), thrust=0.52)
+    assert np.linalg.norm(c.autopilot.velocity) > 0.5
+    c.run(0.48, every=None)
+    assert c.autopilot.mode is Mode.OFFBOARD
+    c.run(0.04, every=None)
+    assert c.autopilot.mode is Mode.HOLD
+    # The failsafe stops the vehicle and keeps it, level.
+    c.run(8.0, every=None)
+    assert np.linalg.norm(c.autopilot.velocity) < 0.02
+    place = c.autopilot.position
+    c.run(2.0, every=None)
+    np.testing.assert_allclose(c.autopilot.position, place, atol=0.05)
+    # A stream that comes back does not take the vehicle: that is the pilot's.
+    c.run(2.0)
+    assert c.autopilot.mode is Mode.HOLD
+
+
+def test_before_offboard_commands_do_nothing(make):
+    c = make()
+    c.run(2.0, thrust=0.9, rates=(1.0, 1.0, 1.0))
+    np.testing.assert_allclose(c.autopilot.position, START)
+    c.autopilot.arm()
+    c.run(2.0, thrust=0.9, rates=(1.0, 1.0, 1.0))
+    np.testing.assert_allclose(c.autopilot.position, START, atol=1e-3)
+    assert {setpoint.mode for setpoint in c.autopilot.setpoints} == {Mode.HOLD}
+
+
+def test_commands_by_hand(make):
+    # Nose down (FRD pitch -0.5 rad/s) for 0.4 s: it goes north; a roll to the right: it goes east, -y.
+    north = make()
+    north.fly(0.4, rates=(0.0, -0.5, 0.0))
+    assert north.autopilot.velocity[0] > 0.3
+    east = make()
+    east.fly(0.4, rates=(0.5, 0.0, 0.0))
+    assert east.autopilot.velocity[1] < -0.3
+    up = make()
+    up.fly(0.4, thrust=0.6)
+    # 0.6 / 0.5 of the weight: 0.2 g.
+    assert up.autopilot.velocity[2] == pytest.approx(0.2 * 9.81 * 0.4, rel=0.02)
+    square = make(curve=1.0)
+    square.fly(0.4, thrust=0.6)
+    assert square.autopilot.velocity[2] == pytest.approx(0.44 * 9.81 * 0.4, rel=0.02)
+
+
+def test_the_vehicle_is_the_flights_own(make):
+    c = make(heading=0.7)
+    c.fly()
+    twin = Vehicle(VehicleModel(step=PERIOD), np.array([START]), [0.7], period=PERIOD, device="cpu")
+    # From what it was when it was engaged, under what was understood.
+    for name in ("position", "velocity", "quaternion"):
+        getattr(twin, name).assign(getattr(c.autopilot.vehicle, name))
+    thrusts, rates = (0.5, 0.55, 0.47), ((0.4, -0.6, 0.2), (-0.3, 0.2, 0.5), (0.0, 0.7, -1.0))
+    for thrust, rate in zip(thrusts, rates, strict=True):
+        c.run(0.2, thrust=thrust, rates=rate)
+    for thrust, rate in zip(thrusts, rates, strict=True):
+        control = (float(np.float32(thrust)) / 0.5 * 9.81, rate[0], -rate[1], -rate[2])
+        for _ in range(50):
+            twin.fly(wp.array([[control]], dtype=wp.vec4), finished=wp.zeros(1, dtype=int))
+    np.testing.assert_allclose(c.autopilot.position, twin.position.numpy()[0], atol=1e-4)
+    np.testing.assert_allclose(c.autopilot.velocity, twin.velocity.numpy()[0], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        {"thrust": math.nan},
+        {"rates": (math.inf, 0.0, 0.0)},
+        {"mask": 0},  # an attitude
+        {"mask": 128 | 1},
+        {"mask": 128 | 64},
+        {"component": 7},
+    ],
+)
+def test_what_is_no_command_is_refused_and_is_no_stream(make, command):
+    c = make()
+    c.autopilot.arm()
+    c.run(2.0, **command)
+    assert c.autopilot.refused == 100
+    assert c.autopilot.setpoints == []
+    assert not c.autopilot.engage()
+
+
+def test_arming_and_modes_are_not_the_companions(make):
+    c = make()
+    arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+    c.send(mavlink.MAVLink_command_long_message(1, 1, arm, 0, 1.0, *[0.0] * 6))
+    c.send(mavlink.MAVLink_set_mode_message(1, 1, 6 << 16))
+    c.run(0.1)
+    assert not c.autopilot.armed
+    assert c.autopilot.mode is Mode.HOLD
+    assert c.autopilot.trespasses == [f"COMMAND_LONG {arm}", "SET_MODE"]
+
+
+def test_heartbeats_once_per_second(make):
+    c = make()
+    c.fly()
+    c.run(2.5)
+    beats = c.got("HEARTBEAT")
+    assert [round(time) for time, _ in beats] == list(range(len(beats)))
+    _, first = beats[0]
+    _, last = beats[-1]
+    assert (first.base_mode & 128, first.custom_mode) == (0, 4 << 16 | 3 << 24)
+    assert (last.base_mode & 128, last.custom_mode) == (128, 6 << 16)
+
+
+def test_odometry_by_hand(make):
+    c = make(heading=-0.5 * math.pi)  # nose to -y, the east
+    c.run(0.1)
+    _, message = c.got("ODOMETRY")[0]
+    np.testing.assert_allclose([message.x, message.y, message.z], [1.0, -2.0, -3.0])
+    np.testing.assert_allclose(message.q, [HALF, 0.0, 0.0, HALF], atol=1e-6)
+    assert (message.frame_id, message.child_frame_id) == (1, 1)
+    c.fly(0.5, thrust=0.6)
+    _, message = c.got("ODOMETRY")[-1]
+    assert message.vz == pytest.approx(-c.autopilot.velocity[2], abs=0.05)
+
+
+def test_the_rate_of_states_is_as_asked_for(make):
+    c = make()
+    c.run(1.0)
+    assert len(c.got("ODOMETRY")) == pytest.approx(50, abs=2)
+    c.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 331, 10_000, *[0.0] * 5))
+    c.run(1.0)
+    ((_, answer),) = c.got("COMMAND_ACK")
+    assert (answer.command, answer.result) == (511, mavlink.MAV_RESULT_ACCEPTED)
+    # 100 Hz in steps of 4 ms.
+    assert len(c.got("ODOMETRY")) == pytest.approx(140, abs=12)
+    stamps = np.array([message.time_usec for _, message in c.got("ODOMETRY")])
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_a_pair_of_messages_in_the_place_of_odometry(make):
+    c = make(pair=True)
+    c.run(0.5)
+    assert c.got("ODOMETRY") == []
+    assert len(c.got("LOCAL_POSITION_NED")) == len(c.got("ATTITUDE_QUATERNION")) > 20
+
+
+def test_a_frozen_state_is_the_same_message_again(make):
+    c = make()
+    c.fly(0.5, thrust=0.6)
+    c.autopilot.frozen = True
+    before = len(c.got("ODOMETRY"))
+    c.run(0.5, thrust=0.6)
+    frozen = [(message.time_usec, message.z) for _, message in c.got("ODOMETRY")[before:]]
+    assert len(frozen) > 20
+    assert len(set(frozen)) == 1
+    c.autopilot.frozen = False
+    c.run(0.1)
+    assert c.got("ODOMETRY")[-1][1].z < frozen[0][1]

@@ -1,0 +1,51 @@
+"""The verb `rig`: its arguments, and how a flight is summed up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.rig import Event, Intervals, RigResult, Trajectory
+from aero_viz.rig.command import main, summary
+from aero_viz.rig.faults import FAULT_KINDS
+
+
+def test_help_names_every_fault(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    text = capsys.readouterr().out
+    assert all(kind in text for kind in FAULT_KINDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["forrest"], "forest"),
+        (["missing.json"], "missing.json"),
+        (["forest", "--fault", "drop"], "is no fault"),
+        (["forest", "--fault", "burn@3"], "no fault 'burn'"),
+        (["forest", "--count", "0"], "positive"),
+        (["forest", "--duration", "-3"], "positive"),
+        (["forest", "--speed", "1000"], "speed_limit"),
+        (["forest", "--config", "missing.yaml"], "missing.yaml"),
+    ],
+)
+def test_mistakes_are_one_sentence(arguments, error):
+    with pytest.raises(ValueError, match=error) as raised:
+        main(arguments)
+    assert "\n" not in str(raised.value)
+
+
+def test_summary():
+    none = np.zeros((0, 3))
+    result = RigResult(
+        arrived=True, reason="arrived", arrivals=1, flight_time_s=9.3, mean_speed=4.6, max_speed=5.2,
+        min_clearance=0.71, scene="forest", seed=3, faults=[], events=[Event(9.3, "arrived")], setpoints=465,
+        refused=0, trespasses=[], intervals=Intervals(464, 0.02, 0.0004, 0.0212, 0.031, 1), overruns=0, log=[],
+        trajectory=Trajectory(none[:, 0], none, none, none[:, 0] > 0.0), commands=[],
+    )  # fmt: skip
+    assert summary(result).splitlines() == [
+        "forest 3: arrived after 9.3 s, 4.6 m/s, at most 5.2 m/s, 0.71 m from the nearest surface",
+        "setpoints: 464, every 20.0 ms, jitter 0.40 ms, 99 % within 21.2 ms, longest 31 ms, 1 missed",
+    ]
