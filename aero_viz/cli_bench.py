@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import json as json_module
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
-from aero_viz.cli_config import ConfigFlags
+from aero_viz.cli_config import (
+    ConfigFlags,
+    FileName,
+    FlightFlags,
+    Inline,
+    OutputPath,
+    RulesFlags,
+    WorldFlags,
+    WorldName,
+    flight_rules,
+)
 from aero_viz.errors import UserError
 
 __all__ = ["VERBS"]
 
 _CONFIG = ConfigFlags()
+_FLIGHT = FlightFlags()
+_RULES = RulesFlags()
+_WORLD = WorldFlags()
 
 
 def bench(
@@ -30,7 +44,8 @@ def bench(
     resume: bool = False,
     include: tuple[str, ...] = (),
     json: bool = False,
-    flags: Annotated[ConfigFlags, tyro.conf.arg(name="")] = _CONFIG,
+    flight: Inline[FlightFlags] = _FLIGHT,
+    flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Fly a benchmark and write its tables, plots and report.
 
@@ -50,12 +65,13 @@ def bench(
         include: flights of other planners, each NAME=TABLE.csv as `score --table` writes it, or
             NAME=FLIGHT@WORLD.json.
         json: print one JSON object.
+        flight: the flight.
         flags: the planner's configuration.
     """
     from aero_planner.config_file import config_from_name
     from aero_viz.bench.catalog import BENCHMARKS
     from aero_viz.bench.include import load_included
-    from aero_viz.bench.report import format_summaries, write_report
+    from aero_viz.bench.report import format_summaries, format_worlds, world_records, write_report
     from aero_viz.bench.runner import load_run, run_benchmark
 
     benchmark, folder, config = BENCHMARKS[name], output or Path("results") / name, flags.load()
@@ -74,93 +90,90 @@ def bench(
                 lidar=lidar,
                 batch=batch,
                 resume=resume,
+                rules=flight.flight_rules(),
+                noise=flight.state_noise(),
+                drone=flight.drone_changes,
+                sensor=flight.lidar_changes,
                 progress=progress,
             )
+        summaries = write_report(run, folder, included=included)
     except KeyboardInterrupt:
         run = load_run(folder, benchmark)
         write_report(run, folder, included=included)
-        print(
-            f"{len(run.flights)} of {run.total} flights are kept in {folder}; --resume with the same options goes on."
-        )
+        kept = f"{len(run.flights)} of {run.total} flights are kept in {folder}"
+        print(f"{kept}; --resume with the same options goes on.", file=sys.stderr)
         raise SystemExit(130) from None
     except RuntimeError as error:
         raise UserError(f"The benchmark cannot run on {device}: {error}") from error
-    summaries = write_report(run, folder, included=included)
     if json:
         content = {**run.header, "output": str(folder), "summary": [line.to_dict() for line in summaries]}
+        content["worlds"] = world_records(run)
         print(json_module.dumps(content, allow_nan=False))
     else:
-        print(f"{format_summaries(summaries)}\n{folder / 'report.md'}")
+        print(format_summaries(summaries), *format_worlds(run), folder / "report.md", sep="\n")
 
 
 def score(
-    flight: tyro.conf.Positional[Path],
+    flight: FileName,
     *,
     world: str,
     seed: int = 0,
-    count: int | None = None,
-    radius: float = 0.25,
-    time_limit: float = 60.0,
     pose_topic: str | None = None,
     planner: str = "recorded",
     table: Path | None = None,
     json: bool = False,
+    place: Inline[WorldFlags] = _WORLD,
+    rules: RulesFlags = _RULES,
 ) -> None:
     """Measure a flight of any planner as the simulator measures its own.
 
     Args:
         flight: CSV file with t,x,y,z and, where known, vx,vy,vz, or a ROS bag or MCAP file with Odometry.
-        world: where it was flown: a world's JSON file, or a scene's name.
+        world: where it was flown: a world's JSON file, a scene's name, a map of points or a mesh.
         seed: of the scene.
-        count: number of obstacles of the scene; its own when left out.
-        radius: of the drone [m].
-        time_limit: longest flight [s].
         pose_topic: topic of the poses; found by its type when left out.
         planner: who flew.
         table: CSV file to append the result to, for `bench --include`.
         json: print one JSON object.
+        place: the world.
+        rules: when a flight ends.
     """
     from aero_viz.bench.include import append_to_table
-    from aero_viz.catalog import load_world
-    from aero_viz.flight import FlightRules
     from aero_viz.score import load_trajectory
     from aero_viz.score import score as score_flight
 
-    rules = FlightRules(radius=radius, time_limit=time_limit)
-    trajectory = load_trajectory(flight, pose_topic=pose_topic)
-    result = score_flight(trajectory, load_world(world, seed=seed, count=count), rules=rules, planner=planner)
+    limits, where = flight_rules(rules), place.load(world, seed=seed)
+    result = score_flight(load_trajectory(flight, pose_topic=pose_topic), where, rules=limits, planner=planner)
     if table is not None:
         append_to_table(result, table)
     if json:
         print(json_module.dumps(result.to_dict(), allow_nan=False))
     else:
-        for name, value in result.to_dict().items():
-            print(f"{name:16} {value:.3f}" if isinstance(value, float) else f"{name:16} {value}")
+        print(result.format_table())
 
 
 def world(
     action: tyro.conf.Positional[Literal["export"]],
-    world: tyro.conf.Positional[str],
-    output: tyro.conf.Positional[Path],
+    world: WorldName,
+    output: OutputPath,
     *,
     spacing: float = 0.1,
     seed: int = 0,
-    count: int | None = None,
+    place: Inline[WorldFlags] = _WORLD,
 ) -> None:
     """Write a world to a file for other programs: its surface as points, or itself as JSON.
 
     Args:
         action: export.
-        world: name of a scene, such as forest, or a world's JSON file.
+        world: name of a scene, such as forest, a world's JSON file, a map of points or a mesh.
         output: .pcd, .ply or .npy for points, .json for the world.
         spacing: of the points [m].
         seed: of the scene.
-        count: number of obstacles of the scene; its own when left out.
+        place: the world.
     """
     from aero_viz.bench.surface import export_world
-    from aero_viz.catalog import load_world
 
-    points = export_world(load_world(world, seed=seed, count=count), output, spacing=spacing)
+    points = export_world(place.load(world, seed=seed), output, spacing=spacing)
     print(f"{output}: {points} points" if points else str(output))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +13,15 @@ from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
+from aero_viz.flight.explanation import explain
 from aero_viz.scenes import World
 
 __all__ = ["Trajectory", "load_trajectory", "score"]
 
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 _COARSEST = 0.25  # between samples, median [s]: what happens between sparser ones is not known well enough
+_LONGEST = 1.0  # between two samples [s]
+_LATEST, _FARTHEST = 1e10, 1e6  # [s], [m] or [m/s]: what is beyond is no number of a flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,13 @@ def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Traje
             f"{path} has {len(steps) + 1} samples over {np.sum(steps):.2f} s, too few to score: "
             f"record at least one every {_COARSEST:g} s."
         )
+    gap = int(np.argmax(steps))
+    if steps[gap] > _LONGEST:
+        since, until = trajectory.times[gap : gap + 2] - trajectory.times[0]
+        raise UserError(
+            f"{path} has no samples between {since:.2f} s and {until:.2f} s, too few to score: "
+            f"leave no gap longer than {_LONGEST:g} s."
+        )
     return trajectory
 
 
@@ -103,10 +114,19 @@ def score(
     reasons = _reasons(positions, clearance.min(axis=1), world, rules)
     last = next((k for k, reason in enumerate(reasons) if reason is not None), count)
 
+    time = round(last * period, 9)
     positions, velocities, clearance = positions[: last + 1], velocities[: last + 1], clearance[: last + 1]
     length = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
     accelerations = np.diff(velocities, axis=0, prepend=velocities[:1]) / period  # a_(-1) = 0, then one per tick
-    time = last * period
+    explanation = explain(
+        reasons[last],
+        world,
+        positions[-1],
+        time=time,
+        clearance=float(clearance.min()),
+        goal=world.goal,
+        rules=rules,
+    )
     return FlightResult(
         arrived=reasons[last] == "arrived",
         reason=reasons[last],
@@ -121,6 +141,7 @@ def score(
         seed=0,
         scene=world.name,
         config=planner,
+        explanation=explanation,
     )
 
 
@@ -154,33 +175,34 @@ def _reasons(
 def _read_csv(path: Path) -> Trajectory:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is no CSV text"
         raise UserError(f"Cannot read the trajectory {path}: {reason or error}.") from error
-    header = [name.strip().lower() for name in rows[0]] if rows else []
+    header = [name.strip().lower() for name in lines[0][1]] if lines else []
     missing = [name for name in ("t", *_POSITION) if name not in header]
     if missing:
         raise UserError(f"{path} lacks the column {missing[0]!r} in line 1; the columns are t,x,y,z and vx,vy,vz.")
     measured = all(name in header for name in _VELOCITY)
-    columns = [header.index(name) for name in ("t", *_POSITION, *(_VELOCITY if measured else ()))]
-    values = []
-    for number, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
+    names = ("t", *_POSITION, *(_VELOCITY if measured else ()))
+    columns = [header.index(name) for name in names]
+    rows: list[list[float]] = []
+    for number, row in lines[1:]:
         try:
-            values.append([float(row[i]) for i in columns])
+            values = [float(row[i]) for i in columns]
         except (IndexError, ValueError):
-            raise UserError(f"{path}, line {number}: {','.join(row)!r} does not hold {len(columns)} numbers.") from None
-    if not values:
+            text = textwrap.shorten(",".join(row), 60)
+            raise UserError(f"{path}, line {number}: {text!r} does not hold {len(columns)} numbers.") from None
+        for name, value in zip(names, values, strict=True):
+            if not abs(value) <= (_LATEST if name == "t" else _FARTHEST):
+                raise UserError(f"{path}, line {number}: {name} is {value:g}; it must be a finite number in SI units.")
+        if rows and values[0] <= rows[-1][0]:
+            raise UserError(f"{path}, line {number}: t does not increase.")
+        rows.append(values)
+    if not rows:
         raise UserError(f"{path} holds no samples below its first line.")
-    table = np.array(values)
-    if not np.isfinite(table).all():
-        line = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0]) + 2
-        raise UserError(f"{path}, line {line}: a number is not finite.")
-    if not (np.diff(table[:, 0]) > 0.0).all():
-        line = int(np.flatnonzero(np.diff(table[:, 0]) <= 0.0)[0]) + 3
-        raise UserError(f"{path}, line {line}: t does not increase.")
+    table = np.array(rows)
     return Trajectory(path.name, table[:, 0], table[:, 1:4], table[:, 4:7] if measured else None)
 
 

@@ -15,14 +15,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from small_source import small_source
 
 from aero_planner.config import parameters
 from aero_viz.cli import main
+from aero_viz.recordings import inspect as inspect_recording
+from aero_viz.snapshot import launch_chromium
 
 FLIGHT_FIELDS = {
     "arrived", "reason", "flight_time_s", "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance",
-    "min_clearance", "plan_ms_median", "seed", "scene", "config",
+    "min_clearance", "plan_ms_median", "seed", "scene", "config", "explanation",
 }  # fmt: skip
 
 
@@ -78,7 +81,9 @@ def test_fly_takes_presets_files_and_flags(capsys: pytest.CaptureFixture[str], p
 def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "inside.json"
     path.write_text(json.dumps({"name": "inside", "start": [0, 0, 2], "goal": [9, 0, 2], "spheres": [[0, 0, 2, 1.0]]}))
-    assert run_json(capsys, "fly", str(path))["reason"] == "collision"
+    result = run_json(capsys, "fly", str(path))
+    assert result["reason"] == "collision"
+    assert result["explanation"] == 'The start is inside an obstacle, 1.000 m deep in "spheres" row 0, at (0, 0, 2).'
 
 
 @pytest.mark.parametrize(
@@ -97,12 +102,138 @@ def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str]
         (["demo", "forrest"], "forest"),
         (["snapshot", "forrest", "out.png"], "forest"),
         (["nonsense"], "nonsense"),
+        (["fly", "forest", "--noise.position", "-1"], "noise.position is -1.0; it must be a number in [0, 100] m"),
+        (["fly", "forest", "--drone.drag", "1e3"], "drone.drag is 1000.0"),
+        (["fly", "forest", "--drone.gust-speed", "2"], "set drone.drag too"),
+        (["fly", "forest", "--lidar.range-max", "0.1"], "lidar.range_min is 0.1; it must be less than lidar.range_max"),
+        (["fly", "forest", "--lidar.dropout", "2"], "lidar.dropout is 2.0; it must be a number in [0, 1]"),
+        (["fly", "forest", "--rules.ticks-per-plan", "0"], "rules.ticks_per_plan is 0"),
+        (["fly", "forest", "--rules.period", "0.03"], "no multiple of the tick"),
+        (["demo", "forest", "--noise.attitude", "999"], "noise.attitude is 999.0"),
+        (["bench", "rooms", "--drone.latency", "-1"], "drone.latency is -1.0"),
+        (["fly", "forest", "--drone.drg", "1"], "did you mean --drone.drag?"),
+        (["fly", "forest", "--goal", "30", "0", "-0.2"], "goal (30, 0, -0.2) lies inside an obstacle"),
+        (["fly", "forest", "--goal", "300", "0", "2"], "goal (300, 0, 2) lies outside the bounds"),
+        (["fly", "forest", "--goal", "1e6", "0", "2"], '"goal" has x = 1e+06; it must be within 100000 m'),
+        (["demo", "forest", "--goal", "300", "0", "2"], "goal (300, 0, 2) lies outside the bounds"),
+        (["fly", "forest", "--start", "nan", "0", "2"], '"start" has x = nan'),
+        (["fly", "forest", "--voxel", "0.2"], "--voxel belongs to a map"),
+        (["fly", "map.pcd", "--count", "3"], "--count belongs to a scene"),
+        (["fly", "forest", "--port", "9000"], "add --no-headless"),
+        (["fly", "forest", "--no-headless", "--json"], "leave out --no-headless"),
     ],
 )
-def test_mistakes_are_told_without_a_traceback(
+def test_mistakes_are_told_in_one_sentence(
     capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
-    assert message in run_refused(capsys, *arguments)
+    error = run_refused(capsys, *arguments)
+    assert message in error and error.count("\n") == 1 and error.startswith("aero-viz: ")
+
+
+DISTURBED = [
+    "--drone.drag", "0.3", "--drone.gust-speed", "1", "--drone.gust-time", "0.5", "--drone.latency", "0.02",
+    "--drone.thrust-lag", "0.03", "--drone.rate-lag", "0.02", "--noise.position", "0.03", "--noise.velocity", "0.05",
+    "--noise.attitude", "0.5", "--rules.ticks-per-plan", "5", "--lidar.range-max", "20", "--lidar.range-noise", "0.05",
+    "--lidar.dropout", "0.1", "--sampling.samples", "16",
+]  # fmt: skip
+
+
+def test_disturbances_reach_the_flight_its_log_and_the_log_changes_nothing(
+    capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path
+) -> None:
+    """The same flags give `fly` and `fly_and_log` the same disturbed flight, and each flag is in the log."""
+    files = [str(tmp_path / name) for name in ("a.csv", "b.csv", "c.csv")]
+    calm = run_json(capsys, "fly", poles, "--sampling.samples", "16", "--trajectory", files[0])
+    plain = run_json(capsys, "fly", poles, *DISTURBED, "--trajectory", files[1])
+    log = str(tmp_path / "flight.mcap")
+    logged = run_json(capsys, "fly", poles, *DISTURBED, "--trajectory", files[2], "--log", log)
+    for result in (calm, plain, logged):
+        result.pop("plan_ms_median")
+    assert plain == logged != calm
+    assert Path(files[1]).read_text() == Path(files[2]).read_text() != Path(files[0]).read_text()
+    with open(log, "rb") as file:
+        attached = {item.name: item.data for item in make_reader(file).iter_attachments()}
+    settings = json.loads(attached["flight.json"])
+    for flag, value in zip(DISTURBED[:-2:2], DISTURBED[1:-2:2], strict=True):
+        section, name = flag.removeprefix("--").replace("-", "_").split(".")
+        assert settings[section][name] == float(value), flag
+    assert (settings["seed"], settings["device"]) == (0, "cpu")
+
+
+def test_start_and_goal_of_any_world_are_flags(capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    ends = ["--start", "0", "-1", "2", "--goal", "8", "1.5", "2"]
+    result = run_json(capsys, "fly", poles, *ends, "--sampling.samples", "16", "--trajectory", str(path))
+    rows = [[float(row[axis]) for axis in "xyz"] for row in csv.DictReader(path.open())]
+    assert result["arrived"] and rows[0] == [0.0, -1.0, 2.0]
+    assert np.linalg.norm(np.array(rows[-1]) - [8.0, 1.5, 2.0]) <= 1.0
+
+
+def test_a_map_of_points_is_flown_at_the_voxel_size_asked_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = str(tmp_path / "hall.npy")
+    floor = np.stack(np.meshgrid(np.arange(-3, 15, 0.2), np.arange(-4, 4, 0.2), [0.0]), axis=-1).reshape(-1, 3)
+    pole = np.stack(np.meshgrid([5.0, 5.2], [0.6, 0.8], np.arange(0, 5, 0.2)), axis=-1).reshape(-1, 3)
+    np.save(path, np.vstack([floor, pole]))
+    ends = ["--start", "0", "0", "2", "--goal", "10", "0", "2"]
+    result = run_json(capsys, "fly", path, *ends, "--voxel", "0.4", "--speed", "4", "--sampling.samples", "16")
+    assert result["arrived"] and result["scene"] == "hall"
+    capsys.readouterr()
+    for voxel in ("0.2", "0.4"):
+        main(["world", "export", path, str(tmp_path / "w.json"), *ends, "--voxel", voxel])
+        world = json.loads((tmp_path / "w.json").read_text())
+        assert world["start"] == [0.0, 0.0, 2.0] and min(box[5] for box in world["boxes"]) == pytest.approx(
+            float(voxel)
+        )
+
+
+def in_terminal(*arguments: str, interrupt: str = "") -> tuple[int, str, str]:
+    """Run the command line with stderr on a terminal; press Ctrl-C when `interrupt` is seen there."""
+    pty = pytest.importorskip("pty", reason="a terminal needs POSIX")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "aero_viz.cli", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True)
+    os.close(theirs)
+    shown = ""
+    try:
+        while True:
+            try:
+                shown += os.read(ours, 4096).decode(errors="replace")
+            except OSError:  # the other side is closed
+                break
+            if interrupt and interrupt in shown:
+                process.send_signal(signal.SIGINT)
+                interrupt = ""
+        printed, _ = process.communicate(timeout=60)
+        return process.returncode, printed, shown
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+
+
+def test_a_terminal_sees_progress_and_json_readers_do_not(poles: str) -> None:
+    code, printed, shown = in_terminal("fly", poles, "--sampling.samples", "16")
+    assert code == 0 and "reason           arrived" in printed
+    assert "\r\x1b[Kpoles [" in shown and "% of the way" in shown and shown.endswith("\r\x1b[K")
+    code, printed, shown = in_terminal("fly", poles, "--sampling.samples", "16", "--json")
+    assert (code, shown) == (0, "") and json.loads(printed)["arrived"]
+
+
+@pytest.mark.parametrize("logged", [False, True])
+def test_ctrl_c_reports_what_was_flown_so_far(tmp_path: Path, logged: bool) -> None:
+    log = tmp_path / "flight.mcap"
+    options = ["--trajectory", str(tmp_path / "t.csv"), *(["--log", str(log)] if logged else [])]
+    code, printed, _ = in_terminal("fly", "forest", "--count", "20", *options, interrupt="1.")
+    result = dict(line.split(maxsplit=1) for line in printed.splitlines())
+    assert code == 130 and result["arrived"] == "False" and "reason" not in result
+    assert result["explanation"].startswith("It ends after")
+    rows = list(csv.DictReader((tmp_path / "t.csv").open()))
+    assert float(rows[-1]["t"]) == pytest.approx(float(result["flight_time_s"]), abs=1e-3)
+    if logged:
+        info = inspect_recording(log)
+        assert info.problems == () and info.poses == len(rows)
 
 
 def test_a_missing_browser_is_told(
@@ -162,6 +293,25 @@ def test_demo_serves_until_it_is_told_to_end(poles: str) -> None:
         _, error = process.communicate(timeout=20)
         assert process.returncode == 0, error
         assert "Traceback" not in error
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_no_headless_flies_in_the_page(poles: str) -> None:
+    """A real start, looked at by a real Chromium: time begins when the page is open, and the drone arrives."""
+    port = free_port()
+    process = serve("fly", poles, "--no-headless", "--port", str(port), "--speed", "5", "--sampling.samples", "16")
+    try:
+        assert process.stdout is not None
+        assert f"http://127.0.0.1:{port}" in process.stdout.readline()
+        with launch_chromium() as browser:
+            page = browser.new_page()
+            page.goto(f"http://127.0.0.1:{port}")
+            page.get_by_text("arrived at the goal").first.wait_for(timeout=60_000)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=20)
+        assert process.returncode == 0 and "Traceback" not in error, error
     finally:
         process.kill()
         process.wait()

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Writer as Bag1
+from rosbags.rosbag2 import Writer as Bag2
+from rosbags.typesys import Stores, get_typestore
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
@@ -32,7 +35,7 @@ def assert_same(scored: FlightResult, flown: FlightResult) -> None:
     [
         (OPEN, 2.0, "arrived"),
         (scene("forest", seed=3, count=60), 7.0, None),  # flown for less than a second
-        (dataclasses.replace(scene("forest", seed=3, count=4), bounds=np.array([[-1, -9, 0], [2, 9, 9.0]])), 7.0,
+        (dataclasses.replace(scene("forest", seed=3, count=4), bounds=np.array([[-9, -9, 1.99], [50, 9, 9.0]])), 7.0,
          "out_of_bounds"),
     ],
     ids=["arrived", "timeout", "out of bounds"],
@@ -127,6 +130,44 @@ def test_csv_columns_are_found_by_name(tmp_path):
     assert trajectory.at(np.array([0.123]))[1][0] == pytest.approx([5.0, 0.0, 0.0])
 
 
+def write_bag(path: Path, *, ros1: bool, trajectory: Trajectory) -> Path:
+    """Write a trajectory as nav_msgs/Odometry, level and nose forward, so that the twist is the velocity."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    types, kind = store.types, "nav_msgs/msg/Odometry"
+    zero, level = np.zeros(36), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    assert trajectory.velocities is not None
+    with Bag1(path) if ros1 else Bag2(path, version=9) as writer:
+        connection = writer.add_connection("/odom", kind, typestore=store)
+        for time, p, v in zip(trajectory.times, trajectory.positions, trajectory.velocities, strict=True):
+            stamp = round(1e9 * time)
+            when = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+            header = types["std_msgs/msg/Header"](*([0] if ros1 else []), when, "map")
+            pose = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](*p), level)
+            linear, angular = (types["geometry_msgs/msg/Vector3"](*values) for values in (v, np.zeros(3)))
+            twist = types["geometry_msgs/msg/Twist"](linear, angular)
+            message = types[kind](
+                header,
+                "body",
+                types["geometry_msgs/msg/PoseWithCovariance"](pose, zero),
+                types["geometry_msgs/msg/TwistWithCovariance"](twist, zero),
+            )
+            data = store.serialize_ros1(message, kind) if ros1 else store.serialize_cdr(message, kind)
+            writer.write(connection, stamp, data)
+    return path
+
+
+@pytest.mark.parametrize(("name", "ros1"), [("flight.bag", True), ("flight", False)])
+def test_bags_of_ros_1_and_ros_2_score_like_the_trajectory_in_them(tmp_path, name, ros1):
+    flown = straight(rate=20.0)
+    loaded = load_trajectory(write_bag(tmp_path / name, ros1=ros1, trajectory=flown))
+    expected, found = score(flown, BALL), score(loaded, BALL)
+    for field in COMPARED:
+        value = getattr(expected, field)
+        assert getattr(found, field) == (
+            pytest.approx(value, rel=1e-5, abs=1e-6) if isinstance(value, float) else value
+        )
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -135,7 +176,14 @@ def test_csv_columns_are_found_by_name(tmp_path):
         ("t,x,y,z\n", "holds no samples"),
         ("t,x,y,z\n0,0,0,0\n0.1,a,0,0\n", "line 3: '0.1,a,0,0' does not hold 4 numbers"),
         ("t,x,y,z\n0,0,0,0\n0.1,0\n", "line 3"),
-        ("t,x,y,z\n0,0,0,0\n0.1,nan,0,0\n", "line 3: a number is not finite"),
+        ("t,x,y,z\n0,0,0,0\n\n0.1,1,inf,0\n", "line 4: y is inf; it must be a finite number"),
+        ("t,x,y,z\n0,0,0,0\n\n0.1,1,0,0\n\n0.1,1,0,0\n", "line 6: t does not increase"),
+        ("t,x,y,z,vx,vy,vz\n0,0,0,0,1,0,0\n0.1,0,0,0,1,0\n", "line 3: '0.1,0,0,0,1,0' does not hold 7 numbers"),
+        ("t,x,y,z\n0,0,0,0\n0.1,1e300,0,0\n", "line 3: x is 1e+300; it must be a finite number"),
+        ("t;x;y;z\n0;0;0;0\n", "lacks the column 't' in line 1"),
+        ("t,x,y,z\n" + "x," * 40_000, "line 2: '[...]' does not hold 4 numbers"),
+        ("t,x,y,z\n" + "".join(f"{0.1 * i + 3 * (i > 9)},0,0,0\n" for i in range(20)), "between 0.90 s and 4.00 s"),
+        ("t,x,y,z\n0,0,0,0\n0.1,nan,0,0\n", "line 3: x is nan; it must be a finite number"),
         ("t,x,y,z\n0,0,0,0\n0,0,0,0\n", "line 3: t does not increase"),
         ("t,x,y,z\n0,0,0,0\n", "too few to score"),
         ("t,x,y,z\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "record at least one every 0.25 s"),

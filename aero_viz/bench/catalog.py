@@ -30,8 +30,8 @@ class Row:
     """Configuration in the place of the one that the user chose."""
     changes: Mapping[str, Value] = field(default_factory=dict)
     """Parameters changed, by path."""
-    arrival_radius: float = 1.0
-    """Distance to the goal that counts as arrival [m]."""
+    arrival_radius: float | None = None
+    """Distance to the goal that counts as arrival [m]; None is that of the flight's rules."""
     batch: int | None = None
     """Number of flights, all in one batch; None leaves both to the user."""
     series: str = ""

@@ -17,7 +17,8 @@ from aero_viz.score import load_trajectory, score
 __all__ = ["Included", "append_to_table", "load_included"]
 
 _COLUMNS = tuple(f.name for f in fields(FlightResult))
-_NUMBERS = tuple(name for name in _COLUMNS if name not in ("arrived", "reason", "scene", "config", "seed"))
+_TEXTS = ("arrived", "reason", "scene", "config", "seed", "explanation")
+_NUMBERS = tuple(name for name in _COLUMNS if name not in _TEXTS)
 _FORM = "give NAME=TABLE.csv with the table that `aero-viz score --table` writes, or NAME=FLIGHT@WORLD.json"
 
 
@@ -40,10 +41,10 @@ def append_to_table(result: FlightResult, path: str | Path) -> None:
     path = Path(path)
     try:
         new = not path.exists() or path.stat().st_size == 0
-        if not new:
-            _check_header(path, _read(path)[0])
+        columns = list(_COLUMNS) if new else _read(path)[0]
+        _check_header(path, columns)
         with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, _COLUMNS)
+            writer = csv.DictWriter(file, columns, extrasaction="ignore")
             if new:
                 writer.writeheader()
             writer.writerow(result.to_dict())
@@ -107,7 +108,7 @@ def _load_table(path: Path) -> list[Mapping[str, Any]]:
 
 
 def _check_header(path: Path, header: Sequence[str]) -> None:
-    missing = [name for name in _COLUMNS if name not in header]
+    missing = [name for name in _COLUMNS if name not in header and name != "explanation"]
     if missing:
         what = "is a trajectory" if {"t", "x"} <= set(header) else f"lacks the column {missing[0]!r}"
         raise UserError(f"{path} {what}; {_FORM}.")

@@ -16,7 +16,7 @@ from aero_viz.bench.runner import Run
 from aero_viz.bench.statistics import METRICS, Summary, summarise
 from aero_viz.errors import UserError
 
-__all__ = ["OURS", "format_summaries", "summaries_of", "write_report"]
+__all__ = ["OURS", "format_summaries", "format_worlds", "summaries_of", "world_records", "write_report"]
 
 OURS = "AERO-Viz"
 """Planner's name in the lines of our own flights."""
@@ -46,6 +46,7 @@ def write_report(run: Run, folder: str | Path, *, included: Sequence[Included] =
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write_csv(folder / "flights.csv", run.flights)
+        _write_csv(folder / "worlds.csv", world_records(run))
         _write_csv(folder / "summary.csv", [_flat(line) for line in summaries])
         content = {**run.header, "complete": run.is_complete, "summary": [line.to_dict() for line in summaries]}
         (folder / "summary.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -64,6 +65,30 @@ def format_summaries(summaries: Sequence[Summary]) -> str:
                      _percent(line.passable), _number(line.mean["mean_speed"]), _reasons(line)])  # fmt: skip
     widths = [max(len(row[i]) for row in rows) for i in range(len(_PLAIN_TABLE))]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def world_records(run: Run) -> list[dict[str, Any]]:
+    """Return what was flown in: one record per world with its kind, seed, and whether a path exists, in order."""
+    kinds = {row.label: row.name_prefix for row in run.benchmark.rows}
+    order = list(dict.fromkeys(kinds.values()))
+    found = {(kinds[flight["row"]], flight["world_seed"]): flight["passable"] for flight in run.flights}
+    ordered = sorted(found.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
+    return [{"kind": kind, "seed": seed, "passable": passable} for (kind, seed), passable in ordered]
+
+
+def format_worlds(run: Run) -> list[str]:
+    """Return a line per kind of world that says in which of them a path exists for the drone's radius."""
+    kinds: dict[str, dict[int, bool]] = {}
+    for record in world_records(run):
+        kinds.setdefault(record["kind"], {})[record["seed"]] = record["passable"]
+    lines = []
+    for kind, seeds in kinds.items():
+        closed = [str(seed) for seed, passable in seeds.items() if not passable]
+        line = (
+            f"{kind}, seeds {min(seeds)} to {max(seeds)}: a path exists in {sum(seeds.values())} of {len(seeds)} worlds"
+        )
+        lines.append(f"{line}, none with the seeds {', '.join(closed)}" if closed else line)
+    return lines
 
 
 def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> str:
@@ -87,6 +112,8 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
         parts += ["## Targets", targets]
     if benchmark.metric == "throughput":
         parts += ["## Throughput", _throughput_table(run, own)]
+    radius = header["simulation"]["rules"]["radius"]
+    parts += [f"## Paths for a radius of {radius:g} m", "\n".join(f"- {line}" for line in format_worlds(run))]
     parts += ["## How it was measured", _conditions(run), "### Configuration", _config(header)]
     return "\n\n".join(parts) + "\n"
 
@@ -125,7 +152,8 @@ def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
         reached = line.mean["mean_speed"]
         met = line.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
         wanted = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
-        rows.append([row.label, wanted, f"{_percent(line.success_rate)} at {_number(reached)} m/s", _yes(met)])
+        at = "" if reached is None else f" at {_number(reached)} m/s"
+        rows.append([row.label, wanted, f"{_percent(line.success_rate)}{at}", _yes(met)])
     return _table(["row", "target", "reached", "met"], rows) if rows else ""
 
 
@@ -157,6 +185,10 @@ def _conditions(run: Run) -> str:
         ["flights in a batch", f"at most {header['batch']}"],
         ["wall time", f"{seconds:.0f} s in {len(batches)} batches"],
     ]
+    names = {"lidar": "changes of the LiDAR", "drone": "changes of the drone", "noise": "noise of the state estimate"}
+    for name, changes in header["simulation"].items():
+        text = ", ".join(f"{key} {value:g}" for key, value in (changes or {}).items())
+        rows += [[names.get(name, name), text]] if text else []
     limits = ", ".join(f"{speed:g}" for speed in dict.fromkeys(row.speed for row in run.benchmark.rows))
     rows.append(["velocity limit", f"{limits} m/s"])
     return _table(["what", "value"], rows) + (

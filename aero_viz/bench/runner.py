@@ -6,7 +6,7 @@ import dataclasses
 import datetime
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -19,14 +19,14 @@ from aero_planner import PlannerConfig
 from aero_viz.bench.catalog import Benchmark, Row
 from aero_viz.bench.machine import hardware, versions
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightBatch, FlightRules, VehicleModel
+from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel, lidar_model
 
 __all__ = ["Progress", "Run", "default_batch", "load_run", "run_benchmark"]
 
 _HEADER, _FLIGHTS = "run.json", "flights.jsonl"
-_SAME = ("benchmark", "versions", "seed", "flights", "device", "lidar", "config_name", "config", "rows")
+_SAME = ("benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "config", "rows")
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of flights that are over, of all, and what is going on."""
@@ -61,6 +61,8 @@ class _Flight:
     """Of LiDAR and planner: consecutive in the order of flying, as a batch needs it, whatever the batches are."""
     world_seed: int
     config: PlannerConfig
+    vehicle: VehicleModel
+    rules: FlightRules
     group: tuple[Any, ...]
     """Flights of one batch have equal groups."""
 
@@ -83,7 +85,9 @@ def run_benchmark(
     batch: int | None = None,
     resume: bool = False,
     rules: FlightRules | None = None,
-    sensor: LidarModel | None = None,
+    noise: StateNoise | None = None,
+    drone: Mapping[str, float] | None = None,
+    sensor: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Fly what of a benchmark is not in the folder `output` yet, and return all of it.
@@ -103,8 +107,10 @@ def run_benchmark(
         lidar: name of the LiDAR in the place of each row's own.
         batch: flights at once at most; None is `default_batch`.
         resume: go on with what is in the folder.
-        rules: when flights end; a row's arrival radius replaces theirs.
-        sensor: LiDAR in the place of the named ones.
+        rules: when flights end; the arrival radius of a row that has one replaces theirs.
+        noise: of the state estimates; None for the true states.
+        drone: what differs from the vehicle that the planner assumes, by field of `VehicleModel`.
+        sensor: what differs from the named LiDARs, by field of `LidarModel`.
         progress: told how it goes.
 
     Raises:
@@ -124,12 +130,20 @@ def run_benchmark(
         "device": device,
         "lidar": lidar,
         "batch": size,
+        "simulation": {
+            "lidar": dict(sensor or {}),
+            "drone": dict(drone or {}),
+            "noise": None if noise is None else dataclasses.asdict(noise),
+            "rules": dataclasses.asdict(rules),
+        },
         "config_name": config_name,
         "config": base.to_dict(),
         "rows": [dataclasses.asdict(row) for row in benchmark.rows],
     }
     header = json.loads(json.dumps(header))
-    planned = list(_plan(benchmark, base, flights=flights, seed=seed_0, lidar=lidar, rules=rules))
+    planned = list(_plan(benchmark, base, flights=flights, seed=seed_0, lidar=lidar, rules=rules, drone=drone or {}))
+    names = dict.fromkeys(lidar or row.lidar for row in benchmark.rows)
+    models = {name: dataclasses.replace(lidar_model(name), **(sensor or {})) for name in names}
     folder = Path(output)
     header, done = _open(folder, header, resume=resume)
     run = Run(benchmark, header, done, len(planned))
@@ -142,8 +156,8 @@ def run_benchmark(
         report(len(done), run.total, f"{part[0].row.label}: building {len(part)} worlds")
         started = time.perf_counter()
         worlds, found = zip(*(shelf.take(flight.row, flight.world_seed) for flight in part), strict=True)
-        model = sensor or lidar_model(lidar or part[0].row.lidar)
-        flown = _build(part, worlds, device=device, lidar=model, rules=rules)
+        model = models[lidar or part[0].row.lidar]
+        flown = _build(part, worlds, device=device, lidar=model, noise=noise)
         built = time.perf_counter()
         label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
         results = flown.run(progress=partial(_tell, report, label, len(done), run.total))
@@ -185,25 +199,36 @@ def load_run(folder: str | Path, benchmark: Benchmark) -> Run:
 
 
 def _plan(
-    benchmark: Benchmark, base: PlannerConfig, *, flights: int, seed: int, lidar: str | None, rules: FlightRules
+    benchmark: Benchmark,
+    base: PlannerConfig,
+    *,
+    flights: int,
+    seed: int,
+    lidar: str | None,
+    rules: FlightRules,
+    drone: Mapping[str, float],
 ) -> Iterator[_Flight]:
     """Yield all flights in the order of flying: rows that can share a batch follow each other."""
-    groups: dict[tuple[Any, ...], list[tuple[Row, PlannerConfig]]] = {}
+    groups: dict[tuple[Any, ...], list[tuple[Row, PlannerConfig, VehicleModel, FlightRules]]] = {}
     for row in benchmark.rows:
         try:
             config = base if row.preset is None else PlannerConfig.preset(row.preset)
             config = config.replace({**row.changes, "vehicle.speed_limit": row.speed})
+            vehicle = VehicleModel.from_config(config, **drone)
         except ValueError as error:
             raise UserError(f"The row {row.label!r} of {benchmark.name} does not fit the configuration: {error}") from (
                 error
             )
-        shared = (config.structure(), VehicleModel.from_config(config), lidar or row.lidar, row.arrival_radius)
-        groups.setdefault((*shared, row.label if row.batch else ""), []).append((row, config))
+        radius = row.arrival_radius
+        own_rules = rules if radius is None else dataclasses.replace(rules, arrival_radius=radius)
+        group = (config.structure(), vehicle, lidar or row.lidar, own_rules, row.label if row.batch else "")
+        groups.setdefault(group, []).append((row, config, vehicle, own_rules))
     next_seed = seed
     for group, rows in groups.items():
-        for row, config in rows:
+        for row, config, vehicle, own_rules in rows:
             for index in range(row.batch or flights):
-                yield _Flight(row, index, next_seed, seed + index % flights, config, group)
+                world_seed = seed + index % flights
+                yield _Flight(row, index, next_seed, world_seed, config, vehicle, own_rules, group)
                 next_seed += 1
 
 
@@ -234,7 +259,12 @@ class _Shelf:
 
 
 def _build(
-    part: Sequence[_Flight], worlds: Sequence[World], *, device: str, lidar: LidarModel, rules: FlightRules
+    part: Sequence[_Flight],
+    worlds: Sequence[World],
+    *,
+    device: str,
+    lidar: LidarModel,
+    noise: StateNoise | None,
 ) -> FlightBatch:
     try:
         return FlightBatch(
@@ -243,7 +273,9 @@ def _build(
             device=device,
             seed=part[0].seed,
             lidar=lidar,
-            rules=dataclasses.replace(rules, arrival_radius=part[0].row.arrival_radius),
+            vehicle=part[0].vehicle,
+            rules=part[0].rules,
+            noise=noise,
             config_names=[flight.row.label for flight in part],
         )
     except ValueError as error:

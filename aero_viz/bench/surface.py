@@ -35,6 +35,7 @@ def surface_points(world: World, *, spacing: float = 0.1) -> Points:
     parts = [_cylinder(row, spacing) for row in world.cylinders]
     parts += [_box(row, spacing, only_top=ground) for row, ground in zip(world.boxes, world.ground, strict=True)]
     parts += [_sphere(row, spacing) for row in world.spheres]
+    parts += [_triangle(row, spacing) for row in world.triangles]
     if not parts:
         return np.zeros((0, 3))
     points = np.concatenate(parts)
@@ -90,6 +91,8 @@ def _check_number(world: World, spacing: float) -> None:
     sx, sy, sz = world.boxes[:, 3:6].T
     area = 2.0 * np.pi * np.sum(radius * (radius + height)) + 4.0 * np.pi * np.sum(world.spheres[:, 3] ** 2)
     area += np.sum(np.where(world.ground, sx * sy, 2.0 * (sx * sy + sy * sz + sz * sx)))
+    a, b, c = np.split(world.triangles, 3, axis=1)
+    area += 0.5 * np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     if area / spacing**2 > _POINTS:
         raise UserError(
             f"A spacing of {spacing:g} m gives {area / spacing**2:.2g} points; "
@@ -146,6 +149,17 @@ def _sphere(row: Points, spacing: float) -> Points:
     angle = math.pi * (1.0 + math.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z * z)
     return row[:3] + row[3] * np.column_stack([across * np.cos(angle), across * np.sin(angle), z])
+
+
+def _triangle(row: Points, spacing: float) -> Points:
+    """The middles of n^2 equal triangles, n so that they are at most `spacing` apart along the longest side."""
+    a, b, c = row.reshape(3, 3)
+    count = max(1, math.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c)) / spacing - 1e-9))
+    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
+    upright = np.stack([i, j], axis=-1)[i + j < count] + 1.0 / 3.0
+    turned = np.stack([i, j], axis=-1)[i + j < count - 1] + 2.0 / 3.0
+    u, v = (np.concatenate([upright, turned]) / count).T
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
 def _is_buried(points: Points, world: World) -> NDArray[np.bool_]:

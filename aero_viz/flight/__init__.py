@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from aero_viz.flight.batch import FlightBatch, fly
 from aero_viz.flight.estimate import StateNoise
+from aero_viz.flight.interrupt import FlightInterrupted
 from aero_viz.flight.memory import memory_per_flight
 from aero_viz.flight.metrics import FlightResult
 from aero_viz.flight.progress import ProgressBar
@@ -13,6 +14,7 @@ from aero_viz.flight.vehicle import VehicleModel
 
 __all__ = [
     "FlightBatch",
+    "FlightInterrupted",
     "FlightResult",
     "FlightRules",
     "FlightSource",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -14,13 +13,17 @@ import warp as wp
 from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight.estimate import StateNoise
+from aero_viz.flight.explanation import explain, refuse_impossible
+from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
 from aero_viz.flight.metrics import FlightResult, flight_results
+from aero_viz.flight.progress import share_of_way
 from aero_viz.flight.simulator import FlightRules, Record, Simulator
+from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel, livox_mid360
 
-__all__ = ["SWEEPS", "FlightBatch", "Progress", "fly"]
+__all__ = ["SWEEPS", "FlightBatch", "Progress", "Way", "fly"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,6 +31,8 @@ SWEEPS = 10
 """Number of sweeps that the planner sees at once."""
 Progress = Callable[[int, int, float], None]
 """Takes the number of flights that are over, the number of flights, and the simulated time [s]."""
+Way = Callable[[float, float], None]
+"""Takes the share of a single flight's way that is behind it, and the simulated time [s]."""
 _CHECK_TICKS = 25  # on CUDA the host waits for the device only this often
 
 
@@ -145,39 +150,59 @@ class FlightBatch:
         """Return whether all flights are over; waits for the device."""
         return self._count_finished() == len(self._worlds)
 
-    def run(self, *, progress: Progress | None = None) -> list[FlightResult]:
+    def run(
+        self, *, progress: Progress | None = None, each_tick: Callable[[], None] | None = None
+    ) -> list[FlightResult]:
         """Fly until all flights are over, or until Ctrl-C: flights under way then have the reason None.
 
         Args:
             progress: called now and then, and at the end.
+            each_tick: called after every tick.
         """
-        ticks = _CHECK_TICKS if self.simulator.device.is_cuda else 1
+        ticks = _CHECK_TICKS if self.simulator.device.is_cuda and each_tick is None else 1
         total = len(self._worlds)
         self.interrupted = False
-        try:
-            while (finished := self._count_finished()) < total:
+        with deferred_interrupt() as pressed:
+            while True:
+                finished = self._count_finished()
                 if progress is not None:
                     progress(finished, total, self.simulator.time)
+                if finished == total or pressed():
+                    break
                 for _ in range(ticks):
                     self.step()
+                if each_tick is not None:
+                    each_tick()
                 self._collect_times()
-        except KeyboardInterrupt:
-            self.interrupted = True
-        if progress is not None:
-            progress(self._count_finished(), total, self.simulator.time)
+            self.interrupted = finished < total
         return self.results()
 
     def results(self) -> list[FlightResult]:
         """Return what is known of each flight so far."""
         self._collect_times()
+        records, outcomes, rules = self.simulator.records(), self.simulator.outcomes(), self.simulator.rules
+        places = self.simulator.vehicle.position.numpy()
+        told = [
+            explain(
+                outcome,
+                world,
+                place,
+                time=float(record["ticks"]) * rules.period,
+                clearance=float(record["clearance_min"]),
+                goal=record["goal"],
+                rules=rules,
+            )
+            for outcome, world, place, record in zip(outcomes, self._worlds, places, records, strict=True)
+        ]
         return flight_results(
-            self.simulator.records(),
-            self.simulator.outcomes(),
+            records,
+            outcomes,
             period=self.simulator.rules.period,
             seeds=self._seeds,
             scenes=[world.name for world in self._worlds],
             configs=self._config_names,
             plan_ms=statistics.median(self._plan_ms) if self._plan_ms else None,
+            explanations=told,
         )
 
     def _count_finished(self) -> int:
@@ -236,6 +261,7 @@ def fly(
     speed: float | None = None,
     trajectory: str | Path | None = None,
     config_name: str | None = None,
+    progress: Way | None = None,
 ) -> FlightResult:
     """Fly once, headless and as fast as possible.
 
@@ -248,16 +274,20 @@ def fly(
         speed: replaces vehicle.speed_limit of the configuration [m/s].
         trajectory: CSV file to write while flying, t,x,y,z,vx,vy,vz at every tick, the start included.
         config_name: name of the configuration in the result; None finds a preset's name.
+        progress: called now and then.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C; the trajectory's file holds what was flown.
-        UserError: an option is out of range, the device does not exist, or the file cannot be written.
+        FlightInterrupted: Ctrl-C; it has the result so far, and the trajectory's file holds what was flown.
+        UserError: an option is out of range, no flight can arrive, the device does not exist, or the file cannot be
+            written.
     """
     config = config or PlannerConfig()
     name = config_name or _preset_name(config)
+    rules = rules or FlightRules()
     try:
         if speed is not None:
             config = config.replace({"vehicle.speed_limit": speed})
+        refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
         batch = FlightBatch(
             [world],
             config=config,
@@ -271,28 +301,23 @@ def fly(
         )
     except ValueError as error:
         raise UserError(f"Cannot fly {world.name!r}: {error}") from error
-    if trajectory is None:
-        result = batch.run()[0]
-        if batch.interrupted:
-            raise KeyboardInterrupt
-        return result
-    try:
-        with open(trajectory, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(["t", "x", "y", "z", "vx", "vy", "vz"])
-            _write_row(writer, batch.simulator)
-            while not batch.is_done():
-                batch.step()
-                _write_row(writer, batch.simulator)
-                file.flush()  # a flight that is killed leaves a readable file
-    except OSError as error:
-        raise UserError(f"Cannot write the trajectory {trajectory}: {error.strerror or error}.") from error
-    return batch.results()[0]
+    simulator = batch.simulator
 
+    def tell_way(finished: int, total: int, simulated: float) -> None:
+        if progress is not None:
+            progress(share_of_way(world, simulator.vehicle.position.numpy()[0]), simulated)
 
-def _write_row(writer: Any, simulator: Simulator) -> None:
-    state = [*simulator.vehicle.position.numpy()[0], *simulator.vehicle.velocity.numpy()[0]]
-    writer.writerow([f"{simulator.time:.6f}", *(f"{value:.6f}" for value in state)])
+    with trajectory_file(trajectory) as write_row:
+
+        def write_tick() -> None:
+            write_row(simulator.time, simulator.vehicle.position.numpy()[0], simulator.vehicle.velocity.numpy()[0])
+
+        write_tick()
+        result = batch.run(progress=tell_way, each_tick=None if trajectory is None else write_tick)[0]
+    batch.planner.close()
+    if batch.interrupted:
+        raise FlightInterrupted(result)
+    return result
 
 
 def _preset_name(config: PlannerConfig) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +9,9 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.parameter import live
 from aero_viz.flight.vehicle import Vehicle
+from aero_viz.parameters import check_parameters
 
 __all__ = ["StateEstimate", "StateNoise"]
 
@@ -24,23 +25,18 @@ class StateNoise:
     """Errors of the state estimate: standard deviations per axis of first-order processes, 0 for none.
 
     Sweeps are placed by the estimated pose, as on the drone, and so share the error of their time.
+
+    Raises:
+        ValueError: a parameter is outside its bounds.
     """
 
-    position: float = 0.0
-    """[m]"""
-    velocity: float = 0.0
-    """[m/s]"""
-    attitude: float = 0.0
-    """Rotation vector in body axes [deg]."""
-    correlation_time: float = 1.0
-    """Time after which an error has lost all but 1/e of itself [s]."""
+    position: float = live(0.0, "m", 0.0, 100.0, "Error of the position.")
+    velocity: float = live(0.0, "m/s", 0.0, 100.0, "Error of the velocity.")
+    attitude: float = live(0.0, "deg", 0.0, 180.0, "Error of the attitude, a rotation vector in body axes.")
+    correlation_time: float = live(1.0, "s", 1e-3, 1e9, "Time after which an error has lost all but 1/e of itself.")
 
     def __post_init__(self) -> None:
-        for f in dataclasses.fields(self):
-            value = getattr(self, f.name)
-            if not (0.0 <= value < math.inf) or (f.name == "correlation_time" and value == 0.0):
-                sign = "positive" if f.name == "correlation_time" else "not negative"
-                raise ValueError(f"{f.name} of the state noise is {value!r}; it must be finite and {sign}.")
+        check_parameters(self, "noise")
 
 
 @wp.struct

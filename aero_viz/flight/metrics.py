@@ -36,10 +36,20 @@ class FlightResult:
     seed: int
     scene: str
     config: str
+    explanation: str | None = None
+    """In one sentence what ended the flight; None for an arrival."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON can hold them."""
         return dataclasses.asdict(self)
+
+    def format_table(self) -> str:
+        """Return the fields as text for a terminal, one per line."""
+        return "\n".join(
+            f"{name:16} {value:.3f}" if isinstance(value, float) else f"{name:16} {value}"
+            for name, value in self.to_dict().items()
+            if value is not None
+        )
 
 
 def flight_results(
@@ -51,11 +61,15 @@ def flight_results(
     scenes: Sequence[str],
     configs: Sequence[str],
     plan_ms: float | None,
+    explanations: Sequence[str | None] | None = None,
 ) -> list[FlightResult]:
     """Return one result per flight from the simulator's records and outcomes; `period` is that of a tick [s]."""
     results = []
-    for record, outcome, seed, scene, config in zip(records, outcomes, seeds, scenes, configs, strict=True):
-        time, length = int(record["ticks"]) * period, float(record["length"])
+    told = explanations or [None] * len(outcomes)
+    for record, outcome, seed, scene, config, explanation in zip(
+        records, outcomes, seeds, scenes, configs, told, strict=True
+    ):
+        time, length = round(int(record["ticks"]) * period, 9), float(record["length"])
         results.append(
             FlightResult(
                 arrived=outcome == "arrived",
@@ -71,6 +85,7 @@ def flight_results(
                 seed=seed,
                 scene=scene,
                 config=config,
+                explanation=explanation,
             )
         )
     return results

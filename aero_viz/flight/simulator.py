@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +10,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.parameter import live, structural
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.parameters import check_parameters
 from aero_viz.scenes.world import World
 from aero_viz.sensors.geometry import DeviceWorlds, Geometry, world_distance
 from aero_viz.sensors.lidar import Lidar, LidarModel
@@ -35,29 +36,36 @@ _GPU_LANES = 32  # threads that share the search for the nearest primitive
 
 @dataclass(frozen=True)
 class FlightRules:
-    """When a flight ends. It ends with the tick in which a condition holds first; collision goes before arrival."""
+    """When a flight ends. It ends with the tick in which a condition holds first; collision goes before arrival.
 
-    period: float = 0.02
-    """One tick: how long a command is held [s]; the LiDAR's sweep takes a whole number of ticks."""
-    ticks_per_plan: int = 1
-    """Ticks flown under one plan. 1 plans at 50 Hz; 5, as on the drone, plans at 10 Hz and executes at 50 Hz."""
-    radius: float = 0.25
-    """Collision: the centre comes closer than this to a surface, checked at every integration step [m]."""
-    arrival_radius: float = 1.0
-    """Arrival: the centre is within this distance of the goal [m]."""
-    stall_distance: float = 1.0
-    """Stall: the smallest distance to the goal so far has not shrunk by this much [m] .."""
-    stall_time: float = 5.0
-    """.. within this time [s]."""
-    time_limit: float = 60.0
-    """Timeout [s]."""
+    Raises:
+        ValueError: a parameter is outside its bounds.
+    """
+
+    period: float = live(
+        0.02, "s", 1e-3, 1.0, "One tick: how long a command is held; the LiDAR's sweep takes a whole number of ticks."
+    )
+    ticks_per_plan: int = structural(
+        1, 1, 1000,
+        "Ticks flown under one plan: 1 plans at 50 Hz; 5, as on the drone, plans at 10 Hz and executes at 50 Hz.",
+    )  # fmt: skip
+    radius: float = live(
+        0.25, "m", 1e-3, 100.0,
+        "Collision: the centre comes closer than this to a surface, checked at every integration step.",
+    )  # fmt: skip
+    arrival_radius: float = live(1.0, "m", 1e-3, 1e3, "Arrival: the centre is within this distance of the goal.")
+    stall_distance: float = live(
+        1.0,
+        "m",
+        1e-3,
+        1e3,
+        "Stall: the smallest distance to the goal has not shrunk by this much within stall_time.",
+    )
+    stall_time: float = live(5.0, "s", 1e-3, 1e9, "Time within which the goal has to come stall_distance nearer.")
+    time_limit: float = live(60.0, "s", 1e-3, 1e9, "Timeout: the flight has taken this long.")
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0.0 or (name == "period" and not math.isfinite(value)):
-                raise ValueError(f"{name} of the flight rules is {value!r}; it must be positive.")
-        if self.ticks_per_plan != int(self.ticks_per_plan):
-            raise ValueError(f"ticks_per_plan of the flight rules is {self.ticks_per_plan!r}; it must be whole.")
+        check_parameters(self, "rules")
 
 
 @wp.struct
@@ -204,6 +212,8 @@ class Simulator:
         outcome: index into OUTCOMES, int [B], on the device.
         record: metrics, `Record` [B], on the device.
         tick: number of ticks flown.
+        rules, noise, seeds: as given.
+        observers: called after every tick, in this order.
     """
 
     def __init__(
@@ -226,8 +236,9 @@ class Simulator:
                 f"a sweep takes {1.0 / lidar.sweep_rate:g} s, no multiple of the tick of {rules.period:g} s; "
                 f"set FlightRules.period to a fraction of it, such as {0.2 / lidar.sweep_rate:g}."
             )
-        self.rules = rules
+        self.rules, self.noise, self.seeds = rules, noise, tuple(seeds)
         self.tick = 0
+        self.observers: list[Callable[[], None]] = []
         self.device = wp.get_device(device)
         self._worlds = DeviceWorlds(worlds, device=self.device)
         starts = np.stack([world.start for world in worlds])
@@ -280,6 +291,8 @@ class Simulator:
         size = self.lidar.model.points_per_sweep
         first, end = part * size // self.ticks_per_sweep, (part + 1) * size // self.ticks_per_sweep
         self._scan(sweep, first, end)
+        for observer in self.observers:
+            observer()
         return sweep, first, end
 
     def records(self) -> NDArray[Any]:

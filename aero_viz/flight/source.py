@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS
 from aero_viz.flight.estimate import StateNoise
+from aero_viz.flight.explanation import explain
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.vehicle import VehicleModel
@@ -21,21 +22,52 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel, livox_mid360
 from aero_viz.source import Observation, Scenery
 
-__all__ = ["FlightSource"]
+__all__ = ["KEPT_BYTES", "FlightSource"]
 
 Cloud = NDArray[np.float32]
+Pose = NDArray[np.float32]
+
+KEPT_BYTES = 32_000_000
+"""Sweeps up to this size are kept, the newest: what a checkpoint needs beyond them is measured again."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
+class _Scan:
+    """What the points first .. end - 1 of a sweep follow from; together with the seed it repeats them bit for bit."""
+
+    sweep: int
+    first: int
+    end: int
+    before: Pose
+    """True and believed pose at the beginning: position [m] and quaternion w, x, y, z, float32 [2, 7]."""
+    after: Pose
+    """.. and at the end."""
+
+
+@dataclass(eq=False, slots=True)
+class _Sweep:
+    """One whole sweep."""
+
+    scans: tuple[_Scan, ...]
+    points: Cloud | None
+    """Its returns [m], world frame; None once they are forgotten."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class _Checkpoint:
-    simulator: tuple[int, list[NDArray[Any]]]
-    sweeps: tuple[Cloud, ...]
-    parts: tuple[Cloud, ...]
+    tick: int
+    state: bytes
+    """The simulator's arrays, one after the other."""
+    sweeps: tuple[_Sweep, ...]
+    scans: tuple[_Scan, ...]
+    """Of the sweep in progress."""
     goal: NDArray[np.float64]
 
 
 class FlightSource:
     """A simulated flight in a world; implements `aero_viz.source.Source`.
+
+    Checkpoints take about a kilobyte each: they hold no points, but the poses from which the points are measured again.
 
     Args:
         world: where to fly.
@@ -83,23 +115,40 @@ class FlightSource:
         self.period = rules.period * rules.ticks_per_plan
         self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
         self.scenery = Scenery(start=world.start, world=world)
-        self._seed = seed
-        self._goal = world.goal
-        self._parts: tuple[Cloud, ...] = ()  # of the sweep in progress
-        sweeps = []
-        for sweep in range(-SWEEPS, 0):
-            self._simulator.look(sweep)
-            sweeps.append(_returns([self._new_points(0, None)]))
-        self._show(tuple(sweeps))
+        self._world, self._seed, self._goal = world, seed, world.goal
+        with wp.ScopedDevice(self._simulator.device):
+            self._looking = wp.zeros(1, dtype=int)
+            self._poses = [(wp.zeros(1, dtype=wp.vec3), wp.zeros(1, dtype=wp.vec4)) for _ in range(4)]
+        self._kept: deque[_Sweep] = deque()
+        self._kept_bytes = 0
+        self._scans: tuple[_Scan, ...] = ()  # of the sweep in progress
+        self._parts: list[Cloud] = []  # and what they measured
         self._read_state()
+        size = self._simulator.lidar.model.points_per_sweep
+        looks = [_Scan(sweep, 0, size, self._pose, self._pose) for sweep in range(-SWEEPS, 0)]
+        self._show(tuple(_Sweep((look,), None) for look in looks))
 
     @property
     def simulator(self) -> Simulator:
         """The simulator behind the source."""
         return self._simulator
 
+    @property
+    def explanation(self) -> str | None:
+        """In one sentence what ended the flight; None while it goes on and for an arrival."""
+        return None if self.outcome is None else self._explain()
+
     def observe(self) -> Observation:
         """Return what the planner sees now, the estimated state and the last 10 whole sweeps, and the true state."""
+        if self._observation is None:
+            self._observation = Observation(
+                time=self._simulator.time,
+                state=self._state,
+                goal=Goal(self._goal),
+                points=self._points,
+                sweep_count=len(self._sweeps),
+                true_state=self._true_state,
+            )
         return self._observation
 
     def advance(self, plan: Plan) -> None:
@@ -108,27 +157,42 @@ class FlightSource:
         for phase in self._phases:
             if self.outcome is not None:
                 return
-            _, first, end = self._simulator.advance(commands, phase=phase)
-            self._parts = (*self._parts, self._new_points(first, end))
-            if end == self._simulator.lidar.model.points_per_sweep:
-                self._show((*self._sweeps[1:], _returns(self._parts)))
-                self._parts = ()
+            before = self._pose
+            sweep, first, end = self._simulator.advance(commands, phase=phase)
             self._read_state()
+            if self.outcome is None:  # a flight that has ended measures nothing
+                self._scans = (*self._scans, _Scan(sweep, first, end, before, self._pose))
+                self._parts.append(self._new_points(first, end))
+            if end == self._simulator.lidar.model.points_per_sweep and self._scans:
+                whole = _Sweep(self._scans, _returns(self._parts))
+                self._scans, self._parts = (), []
+                self._keep(whole)
+                self._show((*self._sweeps[1:], whole))
 
     def checkpoint(self) -> object:
-        """Return all that `restore` needs; clouds are shared with the source, not copied."""
-        return _Checkpoint(self._simulator.checkpoint(), self._sweeps, self._parts, self._goal)
+        """Return all that `restore` needs: about a kilobyte, and nothing that grows with the cloud."""
+        tick, arrays = self._simulator.checkpoint()
+        state = b"".join([array.tobytes() for array in arrays])
+        return _Checkpoint(tick, state, self._sweeps, self._scans, self._goal)
 
     def restore(self, checkpoint: object) -> None:
         """Continue from a checkpoint of this source: the same plans give the same flight, bit for bit.
+
+        Takes a few milliseconds within the last sweeps flown or restored, see `KEPT_BYTES`, else as long as measuring
+        ten sweeps.
 
         Raises:
             TypeError: this is no checkpoint of a flight.
         """
         if not isinstance(checkpoint, _Checkpoint):
             raise TypeError(f"{type(checkpoint).__name__} is no checkpoint of a flight.")
-        self._simulator.restore(checkpoint.simulator)
-        self._goal, self._parts = checkpoint.goal, checkpoint.parts
+        values, start = [], 0
+        for like in self._simulator.checkpoint()[1]:
+            values.append(np.frombuffer(checkpoint.state, like.dtype, like.size, start).reshape(like.shape))
+            start += like.nbytes
+        self._simulator.restore((checkpoint.tick, values))
+        self._goal, self._scans = checkpoint.goal, checkpoint.scans
+        self._parts = [self._measure(scan) for scan in self._scans]
         self._show(checkpoint.sweeps)
         self._read_state()
 
@@ -144,15 +208,32 @@ class FlightSource:
         """Move the goal to `position` [m], shape [3], world frame; a flight that arrived or stalled goes on.
 
         Raises:
-            UserError: the position is not three finite numbers.
+            UserError: the position is not three finite numbers, lies inside an obstacle, below the ground or outside
+                the world's bounds; the goal stays.
         """
         goal = np.array(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise UserError(f"The goal {np.asarray(position).tolist()} is no position; give three finite numbers.")
+        self._refuse_unreachable(goal)
         goal.flags.writeable = False
         self._goal = goal
         self._simulator.set_goal(goal[None])
         self._read_state()
+
+    def _refuse_unreachable(self, goal: NDArray[np.float64]) -> None:
+        place = "(" + ", ".join(f"{value:.4g}" for value in goal) + ")"
+        lower, upper = self._world.bounds
+        if (goal < lower).any() or (goal > upper).any():
+            sides = zip("xyz", lower, upper, strict=True)
+            box = ", ".join(f"{axis} {low:g} to {high:g}" for axis, low, high in sides)
+            raise UserError(f"The goal {place} lies outside the world, {box}; the goal before stays: give one inside.")
+        depth = _below_ground(self._world, goal)
+        where = f"{depth:.2f} m below the ground"
+        if depth <= 0.0:
+            depth = -float(self._world.distance(goal)[0])
+            where = f"inside an obstacle, {depth:.2f} m deep"
+        if depth > 0.0:
+            raise UserError(f"The goal {place} lies {where}; the goal before stays: give a free place.")
 
     def result(self) -> FlightResult:
         """Return the metrics of the flight so far."""
@@ -164,39 +245,98 @@ class FlightSource:
             scenes=[self.name],
             configs=[""],
             plan_ms=None,
+            explanations=[self._explain()],
         )[0]
 
     def close(self) -> None:
         """Nothing to release: device memory goes with the source."""
 
-    def _read_state(self) -> None:
-        simulator, vehicle = self._simulator, self._simulator.vehicle
-
-        def state_of(holder: Any) -> VehicleState:
-            arrays = (holder.position, holder.velocity, holder.quaternion, vehicle.acceleration)
-            return VehicleState(*(array.numpy()[0].astype(np.float64) for array in arrays), time=simulator.time)
-
-        self.outcome: str | None = simulator.outcomes()[0]
-        self._observation = Observation(
-            time=simulator.time,
-            state=state_of(simulator.estimate),
-            goal=Goal(self._goal),
-            points=self._points,
-            sweep_count=len(self._sweeps),
-            true_state=state_of(vehicle),
+    def _explain(self) -> str | None:
+        simulator, record = self._simulator, self._simulator.records()[0]
+        return explain(
+            self.outcome,
+            self._world,
+            simulator.vehicle.position.numpy()[0],
+            time=float(record["ticks"]) * simulator.rules.period,
+            clearance=float(record["clearance_min"]),
+            goal=self._goal,
+            rules=simulator.rules,
         )
 
-    def _new_points(self, first: int, end: int | None) -> Cloud:
+    def _read_state(self) -> None:
+        """Read the vehicle's true and believed state from the device."""
+        vehicle, estimate = self._simulator.vehicle, self._simulator.estimate
+        acceleration, time = vehicle.acceleration.numpy()[0].astype(np.float64), self._simulator.time
+
+        def state_of(holder: Any) -> tuple[VehicleState, Pose]:
+            arrays = [array.numpy()[0] for array in (holder.position, holder.velocity, holder.quaternion)]
+            values = [array.astype(np.float64) for array in arrays]
+            return VehicleState(*values, acceleration=acceleration, time=time), np.concatenate((arrays[0], arrays[2]))
+
+        self._true_state, true_pose = state_of(vehicle)
+        exact = estimate.position is vehicle.position
+        self._state, pose = (self._true_state, true_pose) if exact else state_of(estimate)
+        self._pose: Pose = np.stack((true_pose, pose))
+        self.outcome: str | None = self._simulator.outcomes()[0]
+        self._observation: Observation | None = None
+
+    def _new_points(self, first: int, end: int) -> Cloud:
         points: Any = self._simulator.lidar.points.numpy()
         return points[0, first:end].copy()
 
-    def _show(self, sweeps: tuple[Cloud, ...]) -> None:
+    def _measure(self, scan: _Scan) -> Cloud:
+        """Measure what was measured once, rays without return included."""
+        for (place, attitude), pose in zip(self._poses, (*scan.before, *scan.after), strict=True):
+            place.assign(pose[None, :3])
+            attitude.assign(pose[None, 3:])
+        before, believed_before, after, believed = self._poses
+        self._simulator.lidar.scan(
+            scan.sweep,
+            scan.first,
+            scan.end,
+            poses=after,
+            poses_before=before,
+            finished=self._looking,
+            believed=believed,
+            believed_before=believed_before,
+        )
+        return self._new_points(scan.first, scan.end)
+
+    def _show(self, sweeps: tuple[_Sweep, ...]) -> None:
         self._sweeps = sweeps
-        self._points = np.concatenate(sweeps)
+        self._points = np.concatenate([self._cloud(sweep) for sweep in sweeps])
         self._points.flags.writeable = False
+        self._observation = None
+
+    def _cloud(self, sweep: _Sweep) -> Cloud:
+        if sweep.points is None:
+            sweep.points = _returns([self._measure(scan) for scan in sweep.scans])
+            self._keep(sweep)
+        return sweep.points
+
+    def _keep(self, sweep: _Sweep) -> None:
+        """Remember the sweep's points, and forget those of the sweeps that were remembered longest ago."""
+        assert sweep.points is not None
+        self._kept.append(sweep)
+        self._kept_bytes += sweep.points.nbytes
+        while self._kept_bytes > KEPT_BYTES and len(self._kept) > SWEEPS:
+            oldest = self._kept.popleft()
+            assert oldest.points is not None
+            self._kept_bytes -= oldest.points.nbytes
+            oldest.points = None
 
 
-def _returns(parts: Sequence[Cloud]) -> Cloud:
+def _below_ground(world: World, place: NDArray[np.float64]) -> float:
+    """Return how far the top of the ground is above a place that lies over or under it [m]; negative above."""
+    depth = -np.inf
+    for x, y, z, length, width, height, yaw in world.boxes[world.ground]:
+        c, s, along, across = np.cos(yaw), np.sin(yaw), place[0] - x, place[1] - y
+        if abs(c * along + s * across) <= 0.5 * length and abs(c * across - s * along) <= 0.5 * width:
+            depth = max(depth, z + 0.5 * height - place[2])
+    return float(depth)
+
+
+def _returns(parts: list[Cloud]) -> Cloud:
     """Join the parts of a sweep and leave out the rays without return."""
     points: Any = np.concatenate(parts)
     return points[~np.isnan(points[:, 0])]

@@ -2,75 +2,73 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import warp as wp
 
 from aero_planner import PlannerConfig
+from aero_planner.config import VehicleConfig
+from aero_planner.parameter import live
+from aero_viz.parameters import check_parameters
 
-__all__ = ["Vehicle", "VehicleModel"]
+__all__ = ["PLANNED", "Vehicle", "VehicleModel"]
+
+PLANNED = ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max")
+"""Parameters of the vehicle that the planner knows, too: where nothing else is said, it is right about them."""
 
 wp.set_module_options({"enable_backward": False})
 
 GUSTS = wp.constant(0x47757374)  # tells the gusts' random numbers from those of the other parts of a flight
 
 
+def _planned(name: str) -> Any:
+    """Return the field of a parameter that the planner's own model of the vehicle has, too."""
+    known = VehicleConfig.__dataclass_fields__[name]
+    return field(default=known.default, metadata=known.metadata)
+
+
 @dataclass(frozen=True)
 class VehicleModel:
-    """Parameters of the simulated vehicle; the defaults are the planner's own model: no lags, latency, drag, gusts."""
+    """Parameters of the simulated vehicle; the defaults are the planner's own model: no lags, latency, drag, gusts.
 
-    mass: float = 1.0
-    """m [kg]."""
-    gravity: float = 9.81
-    """g [m/s^2]."""
-    thrust_min: float = 0.3
-    """Smallest total thrust [N]."""
-    thrust_max: float = 16.35
-    """Largest total thrust [N]."""
-    rate_xy_max: float = 3.0
-    """Largest roll and pitch rate [rad/s]."""
-    rate_z_max: float = 2.0
-    """Largest yaw rate [rad/s]."""
-    thrust_lag: float = 0.0
-    """Time constant of the thrust's first-order response [s]; 0 follows at once."""
-    rate_lag: float = 0.0
-    """Time constant of the body rates' first-order response [s]; 0 follows at once."""
-    drag: float = 0.0
-    """Linear drag k in dv = .. - k (v - w), with w the wind [1/s]."""
-    latency: float = 0.0
-    """Time from a command to its effect, rounded to whole integration steps [s]."""
-    gust_speed: float = 0.0
-    """Standard deviation of the wind in each axis [m/s]; it acts through the drag. The wind is a first-order process,
-    dw = -w / gust_time dt + noise, the longitudinal form of the Dryden spectrum with gust_time = L / V."""
-    gust_time: float = 1.0
-    """Correlation time of the wind [s]."""
-    step: float = 0.005
-    """Longest integration step [s]."""
+    Raises:
+        ValueError: a parameter is outside its bounds or contradicts another one.
+    """
+
+    mass: float = _planned("mass")
+    gravity: float = _planned("gravity")
+    thrust_min: float = _planned("thrust_min")
+    thrust_max: float = _planned("thrust_max")
+    rate_xy_max: float = _planned("rate_xy_max")
+    rate_z_max: float = _planned("rate_z_max")
+    thrust_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the thrust's first-order response; 0: at once.")
+    rate_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the body rates' first-order response; 0: at once.")
+    drag: float = live(0.0, "1/s", 0.0, 100.0, "Linear drag in dv = .. - k (v - w), with w the wind.", symbol="k")
+    latency: float = live(0.0, "s", 0.0, 10.0, "Time from a command to its effect, rounded to whole integration steps.")
+    gust_speed: float = live(
+        0.0, "m/s", 0.0, 100.0, "Standard deviation of the wind in each axis; it acts through the drag.", symbol="w"
+    )
+    gust_time: float = live(
+        1.0, "s", 1e-3, 1e9, "Correlation time of the wind, a first-order process dw = -w / gust_time dt + noise: the "
+        "longitudinal form of the Dryden spectrum with gust_time = L / V.",
+    )  # fmt: skip
+    step: float = live(0.005, "s", 1e-4, 0.1, "Longest integration step.")
 
     def __post_init__(self) -> None:
-        for f in dataclasses.fields(self):
-            value = getattr(self, f.name)
-            zero_allowed = f.name not in ("mass", "step", "thrust_max", "gust_time")
-            if not (math.isfinite(value) and (value > 0.0 or (zero_allowed and value == 0.0))):
-                sign = "not negative" if zero_allowed else "positive"
-                raise ValueError(f"{f.name} of the vehicle is {value!r}; it must be finite and {sign}.")
+        check_parameters(self, "drone")
         if self.thrust_min > self.thrust_max:
-            raise ValueError(
-                f"thrust_min of the vehicle, {self.thrust_min:g} N, exceeds thrust_max, {self.thrust_max:g} N."
-            )
-
+            raise ValueError(f"drone.thrust_min is {self.thrust_min:g} N; it must not exceed drone.thrust_max, "
+                             f"which is {self.thrust_max:g} N.")  # fmt: skip
         if self.gust_speed > 0.0 and self.drag == 0.0:
-            raise ValueError("gust_speed of the vehicle has no effect without drag; set drag too, such as 0.3 1/s.")
+            raise ValueError("drone.gust_speed has no effect without drag; set drone.drag too, such as 0.3 1/s.")
 
     @classmethod
     def from_config(cls, config: PlannerConfig, **changes: float) -> VehicleModel:
         """Return the vehicle that the planner of `config` assumes, with `changes`."""
-        shared = ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max")
-        return cls(**{name: getattr(config.vehicle, name) for name in shared} | changes)
+        return cls(**{name: getattr(config.vehicle, name) for name in PLANNED} | changes)
 
 
 @wp.struct

@@ -3,30 +3,45 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
+import importlib.metadata
 import json
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner import PlannerConfig, VehicleState
 from aero_planner.config_file import format_config
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightResult, FlightSource
+from aero_viz.flight import FlightInterrupted, FlightResult, FlightRules, FlightSource, StateNoise, VehicleModel
+from aero_viz.flight.batch import Way
+from aero_viz.flight.explanation import refuse_impossible
+from aero_viz.flight.interrupt import deferred_interrupt
+from aero_viz.flight.progress import share_of_way
+from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.frame import Frame
-from aero_viz.logs.messages import Encoded, definition, encode_plan, encode_pose, encode_sweep
+from aero_viz.logs.messages import (
+    Encoded,
+    body_rates,
+    definition,
+    encode_plan,
+    encode_pose,
+    encode_sweep,
+    true_state,
+)
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 from aero_viz.sinks import Sink
+from aero_viz.source import Source
 
-__all__ = ["FlightLog", "fly_and_log", "new_points", "record"]
+__all__ = ["FlightLog", "flight_settings", "fly_and_log", "new_points", "record"]
 
 _CHUNK_BYTES = 1 << 20
 _FLUSH_PERIOD = 1.0  # of wall time [s]: a killed process loses no more than this
@@ -42,26 +57,31 @@ class FlightLog:
     Args:
         path: file to write; replaced.
         world: kept in the file as the attachment world.json.
+        settings: kept as the attachment flight.json.
 
     Raises:
         UserError: the file cannot be written.
     """
 
-    def __init__(self, path: str | Path, *, world: World | None = None) -> None:
+    def __init__(
+        self, path: str | Path, *, world: World | None = None, settings: Mapping[str, Any] | None = None
+    ) -> None:
         self.path = Path(path)
         self.frames = 0
         """Frames written so far."""
         self._channels: dict[str, int] = {}
         self._base = self._stamp = time.time_ns()
         self._last: Frame | None = None
+        self._pose: tuple[int, float, VehicleState] | None = None  # epoch, time [s] and state of the last pose
         self._torn = False
         self._cloud: NDArray[np.float32] | None = None
         try:
             self._file = self.path.open("wb")
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-            self._writer.start(profile="ros2", library="aero-viz")
-            if world is not None:
-                self._attach("world.json", "application/json", json.dumps(world.to_dict()))
+            self._writer.start(profile="ros2", library=f"aero-viz {importlib.metadata.version('aero-viz')}")
+            for name, content in (("world.json", world and world.to_dict()), ("flight.json", settings)):
+                if content is not None:
+                    self._attach(name, "application/json", json.dumps(content))
             self._flush()
         except OSError as error:
             raise UserError(f"Cannot write the flight log {path}: {error.strerror or error}.") from error
@@ -74,14 +94,18 @@ class FlightLog:
             self._torn = True
             raise
 
+    def write_pose(self, time: float, state: VehicleState) -> None:
+        """Append where the drone is between two frames, `time` [s] being the source's, after that of the last frame."""
+        if self._last is not None:
+            self._write_pose(time, state, self._base + round(1e9 * time), epoch=self._last.epoch)
+
     def _write(self, frame: Frame) -> None:
         before = self._last
         stamp = self._next_stamp(frame)
         if before is None or before.config is not frame.config:
             self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(frame.config))
         if before is None or before.epoch != frame.epoch or before.time != frame.time:
-            for message in encode_pose(frame, stamp):
-                self._add(message, stamp)
+            self._write_pose(frame.time, true_state(frame), stamp, epoch=frame.epoch)
             self._write_sweeps(frame, stamp)
         for message in encode_plan(frame, stamp):
             self._add(message, stamp)
@@ -89,6 +113,17 @@ class FlightLog:
         self.frames += 1
         if time.monotonic() - self._flushed > _FLUSH_PERIOD:
             self._flush()
+
+    def _write_pose(self, at: float, state: VehicleState, stamp: int, *, epoch: int) -> None:
+        """Write a pose once; body rates are the mean ones since the pose before, zero after a jump in time."""
+        rates = np.zeros(3)
+        if self._pose is not None and self._pose[0] == epoch:
+            if self._pose[1] >= at:
+                return
+            rates = body_rates(self._pose[2], state, at - self._pose[1])
+        self._pose = (epoch, at, state)
+        for message in encode_pose(state, stamp, rates=rates):
+            self._add(message, stamp)
 
     def close(self, *, dropped: int = 0) -> None:
         """Finish the file; `dropped` frames never reached it, which its metadata says. A torn file just ends."""
@@ -155,7 +190,7 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
     The engine never waits: frames that the disk cannot keep up with are dropped, counted in the file and announced. A
     disk that takes no more is announced, too, and ends the log, not the flight.
     """
-    log = FlightLog(path, world=session.source.scenery.world)
+    log = FlightLog(path, world=session.source.scenery.world, settings=flight_settings(session.source))
     sinks: list[Sink] = []  # empty while the first frame may already be on its way
     failed = announced = False
 
@@ -191,42 +226,85 @@ def fly_and_log(
     seed: int = 0,
     device: str = "cpu",
     lidar: LidarModel | None = None,
+    vehicle: VehicleModel | None = None,
+    rules: FlightRules | None = None,
+    noise: StateNoise | None = None,
     speed: float | None = None,
     trajectory: str | Path | None = None,
     config_name: str = "custom",
+    progress: Way | None = None,
 ) -> FlightResult:
     """Fly once, headless, and log every tick, none dropped; otherwise as `aero_viz.flight.fly`.
 
     Raises:
-        UserError: an option is out of range, or a file cannot be written.
+        FlightInterrupted: Ctrl-C; it has the result so far, and the files hold what was flown.
+        UserError: an option is out of range, no flight can arrive, or a file cannot be written.
     """
-    config = config or PlannerConfig()
+    config, rules = config or PlannerConfig(), rules or FlightRules()
     try:
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+        vehicle = vehicle or VehicleModel.from_config(config)
     except ValueError as error:
         raise UserError(f"Cannot fly {world.name!r}: {error}") from error
-    source = FlightSource(world, lidar=lidar, seed=seed, device=device)
+    refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
+    source = FlightSource(
+        world,
+        lidar=lidar,
+        vehicle=vehicle,
+        rules=rules,
+        noise=noise,
+        control_step=config.sampling.dt,
+        seed=seed,
+        device=device,
+    )
     plan_ms: list[float] = []
-    flight_log = FlightLog(log, world=world)
-    session = Session(source, config=config, device=device, seed=seed)
+    over = False
     try:
         with contextlib.ExitStack() as stack:
-            stack.callback(session.close)
-            stack.callback(flight_log.close)
-            rows = None
-            if trajectory is not None:
-                file = stack.enter_context(open(trajectory, "w", newline="", encoding="utf-8"))
-                rows = csv.writer(file)
-                rows.writerow(["t", "x", "y", "z", "vx", "vy", "vz"])
-            while source.outcome is None:
+            session = stack.enter_context(contextlib.closing(Session(source, config=config, device=device, seed=seed)))
+            opened = FlightLog(log, world=world, settings=flight_settings(source))
+            flight_log = stack.enter_context(contextlib.closing(opened))
+            write_row = stack.enter_context(trajectory_file(trajectory))
+            pressed = stack.enter_context(deferred_interrupt())
+            simulator, drone = source.simulator, source.simulator.vehicle
+
+            def write_tick() -> None:
+                arrays = (drone.position, drone.velocity, drone.quaternion)
+                state = VehicleState(*(array.numpy()[0].astype(np.float64) for array in arrays))
+                flight_log.write_pose(simulator.time, state)
+                write_row(simulator.time, state.position, state.velocity)
+
+            write_tick()
+            simulator.observers.append(write_tick)
+            while not over:
                 frame = session.tick()
                 flight_log.write(frame)
                 plan_ms.append(frame.timings_ms["plan"])
-                if rows is not None:
-                    state = frame.observation.state
-                    values = [frame.time, *np.asarray(state.position), *np.asarray(state.velocity)]
-                    rows.writerow([f"{value:.6f}" for value in values])
+                if progress is not None:
+                    progress(share_of_way(world, drone.position.numpy()[0]), frame.time)
+                over = source.outcome is not None or pressed()
+            result = source.result()
     except OSError as error:
-        raise UserError(f"Cannot write {error.filename or log}: {error.strerror or error}.") from error
-    median = statistics.median(plan_ms) if plan_ms else None
-    return dataclasses.replace(source.result(), config=config_name, plan_ms_median=median)
+        raise UserError(f"Cannot write the flight log {log}: {error.strerror or error}.") from error
+    result = dataclasses.replace(result, config=config_name, plan_ms_median=statistics.median(plan_ms))
+    if result.reason is None:
+        raise FlightInterrupted(result)
+    return result
+
+
+def flight_settings(source: Source) -> dict[str, Any] | None:
+    """Return what repeats a flight, besides its world and configurations; None for a recording."""
+    if not isinstance(source, FlightSource):
+        return None
+    simulator = source.simulator
+    parts = {
+        "lidar": simulator.lidar.model,
+        "drone": simulator.vehicle.model,
+        "noise": simulator.noise,
+        "rules": simulator.rules,
+    }
+    return {
+        "seed": simulator.seeds[0],
+        "device": simulator.device.alias,
+        **{name: None if part is None else dataclasses.asdict(part) for name, part in parts.items()},
+    }

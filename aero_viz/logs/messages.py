@@ -10,10 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from aero_planner import VehicleState
 from aero_viz.frame import Frame
 from aero_viz.recordings.rotations import matrices
 
-__all__ = ["BODY", "WORLD", "Encoded", "definition", "encode_plan", "encode_pose", "encode_sweep"]
+__all__ = [
+    "BODY",
+    "WORLD",
+    "Encoded",
+    "body_rates",
+    "definition",
+    "encode_plan",
+    "encode_pose",
+    "encode_sweep",
+    "true_state",
+]
 
 WORLD, BODY = "world", "body"
 """Names of the frames: the fixed one, and the drone's, which is the LiDAR's too."""
@@ -68,15 +79,20 @@ def definition(kind: str) -> str:
     return _store().generate_msgdef(kind, ros_version=2)[0]
 
 
-def encode_pose(frame: Frame, stamp: int) -> Iterator[Encoded]:
-    """Yield /odometry and /tf: where the drone is at `stamp` [ns]; the twist is in the body frame, as ROS has it."""
-    state = frame.observation.true_state or frame.observation.state
+def encode_pose(state: VehicleState, stamp: int, *, rates: NDArray[np.float64]) -> Iterator[Encoded]:
+    """Yield /odometry and /tf: where the drone is at `stamp` [ns]; the twist is in the body frame, as ROS has it.
+
+    Args:
+        state: true one where it is known.
+        stamp: [ns].
+        rates: body rates [rad/s], shape [3].
+    """
     position, q = np.asarray(state.position, float), np.asarray(state.quaternion, float)
     twist = np.asarray(state.velocity, float) @ matrices(q)
     rotation = _make("geometry_msgs/msg/Quaternion", **dict(zip("wxyz", q.tolist(), strict=True)))
     header, zero = _header(stamp, WORLD), np.zeros(36)
     pose = _make("geometry_msgs/msg/Pose", position=_vector(position, "Point"), orientation=rotation)
-    velocity = _make("geometry_msgs/msg/Twist", linear=_vector(twist), angular=_vector(np.zeros(3)))
+    velocity = _make("geometry_msgs/msg/Twist", linear=_vector(twist), angular=_vector(rates))
     yield _encode(
         "/odometry",
         _ODOMETRY,
@@ -90,9 +106,23 @@ def encode_pose(frame: Frame, stamp: int) -> Iterator[Encoded]:
     yield _encode("/tf", _TF, transforms=[stamped])
 
 
+def body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArray[np.float64]:
+    """Return the constant body rates [rad/s], shape [3], that turn one attitude into the other within `time` [s]."""
+    (w0, *v0), (w1, *v1) = np.asarray(before.quaternion, float), np.asarray(after.quaternion, float)
+    w = w0 * w1 + np.dot(v0, v1)  # conj(q0) (x) q1
+    v = (w0 * np.array(v1) - w1 * np.array(v0) - np.cross(v0, v1)) * (1.0 if w >= 0.0 else -1.0)
+    sine = float(np.linalg.norm(v))
+    return v * (2.0 * np.arctan2(sine, abs(w)) / (sine * time)) if sine > 0.0 else v
+
+
+def true_state(frame: Frame) -> VehicleState:
+    """Return the true state where it is known, else the estimated one."""
+    return frame.observation.true_state or frame.observation.state
+
+
 def encode_sweep(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encoded:
     """Return /sweep: `points` [m], shape [P, 3], world frame, as the drone sees them at `stamp` [ns]."""
-    state = frame.observation.true_state or frame.observation.state
+    state = true_state(frame)
     seen = (points - np.asarray(state.position, float)) @ matrices(np.asarray(state.quaternion, float))
     fields = [
         _make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=_FLOAT32, count=1)

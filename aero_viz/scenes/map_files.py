@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 
-__all__ = ["MAP_SUFFIXES", "read_points"]
+__all__ = ["MAP_SUFFIXES", "read_mesh", "read_points"]
 
 Points = NDArray[np.float64]
 
@@ -45,6 +45,34 @@ def read_points(path: str | Path) -> Points:
     if len(points) == 0:
         raise UserError(f"{path} holds no finite points; give a map with at least one.")
     return points
+
+
+def read_mesh(path: str | Path) -> Points:
+    """Return the triangles of a mesh [m], float64 [n, 9]; none for a file of points.
+
+    OBJ, STL, GLB, OFF, and PLY that has faces; in metres, z up.
+
+    Raises:
+        UserError: the file cannot be read, is of another form, or ought to be a mesh and is none.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (*_MESHES, ".ply"):
+        return np.zeros((0, 9))
+    from aero_viz.scenes.triangles import read_triangles
+
+    try:
+        head = path.read_bytes()[:4096]
+        if suffix == ".ply" and not re.search(rb"\nelement face [1-9]", head):
+            return np.zeros((0, 9))
+        triangles = read_triangles(path)
+    except OSError as error:
+        raise UserError(f"Cannot read the mesh {path}: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise UserError(f"{path} is no mesh that can be read: {' '.join(str(error).split())}.") from error
+    if not len(triangles):
+        raise UserError(f"{path} holds no triangles; give a mesh with at least one.")
+    return triangles
 
 
 def _read_npy(path: Path) -> Points:
@@ -192,5 +220,6 @@ _READERS: dict[str, Callable[[Path], Points]] = {
     ".xyzrgb": _read_text,
     ".pts": _read_text,
 }
-MAP_SUFFIXES = tuple(_READERS)
-"""Endings of the names of the files that `read_points` reads."""
+_MESHES = (".obj", ".stl", ".glb", ".off")
+MAP_SUFFIXES = (*_READERS, *_MESHES)
+"""Endings of the names of the files that `read_points` and `read_mesh` read."""

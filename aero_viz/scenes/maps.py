@@ -1,4 +1,4 @@
-"""Worlds from maps of points: occupied voxels as boxes, and a start and a goal where there is room."""
+"""Worlds from maps of points, occupied voxels as boxes, and from meshes; a start and a goal where there is room."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.errors import UserError
-from aero_viz.scenes.map_files import read_points
+from aero_viz.scenes.map_files import read_mesh, read_points
 from aero_viz.scenes.world import World
 
 __all__ = ["map_world"]
 
+VOXEL, VOXELS = 0.2, (0.01, 100.0)
+"""Edge of a voxel where nothing is said, and what it may be [m]."""
 HEIGHT = 2.0
 """Of a start and a goal that are not given, over the local ground [m]."""
 ROOM = 0.75
@@ -26,27 +28,39 @@ _FAR = 10_000.0  # [m]; beyond, float32 has millimetres left
 _TILE = 4.0  # [m]; the local ground is the low end of the points in a square of this edge
 _CELL = 0.5  # [m] of the search for a start and a goal ..
 _CELLS = 400  # .. or so many cells along the map
+_SAMPLES = 100_000  # points on a mesh, about one per square metre or so many
 _WIDE = 1.5  # [m]; wider is no better for a start
 
 Array = NDArray[np.float64]
 
 
 def map_world(
-    path: str | Path, *, voxel: float = 0.2, start: ArrayLike | None = None, goal: ArrayLike | None = None
+    path: str | Path, *, voxel: float | None = None, start: ArrayLike | None = None, goal: ArrayLike | None = None
 ) -> World:
-    """Return a world of boxes, the occupied voxels of a map; see `World.from_map`."""
-    if not 0.0 < voxel < math.inf:
-        raise UserError(f"The voxels of the map {path} have an edge of {voxel!r} m; it must be positive.")
-    points = read_points(path)
+    """Return a world of boxes, the occupied voxels of a map, or of the triangles of a mesh; see `World.from_map`."""
+    triangles = read_mesh(path)
+    if len(triangles) and voxel is not None:
+        raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
+    edge = VOXEL if voxel is None else voxel
+    if not VOXELS[0] <= edge <= VOXELS[1]:
+        raise UserError(f"The voxels of the map {path} have an edge of {edge!r} m; it must be in {list(VOXELS)} m.")
+    points = _sample(triangles) if len(triangles) else read_points(path)
     # A map in geographic coordinates moves to the origin.
     shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _FAR else np.zeros(3)
     points = points - shift
     first = None if start is None else _position(start, "start") - shift
     last = None if goal is None else _position(goal, "goal") - shift
-    boxes = _merge(np.unique(np.floor(points / voxel).astype(np.int64), axis=0), voxel)
-    if first is None or last is None:
-        first, last = _find_ends(points, boxes, first, last, where=path)
-    return World(Path(path).stem, first, last, boxes=boxes)
+    tables: dict[str, Array] = {}
+    if len(triangles):
+        tables["triangles"] = triangles - np.tile(shift, 3)
+    else:
+        tables["boxes"] = _merge(np.unique(np.floor(points / edge).astype(np.int64), axis=0), edge)
+    try:
+        if first is None or last is None:
+            first, last = _find_ends(points, tables, first, last, where=path)
+        return World(Path(path).stem, first, last, **tables)
+    except ValueError as error:
+        raise UserError(f"The map {path} makes no world: {error}") from error
 
 
 def _position(value: ArrayLike, name: str) -> Array:
@@ -77,8 +91,27 @@ def _merge(voxels: NDArray[np.int64], edge: float) -> Array:
     return rows.astype(np.float64)
 
 
+def _sample(triangles: Array) -> Array:
+    """Return points on triangles [n, 9], dense enough to tell the height of the ground in each tile: [m, 3].
+
+    What looks down is left out where something looks up: the underside of a floor is no ground.
+    """
+    a, b, c = np.split(triangles, 3, axis=1)
+    normal = np.cross(b - a, c - a)
+    area = 0.5 * np.linalg.norm(normal, axis=1)
+    upward = normal[:, 2] > -area
+    if upward.any() and not upward.all():
+        return _sample(triangles[upward])
+    count = np.ceil(np.minimum(area, area * _SAMPLES / max(area.sum(), 1.0))).astype(int)
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(size=(2, int(count.sum()), 1))
+    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    a, b, c = (np.repeat(corner, count, axis=0) for corner in (a, b, c))
+    return np.vstack([triangles.reshape(-1, 3), a + u * (b - a) + v * (c - a)])
+
+
 def _find_ends(
-    points: Array, boxes: Array, start: Array | None, goal: Array | None, *, where: str | Path
+    points: Array, tables: dict[str, Array], start: Array | None, goal: Array | None, *, where: str | Path
 ) -> tuple[Array, Array]:
     """Choose what is None of start and goal, see `World.from_map`."""
     from aero_viz.scenes.passable import ClearanceGrid
@@ -87,7 +120,7 @@ def _find_ends(
     cell = max(_CELL, float((upper - lower).max()) / _CELLS)
     # The world's start only anchors the grid here.
     anchor = np.rint(0.5 * (lower + upper)) if start is None else start
-    world = World("", anchor, anchor if goal is None else goal, boxes=boxes)
+    world = World("", anchor, anchor if goal is None else goal, **tables)
     grid = ClearanceGrid.of(
         world, cell=cell, reach=_WIDE, band=(lower[2], upper[2] + HEIGHT), region=[lower[:2], upper[:2]]
     )

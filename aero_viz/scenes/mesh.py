@@ -26,13 +26,14 @@ class Mesh:
 
 
 def to_meshes(world: World) -> dict[str, Mesh]:
-    """Return one merged mesh each of "cylinders", "boxes", "ground" and "spheres", where present."""
+    """Return one merged mesh each of "cylinders", "boxes", "ground", "spheres" and "triangles", where present."""
     ground = world.ground
     parts = {
         "cylinders": _instances(_unit_cylinder(), *_cylinder_frames(world.cylinders)),
         "boxes": _instances(_unit_box(), *_box_frames(world.boxes[~ground])),
         "ground": _instances(_unit_box(), *_box_frames(world.boxes[ground])),
         "spheres": _instances(_unit_sphere(), *_sphere_frames(world.spheres)),
+        "triangles": _soup(world.triangles),
     }
     return {kind: mesh for kind, mesh in parts.items() if len(mesh.faces)}
 
@@ -43,6 +44,11 @@ def _instances(shape: Mesh, linear: NDArray[np.float64], offset: NDArray[np.floa
     first = np.arange(len(offset)) * len(shape.vertices)
     faces = shape.faces[None] + first[:, None, None]
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.int32))
+
+
+def _soup(triangles: NDArray[np.float64]) -> Mesh:
+    corners = triangles.reshape(-1, 3).astype(np.float32)
+    return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
 
 
 def _cylinder_frames(table: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.float64]]:

@@ -20,6 +20,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from aero_viz.scenes.triangles import TriangleTree, mesh_distance
 from aero_viz.scenes.world import World, primitive_bounds
 from aero_viz.sensors.geometry import Primitive, device_primitives, primitive_distance
 
@@ -53,6 +54,16 @@ def distance_kernel(
             for z in range(wp.max(int(wp.ceil(first[2])), 0), z_end):
                 point = corner + cell * wp.vec3(float(x), float(y), float(z))
                 wp.atomic_min(distance, x, y, z, primitive_distance(primitives[i], point))
+
+
+@wp.kernel
+def mesh_distance_kernel(
+    mesh: wp.uint64, corner: wp.vec3, cell: float, reach: float, distance: wp.array3d(dtype=float)
+):
+    """Lower the distances to those to triangles."""
+    x, y, z = wp.tid()
+    point = corner + cell * wp.vec3(float(x), float(y), float(z))
+    distance[x, y, z] = wp.min(distance[x, y, z], mesh_distance(mesh, point, reach))
 
 
 @wp.kernel
@@ -139,7 +150,7 @@ class ClearanceGrid:
                 lower and 1.5 m above the higher of them: flying over everything is no answer to how dense a field is.
             region: corners of the x-y rectangle of the drone's centre, widened to start and goal [m], shape [2, 2];
                 None is the rectangle around start, goal and obstacles (bases of cylinders, centres of spheres, boxes
-                without the ground), so that nobody flies around the field.
+                without the ground, triangles), so that nobody flies around the field.
 
         Raises:
             ValueError: the grid would have more than 50 million points.
@@ -156,6 +167,10 @@ class ClearanceGrid:
         around = [wp.array(b, dtype=wp.vec3, device="cpu") for b in (bounds[0] - reach, bounds[1] + reach)]
         inputs = [device_primitives(world), *around, wp.vec3(*corner), cell]
         wp.launch(distance_kernel, len(bounds[0]), inputs, [distance], device="cpu")
+        if len(world.triangles):
+            tree = TriangleTree(world.triangles)
+            inputs = [tree.id, wp.vec3(*corner), cell, reach]
+            wp.launch(mesh_distance_kernel, shape, inputs, [distance], device="cpu")
         begin = np.ceil((lower - corner) / cell - 1e-6).astype(int)
         end = np.floor((upper - corner) / cell + 1e-6).astype(int) + 1
         x, y, z = (slice(int(a), int(b)) for a, b in zip(begin, end, strict=True))
@@ -271,6 +286,7 @@ def _search_box(
     if region is None:
         box_lower, box_upper = primitive_bounds(np.zeros((0, 8)), world.boxes[~world.ground], np.zeros((0, 4)))
         corners = [ends, world.cylinders[:, :3], world.spheres[:, :3], box_lower, box_upper]
+        corners.append(world.triangles.reshape(-1, 3))
         corners = np.vstack(corners)[:, :2]
     else:
         corners = np.vstack([ends[:, :2], np.asarray(region, dtype=np.float64).reshape(2, 2)])

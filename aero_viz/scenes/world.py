@@ -1,18 +1,24 @@
-"""Worlds of primitives: cylinders, boxes and spheres, with a start and a goal; exact distances; JSON on disk."""
+"""Worlds of cylinders, boxes, spheres and triangles, with a start and a goal; exact distances; JSON on disk."""
 
 from __future__ import annotations
 
 import json
+import reprlib
 import sys
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.parameter import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.scenes.mesh import Mesh, to_meshes
+
+if TYPE_CHECKING:
+    from aero_viz.scenes.triangles import TriangleTree
 
 __all__ = ["World", "primitive_bounds"]
 
@@ -20,14 +26,17 @@ _TABLES = {
     "cylinders": "bx, by, bz, ax, ay, az, radius, height",
     "boxes": "cx, cy, cz, sx, sy, sz, yaw",
     "spheres": "x, y, z, radius",
+    "triangles": "x1, y1, z1, x2, y2, z2, x3, y3, z3",
 }
 _BOUNDS_MARGIN = 10.0  # generous: leaving the derived bounds means that the drone flew away, not that it cut a corner
+_REACH = 100_000.0  # [m]; farther from the origin, single precision has no centimetres left
+_LARGEST = 100_000.0  # [m]
 _CHUNK = 2_000_000  # point-primitive pairs handled at once by `World.distance`
 
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Solid primitives, a start and a goal; metres and radians, z up. Arrays are read-only float64.
+    """Solid primitives and surfaces, a start and a goal; metres and radians, z up. Arrays are read-only float64.
 
     Args:
         name: shown to the user.
@@ -37,6 +46,7 @@ class World:
         boxes: centre, edge lengths, yaw about z, shape [n, 7].
         spheres: centre, radius, shape [n, 4].
         bounds: lower and upper corner of the air space, shape [2, 3]; None means everything above plus 10 m each way.
+        triangles: corners of each, shape [n, 9]: a surface, seen and hit from both sides, that has no inside.
 
     Raises:
         ValueError: a number is missing, not finite or impossible; names key and row.
@@ -49,15 +59,18 @@ class World:
     boxes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 7)))
     spheres: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
     bounds: NDArray[np.float64] = None  # type: ignore[assignment]
+    triangles: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 9)))
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
-            raise ValueError(f'"name" is {self.name!r}; it must be a text.')
+            raise ValueError(f'"name" is {_shown(self.name)}; it must be a text.')
         for key in ("start", "goal"):
-            _store(self, key, _row(getattr(self, key), 3, f'"{key}"', "x, y, z"))
+            place = _row(getattr(self, key), 3, f'"{key}"', "x, y, z")
+            _check_ranges(place[None], f'"{key}"', "x, y, z")
+            _store(self, key, place)
         for key, columns in _TABLES.items():
             table = _table(getattr(self, key), key, columns)
-            _check_sizes(table, key, columns.split(", "))
+            _check_ranges(table, f'"{key}" row {{}}', columns)
             if key == "cylinders":
                 _normalise_axes(table)
             _store(self, key, table)
@@ -81,10 +94,12 @@ class World:
         """
         known = ("name", "start", "goal", *_TABLES, "bounds")
         if not isinstance(content, dict):
-            raise ValueError(f"it holds a {type(content).__name__}; it must be an object with keys {', '.join(known)}.")
+            raise ValueError(f"it holds {_shown(content)}; it must be an object with keys {', '.join(known)}.")
         for key in content:
             if key not in known:
-                raise ValueError(f'unknown key "{key}"; the keys are {", ".join(known)}.')
+                raise ValueError(
+                    f"unknown key {_shown(key)}{did_you_mean(key, known)}; the keys are {', '.join(known)}."
+                )
         for key in known[:3]:
             if key not in content:
                 raise ValueError(f'the key "{key}" is missing; name, start and goal are required.')
@@ -110,16 +125,23 @@ class World:
 
     @classmethod
     def from_map(
-        cls, path: str | Path, *, voxel: float = 0.2, start: ArrayLike | None = None, goal: ArrayLike | None = None
+        cls,
+        path: str | Path,
+        *,
+        voxel: float | None = None,
+        start: ArrayLike | None = None,
+        goal: ArrayLike | None = None,
     ) -> World:
-        """Return the world of a map of points, PCD, PLY, LAS, LAZ or NPY: what is occupied is solid.
+        """Return the world of a map of points, PCD, PLY, LAS, LAZ or NPY, or of a mesh, OBJ, STL, GLB, OFF or PLY.
 
-        Every voxel that holds a point is solid; neighbours are merged into larger boxes. A map whose points lie beyond
-        10 km is moved so that its lowest corner is near the origin, `start` and `goal` with it.
+        Every voxel that holds a point is solid; neighbours are merged into larger boxes. The triangles of a mesh stay
+        as they are. A map whose points lie beyond 10 km is moved so that its lowest corner is near the origin, `start`
+        and `goal` with it.
 
         Args:
             path: file; its name is the world's.
-            voxel: edge of a voxel [m], about the spacing of the points: smaller leaves holes, larger closes gaps.
+            voxel: edge of a voxel [m], about the spacing of the points: smaller leaves holes, larger closes gaps; None
+                is 0.2. A mesh has none.
             start: [m], shape [3], in the map's frame. None is a place 2 m over the local ground, at least 0.75 m and
                 rather 1.5 m from all points, near the map's origin or, where that lies outside, its middle; 45 m from
                 `goal` if that is given.
@@ -137,7 +159,8 @@ class World:
         """Return the form of the JSON file; "bounds" only where they differ from the derived ones."""
         content: dict[str, Any] = {"name": self.name}
         for key in ("start", "goal", *_TABLES):
-            content[key] = getattr(self, key).tolist()
+            if key != "triangles" or len(self.triangles):
+                content[key] = getattr(self, key).tolist()
         if not np.array_equal(self.bounds, self._derived_bounds()):
             content["bounds"] = self.bounds.tolist()
         return content
@@ -163,22 +186,39 @@ class World:
         """Return the exact distance to the nearest surface [m], shape [n], of points in the world, shape [n, 3].
 
         Negative inside a primitive; where primitives overlap, the depth in the one that is entered deepest. Infinite in
-        an empty world.
+        an empty world. To triangles in single precision.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         nearest = np.full(len(points), np.inf)
-        signed = ((self.cylinders, _to_cylinders), (self.boxes, _to_boxes), (self.spheres, _to_spheres))
-        for table, function in signed:
+        for key, function in _DISTANCES.items():
+            table = getattr(self, key)
             if len(table) == 0:
                 continue
             step = max(1, _CHUNK // len(table))
             for first in range(0, len(points), step):
                 part = slice(first, first + step)
                 nearest[part] = np.minimum(nearest[part], function(points[part, None, :], table).min(axis=1))
+        if len(self.triangles) and len(points):
+            nearest = np.minimum(nearest, self._tree.nearest(points)[0])
         return nearest
 
+    def nearest(self, point: ArrayLike) -> tuple[float, str]:
+        """Return the `distance` at `point` [m], shape [3], and what is there, such as '"spheres" row 3'."""
+        place = np.asarray(point, dtype=np.float64)
+        found: list[tuple[float, str]] = [(np.inf, "nothing")]
+        for key, function in _DISTANCES.items():
+            if len(table := getattr(self, key)):
+                distances = function(place, table)
+                row = int(distances.argmin())
+                is_ground = key == "boxes" and self.ground[row]
+                found.append((float(distances[row]), "the ground" if is_ground else f'"{key}" row {row}'))
+        if len(self.triangles):
+            distances, rows = self._tree.nearest(place)
+            found.append((float(distances[0]), f'"triangles" row {rows[0]}'))
+        return min(found)
+
     def to_meshes(self) -> dict[str, Mesh]:
-        """Return triangles for drawing: one mesh per kind present: "cylinders", "boxes", "ground", "spheres"."""
+        """Return triangles for drawing, one mesh per kind present: the names of the tables, and "ground" of boxes."""
         return to_meshes(self)
 
     @property
@@ -191,10 +231,17 @@ class World:
             above &= np.all(np.abs(local[:, :2]) <= half[:, :2], axis=1) & (local[:, 2] >= half[:, 2])
         return above
 
+    @cached_property
+    def _tree(self) -> TriangleTree:
+        from aero_viz.scenes.triangles import TriangleTree
+
+        return TriangleTree(self.triangles)
+
     def _derived_bounds(self) -> NDArray[np.float64]:
         lower, upper = primitive_bounds(self.cylinders, self.boxes, self.spheres)
-        lower = np.vstack([lower, self.start, self.goal]).min(axis=0)
-        upper = np.vstack([upper, self.start, self.goal]).max(axis=0)
+        corners = self.triangles.reshape(-1, 3)
+        lower = np.vstack([lower, corners, self.start, self.goal]).min(axis=0)
+        upper = np.vstack([upper, corners, self.start, self.goal]).max(axis=0)
         return np.stack([lower - _BOUNDS_MARGIN, upper + _BOUNDS_MARGIN])
 
 
@@ -241,15 +288,24 @@ def _to_spheres(points: NDArray[np.float64], table: NDArray[np.float64]) -> NDAr
     return np.sqrt(np.sum((points - table[:, :3]) ** 2, axis=-1)) - table[:, 3]
 
 
+_DISTANCES = {"cylinders": _to_cylinders, "boxes": _to_boxes, "spheres": _to_spheres}
+
+
 def _store(world: World, key: str, value: NDArray[np.float64]) -> None:
     value.flags.writeable = False
     object.__setattr__(world, key, value)
 
 
+def _shown(value: Any) -> str:
+    """Return a value as an error shows it: a few words, whatever it is."""
+    text = reprlib.repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
 def _sequence(value: Any, where: str, expected: str) -> Any:
     if isinstance(value, (list, tuple, np.ndarray)):
         return value
-    raise ValueError(f"{where} is {value!r}; it must be a list: {expected}.")
+    raise ValueError(f"{where} is {_shown(value)}; it must be a list: {expected}.")
 
 
 def _row(value: Any, count: int, where: str, columns: str) -> NDArray[np.float64]:
@@ -258,7 +314,7 @@ def _row(value: Any, count: int, where: str, columns: str) -> NDArray[np.float64
         raise ValueError(f"{where} has {len(value)} values; it must have {count} numbers ({columns}).")
     for name, number in zip(columns.split(", "), value, strict=True):
         if isinstance(number, bool) or not isinstance(number, (int, float, np.number)) or not abs(number) < np.inf:
-            raise ValueError(f"{where} has {name} = {number!r}; it must be a finite number.")
+            raise ValueError(f"{where} has {name} = {_shown(number)}; it must be a finite number.")
         if abs(number) > sys.float_info.max:  # an integer can be
             raise ValueError(f"{where} has a {name} beyond 1e308; it must be a smaller number.")
     return np.array(value, dtype=np.float64)
@@ -274,15 +330,23 @@ def _table(value: Any, key: str, columns: str) -> NDArray[np.float64]:
     return np.stack([_row(row, count, f'"{key}" row {i}', columns) for i, row in enumerate(rows)])
 
 
-def _check_sizes(table: NDArray[np.float64], key: str, columns: list[str]) -> None:
-    sizes = [j for j, column in enumerate(columns) if column in ("radius", "height", "sx", "sy", "sz")]
-    for i, j in np.argwhere(table[:, sizes] <= 0.0)[:1]:
-        name, value = columns[sizes[j]], table[i, sizes[j]]
-        raise ValueError(f'"{key}" row {i} has {name} = {value:g}; it must be greater than 0.')
+def _check_ranges(table: NDArray[np.float64], where: str, columns: str) -> None:
+    """Refuse what is out of reach, or no size, in rows of `columns`; `where` names a row by its number."""
+    for j, name in enumerate(columns.split(", ")):
+        values = table[:, j]
+        if name in ("radius", "height", "sx", "sy", "sz"):
+            wrong, wanted = ~((values > 0.0) & (values <= _LARGEST)), f"greater than 0 and at most {_LARGEST:g} m"
+        elif name not in ("ax", "ay", "az", "yaw"):
+            wrong, wanted = np.abs(values) > _REACH, f"within {_REACH:g} m of the origin"
+        else:
+            continue
+        for i in np.flatnonzero(wrong)[:1]:
+            raise ValueError(f"{where.format(i)} has {name} = {values[i]:g}; it must be {wanted}.")
 
 
 def _normalise_axes(cylinders: NDArray[np.float64]) -> None:
-    norm = np.linalg.norm(cylinders[:, 3:6], axis=1)
+    with np.errstate(over="ignore"):  # an absurd axis is an error all the same
+        norm = np.linalg.norm(cylinders[:, 3:6], axis=1)
     for i in np.flatnonzero(np.abs(norm - 1.0) > 1e-3)[:1]:
         raise ValueError(f'"cylinders" row {i} has an axis of length {norm[i]:g}; (ax, ay, az) must be a unit vector.')
     # Axes that are unit vectors to rounding stay as they are: saving and loading changes nothing.

@@ -1,4 +1,4 @@
-"""Worlds on the device: packed primitives, a grid over each world, exact distances in Warp."""
+"""Worlds on the device: packed primitives, a grid over each world, its triangles, exact distances in Warp."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_viz.scenes.triangles import TriangleTree, mesh_distance
 from aero_viz.scenes.world import World, primitive_bounds
 
 __all__ = ["DeviceWorlds", "Geometry", "Primitive", "device_primitives", "primitive_distance", "world_distance"]
@@ -88,6 +89,8 @@ class Geometry:
     """Cell c owns entries cells[c] .. cells[c + 1] - 1."""
     entries: wp.array(dtype=Entry)
     large: wp.array(dtype=int)
+    meshes: wp.array(dtype=wp.uint64)
+    """Triangles of each world, see `TriangleTree.id`; 0 for none."""
 
 
 @wp.func
@@ -118,8 +121,13 @@ def primitive_distance(p: Primitive, point: wp.vec3):
 
 @wp.func
 def world_distance(geometry: Geometry, world: int, point: wp.vec3, lane: int, lanes: int):
-    """Signed distance to the nearest surface of a world [m] among every lanes-th primitive; inf without any."""
+    """Signed distance to the nearest surface of a world [m] among every lanes-th primitive; inf without any.
+
+    Lane 0 looks at the triangles, too, which have no inside.
+    """
     nearest = float(wp.inf)
+    if lane == 0:
+        nearest = mesh_distance(geometry.meshes[world], point, FAR)
     for i in range(geometry.first[world] + lane, geometry.first[world + 1], lanes):
         nearest = wp.min(nearest, primitive_distance(geometry.primitives[i], point))
     return nearest
@@ -160,6 +168,10 @@ class DeviceWorlds:
             counts.append(cell_counts)
             entries.append(cell_entries)
             large.append(outside + start)
+        # Their hierarchies live as long as this object.
+        self._trees = [
+            TriangleTree(world.triangles, device=device) if len(world.triangles) else None for world in unique
+        ]
 
         self.device = wp.get_device(device)
         with wp.ScopedDevice(self.device):
@@ -171,6 +183,7 @@ class DeviceWorlds:
             self.geometry.cells = wp.array(np.cumsum(np.concatenate(counts)), dtype=int)
             self.geometry.entries = wp.array(np.concatenate(entries), dtype=Entry)
             self.geometry.large = wp.array(np.concatenate(large), dtype=int)
+            self.geometry.meshes = wp.array([tree.id if tree else 0 for tree in self._trees], dtype=wp.uint64)
 
 
 def _pack(world: World) -> NDArray[Any]:

@@ -12,7 +12,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner.parameter import choice, live, structural
 from aero_viz.errors import UserError
+from aero_viz.parameters import check_parameters
 from aero_viz.sensors.geometry import DeviceWorlds, Geometry
 from aero_viz.sensors.raycast import ray_range
 
@@ -26,54 +28,59 @@ STEP_AZIMUTH = wp.constant(wp.uint32(3242174889))
 STEP_ELEVATION = wp.constant(wp.uint32(2447445414))
 INVERSE_2_24 = wp.constant(2.0**-24)
 
+# The Mid-360, after the scan table that its maker publishes for simulation (livox_laser_simulation, mid360.csv).
+_BEAMS = 4
+_TURNS = 176.4  # [Hz]
+_SWINGS = 10.016  # [Hz]
+_TILT = 3.6  # of the outer beams' rings [deg]
+
 
 @dataclass(frozen=True)
 class LidarModel:
     """A LiDAR fixed to the body; sensor frame = body frame unless it is mounted otherwise.
 
-    With `rings` = 0 the pattern never repeats: rays follow a low-discrepancy sequence that covers the field of view
-    evenly per solid angle and goes on from sweep to sweep, so that gaps close the longer one looks; a real Livox draws
-    curves, and is less even within a sweep. See `coverage` for how much of the field of view is hit when. Otherwise
-    `rings` beams, evenly spaced in elevation, turn once per sweep.
+    The patterns, of which the first two never repeat, so that gaps close the longer one looks (see `coverage`):
+
+    - "livox": as a Mid-360 draws it. Four beams fire in turn; together they turn 176.4 times a second, each on a ring
+      that is tilted a little differently, and the rings move over the field of view and back 10.016 times a second:
+      e = m + s cos(2 pi 10.016 t) + w_i cos(2 pi 176.4 t), with m the middle of the field of view, w_i = 3.6, 1.2, -1.2
+      and -3.6 deg, and s what is left to its edges.
+    - "even": a low-discrepancy sequence that covers the field of view evenly per solid angle.
+    - "rings": `rings` beams, evenly spaced in elevation, turn once per sweep.
+
+    Raises:
+        ValueError: a parameter is outside its bounds or contradicts another one.
     """
 
     name: str
-    elevation_min: float = -7.0
-    """Lower edge of the field of view [deg]; 360 deg around."""
-    elevation_max: float = 52.0
-    """Upper edge [deg]."""
-    points_per_sweep: int = 20_000
-    sweep_rate: float = 10.0
-    """Sweeps per second [Hz]."""
-    range_min: float = 0.1
-    """Nearer surfaces give no point [m]."""
-    range_max: float = 40.0
-    """Farther surfaces give no point [m]."""
-    range_noise: float = 0.02
-    """Standard deviation of the range [m]."""
-    dropout: float = 0.02
-    """Fraction of the returns that are lost."""
-    rings: int = 0
+    elevation_min: float = live(-7.0, "deg", -90.0, 90.0, "Lower edge of the field of view; it looks 360 deg around.")
+    elevation_max: float = live(52.0, "deg", -90.0, 90.0, "Upper edge of the field of view.")
+    points_per_sweep: int = structural(20_000, 1, 1_000_000, "Rays of a sweep.")
+    sweep_rate: float = live(10.0, "Hz", 0.1, 1000.0, "Sweeps per second.")
+    range_min: float = live(0.1, "m", 0.0, 100.0, "Nearer surfaces give no point.")
+    range_max: float = live(40.0, "m", 0.1, 1000.0, "Farther surfaces give no point.")
+    range_noise: float = live(0.02, "m", 0.0, 10.0, "Standard deviation of the range.")
+    dropout: float = live(0.02, "", 0.0, 1.0, "Fraction of the returns that are lost.")
+    pattern: str = choice("even", ("livox", "even", "rings"), "Where the rays go.")
+    rings: int = structural(64, 1, 1024, "Beams of the pattern of rings, evenly spaced in elevation.")
     mount_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the sensor, body frame [m]."""
     mount_angles: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw, sensor to body, R = R_z(yaw) R_y(pitch) R_x(roll) [deg]; (180, 0, 0) looks downward."""
 
     def __post_init__(self) -> None:
-        checks = {
-            "elevation_min and elevation_max": -90.0 <= self.elevation_min < self.elevation_max <= 90.0,
-            "points_per_sweep": self.points_per_sweep >= 1,
-            "sweep_rate": 0.0 < self.sweep_rate < math.inf,
-            "range_min and range_max": 0.0 <= self.range_min < self.range_max < math.inf,
-            "range_noise": 0.0 <= self.range_noise < math.inf,
-            "dropout": 0.0 <= self.dropout <= 1.0,
-            "mount_position": len(self.mount_position) == 3 and all(map(math.isfinite, self.mount_position)),
-            "mount_angles": len(self.mount_angles) == 3 and all(map(math.isfinite, self.mount_angles)),
-            "rings": self.rings >= 0 and (self.rings == 0 or self.points_per_sweep % self.rings == 0),
-        }
-        for what, holds in checks.items():
-            if not holds:
-                raise ValueError(f"{what} of the LiDAR {self.name!r} cannot be used; got {self}.")
+        check_parameters(self, "lidar")
+        for low, high in (("elevation_min", "elevation_max"), ("range_min", "range_max")):
+            least, most = getattr(self, low), getattr(self, high)
+            if least >= most:
+                raise ValueError(f"lidar.{low} is {least:g}; it must be less than lidar.{high}, which is {most:g}.")
+        if self.pattern == "rings" and self.points_per_sweep % self.rings:
+            raise ValueError(f"lidar.rings is {self.rings}; it must divide lidar.points_per_sweep, which is "
+                             f"{self.points_per_sweep}.")  # fmt: skip
+        for name in ("mount_position", "mount_angles"):
+            value = getattr(self, name)
+            if len(value) != 3 or not all(map(math.isfinite, value)):
+                raise ValueError(f"lidar.{name} is {value!r}; it must be three finite numbers.")
 
     def point_times(self) -> NDArray[Any]:
         """Return when each point of a sweep is measured, from the start of the sweep [s], shape [points_per_sweep]."""
@@ -82,7 +89,7 @@ class LidarModel:
 
 def livox_mid360() -> LidarModel:
     """Return the Livox Mid-360: 200 000 points/s, non-repetitive, -7 to 52 degrees."""
-    return LidarModel("mid360")
+    return LidarModel("mid360", pattern="livox")
 
 
 def full_sphere() -> LidarModel:
@@ -93,8 +100,9 @@ def full_sphere() -> LidarModel:
 def spinning64() -> LidarModel:
     """Return a spinning sensor with 64 rings of 512 points, -22.5 to 22.5 degrees, 10 Hz."""
     return LidarModel(
-        "spinning64", elevation_min=-22.5, elevation_max=22.5, points_per_sweep=64 * 512, range_max=90.0, rings=64
-    )
+        "spinning64", elevation_min=-22.5, elevation_max=22.5, points_per_sweep=64 * 512, range_max=90.0,
+        pattern="rings",
+    )  # fmt: skip
 
 
 LIDARS: dict[str, Callable[[], LidarModel]] = {
@@ -133,6 +141,13 @@ class Beams:
     range_noise: float
     dropout: float
     rings: int
+    """0 for another pattern."""
+    tilt: float
+    """Of the outer beams' rings of a Livox [rad], 0 for another pattern."""
+    turn_step: wp.uint32
+    """What a Livox turns from one shot of its four beams to the next, in units of 2^-32 turns."""
+    swing_step: wp.uint32
+    """The same of its way over the field of view and back."""
     mount_position: wp.vec3
     mount_attitude: wp.quat
     """Sensor to body."""
@@ -144,8 +159,14 @@ def pack_beams(model: LidarModel) -> Any:
     beams.elevation_min = math.radians(model.elevation_min)
     beams.elevation_max = math.radians(model.elevation_max)
     beams.height_min, beams.height_max = math.sin(beams.elevation_min), math.sin(beams.elevation_max)
-    for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout", "rings"):
+    for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout"):
         setattr(beams, name, getattr(model, name))
+    if model.pattern == "rings":
+        beams.rings = model.rings
+    if model.pattern == "livox":
+        beams.tilt = min(math.radians(_TILT), 0.25 * (beams.elevation_max - beams.elevation_min))
+    shots = model.points_per_sweep * model.sweep_rate / _BEAMS
+    beams.turn_step, beams.swing_step = (wp.uint32(_step(rate / shots)) for rate in (_TURNS, _SWINGS))
     beams.mount_position = wp.vec3(*model.mount_position)
     half = [0.5 * math.radians(angle) for angle in model.mount_angles]
     (cr, cp, cy), (sr, sp, sy) = [math.cos(a) for a in half], [math.sin(a) for a in half]
@@ -156,6 +177,11 @@ def pack_beams(model: LidarModel) -> Any:
         cr * cp * cy + sr * sp * sy,
     )
     return beams
+
+
+def _step(turns: float) -> int:
+    """Return a step in units of 2^-32 turns; a multiple of the beams, so that shots, too, count on past an overflow."""
+    return round(turns * 2**32 / _BEAMS) * _BEAMS % 2**32
 
 
 @wp.func
@@ -175,6 +201,15 @@ def beam_direction(beams: Beams, index: int, phase: wp.uint32):
         azimuth = float(i - ring) / float(beams.points_per_sweep)
         share = float(ring) / float(wp.max(beams.rings - 1, 1))
         height = wp.sin(beams.elevation_min + share * (beams.elevation_max - beams.elevation_min))
+    elif beams.tilt > 0.0:
+        k = wp.uint32(index) + phase
+        shot = k / wp.uint32(4)
+        weight = 1.0 - float(k % wp.uint32(4)) / 1.5
+        azimuth = fraction(shot, beams.turn_step)
+        middle = 0.5 * (beams.elevation_min + beams.elevation_max)
+        reach = beams.elevation_max - middle - beams.tilt
+        swing = reach * wp.cos(2.0 * wp.pi * fraction(shot, beams.swing_step))
+        height = wp.sin(middle + swing + weight * beams.tilt * wp.cos(2.0 * wp.pi * azimuth))
     else:
         k = wp.uint32(index) + phase
         azimuth = fraction(k, STEP_AZIMUTH)

@@ -11,7 +11,6 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_viz.bench import Benchmark, Row, Run, run_benchmark
 from aero_viz.flight import FlightRules
-from aero_viz.sensors import LidarModel
 
 CONFIG = PlannerConfig().replace({"sampling.samples": 8, "sampling.steps": 10})
 
@@ -41,7 +40,7 @@ def fly(benchmark_of_three: Benchmark, tmp_path: Path) -> Callable[..., Run]:
         defaults: dict[str, Any] = {
             "flights": 2,
             "config": CONFIG,
-            "sensor": LidarModel("small", points_per_sweep=500),
+            "sensor": {"points_per_sweep": 500},
             "rules": FlightRules(time_limit=0.2),
         }
         return run_benchmark(benchmark, tmp_path / name, **(defaults | options))

@@ -63,7 +63,7 @@ def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     report = (folder / "report.md").read_text(encoding="utf-8")
     assert "| forest-4 | EGO | 1/2 | 50 % | 9 to 91 % |  | 1 arrived, 1 incomplete |" in report
     assert "| slow | AERO-MPPI (paper), published | 5.60 | 7.74 |" in report
-    assert "| slow | 50 % at 1 m/s | 0 % at  m/s | no |" in report
+    assert "| slow | 50 % at 1 m/s | 0 % | no |" in report
     for name in ("warp-lang", "cores", "seeds of the worlds | from 100", "samples: 8"):
         assert name in report
     assert "Incomplete" not in report
@@ -129,3 +129,16 @@ def test_own_flights_of_another_run_can_be_included(fly, tmp_path):
     write_report(run, tmp_path / "out")
     others = load_included([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
     assert {other.kind: len(other.flights) for other in others} == {"forest-4": 4, "verticals-5": 2}
+
+
+def test_tables_keep_their_own_columns_when_appended_to(tmp_path, benchmark_of_three):
+    """A table of an earlier version, without explanations and in another order, goes on as it is."""
+    file = tmp_path / "old.csv"
+    append_to_table(result("forest-4-100"), file)
+    header, line = (row.split(",") for row in file.read_text(encoding="utf-8").splitlines())
+    kept = [i for i in reversed(range(len(header))) if header[i] != "explanation"]
+    file.write_text("".join(",".join(row[i] for i in kept) + "\n" for row in (header, line)), encoding="utf-8")
+    append_to_table(replace(result("forest-4-101", speed=9.0), explanation="It ends, somewhere."), file)
+    (other,) = load_included([f"EGO={file}"], benchmark_of_three)
+    assert [flight["mean_speed"] for flight in other.flights] == [2.0, 9.0]
+    assert [flight["scene"] for flight in other.flights] == ["forest-4-100", "forest-4-101"]

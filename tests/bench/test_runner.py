@@ -9,10 +9,10 @@ from aero_planner import PlannerConfig
 from aero_viz.bench import BENCHMARKS, Benchmark, Row
 from aero_viz.bench.runner import load_run
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightRules
+from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight import fly as fly_once
 from aero_viz.scenes import scene
-from aero_viz.sensors import LidarModel
+from aero_viz.sensors import livox_mid360
 
 TIMING = ("plan_ms_median", "build_s", "run_s", "batch", "batch_size")
 
@@ -48,11 +48,42 @@ def test_a_flight_is_what_fly_gives(fly):
         scene("verticals", count=5, seed=flight["world_seed"]),
         config=PlannerConfig.from_dict(run.header["config"]),
         seed=flight["seed"],
-        lidar=LidarModel("small", points_per_sweep=500),
+        lidar=dataclasses.replace(livox_mid360(), points_per_sweep=500),
         rules=FlightRules(time_limit=0.2),
         speed=7.0,
     )
     assert (flight["length_m"], flight["smoothness"]) == (alone.length_m, alone.smoothness)
+
+
+def test_disturbances_reach_the_flights(fly):
+    options = {
+        "drone": {"drag": 0.4, "gust_speed": 3.0},
+        "noise": StateNoise(position=0.1),
+        "rules": FlightRules(time_limit=0.4, ticks_per_plan=5),
+    }
+    run = fly(**options)
+    flight = next(flight for flight in run.flights if flight["row"] == "fast" and flight["index"] == 1)
+    config = PlannerConfig.from_dict(run.header["config"])
+    alone = fly_once(
+        scene("verticals", count=5, seed=flight["world_seed"]),
+        config=config,
+        seed=flight["seed"],
+        lidar=dataclasses.replace(livox_mid360(), points_per_sweep=500),
+        vehicle=VehicleModel.from_config(config, **options["drone"]),
+        noise=options["noise"],
+        rules=options["rules"],
+        speed=7.0,
+    )
+    assert (flight["length_m"], flight["smoothness"]) == (alone.length_m, alone.smoothness)
+    assert without_timing(run) != without_timing(fly("calm", rules=FlightRules(time_limit=0.4)))
+    assert run.header["simulation"]["drone"] == options["drone"]
+
+
+def test_an_arrival_radius_of_a_row_replaces_that_of_the_rules(fly, benchmark_of_three):
+    rows = (Row("far", "forest", 4), Row("near", "forest", 4, arrival_radius=0.5))
+    wide = FlightRules(time_limit=0.2, arrival_radius=50.0)
+    run = fly(benchmark=dataclasses.replace(benchmark_of_three, rows=rows), flights=1, rules=wide)
+    assert {flight["row"]: flight["reason"] for flight in run.flights} == {"far": "arrived", "near": "timeout"}
 
 
 def test_interrupted_run_keeps_finished_batches_and_resumes(fly, tmp_path, benchmark_of_three):
@@ -85,6 +116,10 @@ def test_torn_last_line_is_flown_again(fly, tmp_path):
         ({"flights": 3}, "flights was 2 and is 3"),
         ({"lidar": "full-sphere"}, "lidar was None and is 'full-sphere'"),
         ({"config": None}, "config.sampling.samples was 8 and is 128"),
+        ({"drone": {"drag": 0.1}}, "simulation.drone.drag was None and is 0.1"),
+        ({"sensor": {"points_per_sweep": 400}}, "simulation.lidar.points_per_sweep was 500 and is 400"),
+        ({"noise": StateNoise(position=0.1)}, "simulation.noise was None and is"),
+        ({"rules": FlightRules(time_limit=0.3)}, "simulation.rules.time_limit was 0.2 and is 0.3"),
     ],
 )
 def test_resume_refuses_what_differs(fly, options, reason):

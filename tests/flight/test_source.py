@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import gc
+import re
+import tracemalloc
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +12,7 @@ import pytest
 from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, FlightSource, StateNoise
+from aero_viz.flight.source import KEPT_BYTES
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 from aero_viz.source import Source
@@ -80,6 +85,45 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
             np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.parametrize("noise", [None, StateNoise(position=0.2, velocity=0.1, attitude=1.0)], ids=["exact", "noisy"])
+@pytest.mark.parametrize("ticks", [0, 33])  # looking back to before the start, and within the seventh sweep
+def test_forgotten_points_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
+    monkeypatch.setattr("aero_viz.flight.source.KEPT_BYTES", 0)  # only the last ten sweeps
+    mounted = LidarModel(
+        "mounted", points_per_sweep=2000, mount_position=(0.1, 0.0, 0.05), mount_angles=(0.0, 20.0, 0.0)
+    )
+    source = FlightSource(scene("forest", seed=2, count=40), lidar=mounted, seed=4, noise=noise)
+    fly(source, planner, ticks)
+    before, history = source.observe(), planner.history()
+    checkpoint: Any = source.checkpoint()
+    first = fly(source, planner, 60)
+    assert all(sweep.points is None for sweep in checkpoint.sweeps)
+    source.restore(checkpoint)
+    planner.restore(history)
+    np.testing.assert_array_equal(source.observe().points, before.points)
+    for a, b in zip(first, fly(source, planner, 60), strict=True):
+        for x, y in zip(a, b, strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
+def test_the_marks_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
+    monkeypatch.setattr("aero_viz.flight.source.KEPT_BYTES", 0)
+    tracemalloc.start()
+    try:
+        source, marks = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4), []
+        fly(source, planner, 60)
+        gc.collect()
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(100):
+            marks.append((source.checkpoint(), planner.history()))
+            fly(source, planner, 1)
+        gc.collect()
+        each = (tracemalloc.get_traced_memory()[0] - before) / len(marks)
+    finally:
+        tracemalloc.stop()
+    assert 30_000 * each + KEPT_BYTES < 128e6
+
+
 def test_checkpoints_share_their_clouds(source, planner):
     fly(source, planner, 3)
     first = source.checkpoint()
@@ -102,8 +146,8 @@ def test_same_seed_same_cloud():
 
 def test_goal_moves_and_returns_with_the_checkpoint(source, planner):
     checkpoint = source.checkpoint()
-    source.set_goal([10.0, 5.0, 3.0])
-    np.testing.assert_array_equal(source.observe().goal.position, [10.0, 5.0, 3.0])
+    source.set_goal([10.0, 8.0, 3.0])
+    np.testing.assert_array_equal(source.observe().goal.position, [10.0, 8.0, 3.0])
     fly(source, planner, 1)
     source.restore(checkpoint)
     np.testing.assert_array_equal(source.observe().goal.position, [45.0, 0.0, 2.0])
@@ -113,6 +157,36 @@ def test_goal_moves_and_returns_with_the_checkpoint(source, planner):
 def test_impossible_goals_are_refused(source, goal):
     with pytest.raises(UserError, match="three finite numbers"):
         source.set_goal(goal)
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        ([10.0, 5.0, 3.0], r"\(10, 5, 3\) lies inside an obstacle, 0\.\d+ m deep; the goal before stays"),
+        ([10.0, 5.0, -0.4], r"lies 0\.40 m below the ground"),
+        ([10.0, 5.0, -4.0], r"lies 4\.00 m below the ground"),
+        ([1e30, 0.0, 2.0], r"\(1e\+30, 0, 2\) lies outside the world, x -?\d+ to \d+"),
+    ],
+)
+def test_a_goal_that_cannot_be_reached_is_refused_and_the_one_before_stays(source, planner, goal, words):
+    with pytest.raises(UserError, match=words):
+        source.set_goal(goal)
+    np.testing.assert_array_equal(source.observe().goal.position, [45.0, 0.0, 2.0])
+    fly(source, planner, 1)
+    assert source.outcome is None
+
+
+def test_a_start_inside_an_obstacle_is_explained():
+    world = World("pole", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]]))
+    source = FlightSource(world, lidar=LIDAR)
+    assert source.outcome == "collision"
+    assert source.explanation == source.result().explanation
+    assert source.explanation is not None and re.match("The start .*inside an obstacle", source.explanation)
+
+
+def test_a_flight_under_way_has_nothing_to_explain(source, planner):
+    fly(source, planner, 1)
+    assert source.explanation is None
 
 
 def test_arrived_flight_stays_until_the_goal_moves(planner):

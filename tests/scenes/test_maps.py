@@ -90,7 +90,7 @@ def test_geographic_coordinates_move_to_the_origin(hall, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "expected"),
-    [({"voxel": 0.0}, "positive"), ({"start": [0.0, 1.0]}, "start"), ({"goal": [0.0, 1.0, np.inf]}, "goal")],
+    [({"voxel": 0.0}, "must be in"), ({"start": [0.0, 1.0]}, "start"), ({"goal": [0.0, 1.0, np.inf]}, "goal")],
 )
 def test_impossible_arguments_are_refused(hall, options, expected):
     with pytest.raises(UserError, match=expected):

@@ -99,7 +99,7 @@ def test_optional_keys_default_to_empty_and_bounds_are_generous(tmp_path):
         ({"bounds": [[0, 0, 0]]}, '"bounds" has 1 rows'),
         ({"bounds": [[0, 0, 5], [1, 1, 1]]}, '"bounds" row 0 must be less'),
         ({"name": 3}, '"name" is 3'),
-        ({"spheers": []}, 'unknown key "spheers"'),
+        ({"spheers": []}, "unknown key 'spheers' (did you mean 'spheres'?)"),
     ],
 )
 def test_malformed_world_names_file_key_and_row(tmp_path, changes, expected):

@@ -7,23 +7,28 @@ import pytest
 import warp as wp
 
 from aero_viz.scenes import World
-from aero_viz.sensors import DeviceWorlds, Lidar, coverage, full_sphere, livox_mid360, spinning64
+from aero_viz.sensors import DeviceWorlds, Lidar, LidarModel, coverage, full_sphere, livox_mid360, spinning64
 
 
-def test_mid360_sees_all_cells_of_three_degrees_within_the_first_sweep():
-    # 20 000 even rays into 19 rows of 120 cells: almost nine each.
-    first, half, second = coverage(livox_mid360())
-    assert 0.995 <= first <= half <= second == 1.0
+def test_coverage_of_the_mid360_grows_from_sweep_to_sweep():
+    # 72 rings of points in a sweep, not evenly spread over 19 rows of 3 deg: some cells wait for the next sweeps.
+    for seed in range(5):
+        first, half, second = coverage(livox_mid360(), seed=seed)
+        assert 0.9 < first < 0.99 and first < half and 0.999 <= half <= second
+    fine = coverage(livox_mid360(), cell=1.0, times=(0.1, 0.2, 0.5, 1.0))
+    assert 0.55 < fine[0] < 0.7 and np.all(np.diff(fine) > 0.0) and 0.95 < fine[-1] < 1.0
 
 
-def test_coverage_of_fine_cells_grows_to_all():
+def test_coverage_of_even_rays():
     # 59 x 360 cells of 1 deg. Even rays per solid angle: a cell of elevation e gets 20 000 cos(e) / (2 pi 0.91) rays of
     # 3.05e-4 sr, 1.07 at the horizon; that many random rays would hit 1 - exp(-n), even ones more.
-    shares = coverage(livox_mid360(), cell=1.0, times=(0.05, 0.1, 0.5, 1.0))
+    even = LidarModel("even", pattern="even")
+    shares = coverage(even, cell=1.0, times=(0.05, 0.1, 0.5, 1.0))
     edges = np.sin(np.radians(np.arange(-7.0, 53.0)))
     per_cell = 20_000 * np.diff(edges) / (np.sin(np.radians(52.0)) - np.sin(np.radians(-7.0))) / 360.0
     assert np.mean(1.0 - np.exp(-per_cell)) < shares[1] <= np.minimum(per_cell, 1.0).mean()
     assert shares[0] < shares[1] < shares[2] and shares[2] >= 0.999 and shares[3] == 1.0
+    assert coverage(even)[0] >= 0.995  # in the coarser cells at once
 
 
 def test_a_spinning_lidar_never_sees_between_its_rings():

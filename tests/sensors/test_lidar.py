@@ -60,6 +60,40 @@ def test_mid360_field_of_view_and_rate(shell):
     assert elevation.min() < -6.9 and elevation.max() > 51.9
 
 
+def test_mid360_draws_tilted_rings_that_swing(shell):
+    """The pattern against its equation in float64, from where the seed lets it begin."""
+    model = exact(livox_mid360())
+    d = directions(sweep(model, shell, number=3)[0].astype(float))
+    azimuth, elevation = np.unwrap(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2]))
+    beams = [(azimuth[i::4], elevation[i::4]) for i in range(4)]
+    time = np.arange(5000) / 50_000.0
+    # All four beams look the same way at a time, turning 176.4 times a second; one of them is the first.
+    for turned, _ in beams:
+        np.testing.assert_allclose(np.diff(np.unwrap(turned)), 2 * np.pi * 176.4 / 50_000, atol=2e-5)
+    wave = np.column_stack([np.cos(2 * np.pi * 10.016 * time), np.sin(2 * np.pi * 10.016 * time)])
+
+    def misfit(first):
+        """Largest distance to m + s cos(..) + w_i cos(azimuth) when beam `first` has w_0 [deg]."""
+        worst = 0.0
+        for i, tilt in enumerate((3.6, 1.2, -1.2, -3.6)):
+            turned, seen = beams[(first + i) % 4]
+            swing = seen - 22.5 - tilt * np.cos(turned)
+            phase, *_ = np.linalg.lstsq(wave, swing, rcond=None)
+            worst = max(worst, np.abs(wave @ phase - swing).max(), abs(np.hypot(*phase) - 25.9))
+        return worst
+
+    assert sorted(misfit(first) < 0.05 for first in range(4)) == [False, False, False, True]
+
+
+def test_a_pattern_goes_on_where_the_sweep_before_ended(shell):
+    for model in (livox_mid360(), LidarModel("even", pattern="even")):
+        long = sweep(exact(model, points_per_sweep=40_000, sweep_rate=5.0), shell, number=1)[0]
+        short = [sweep(exact(model), shell, number=number)[0] for number in (2, 3)]
+        np.testing.assert_allclose(long, np.concatenate(short), atol=2e-5)
+        before = [sweep(exact(model), shell, number=number)[0] for number in (-1, 0)]
+        assert not np.allclose(before[0], before[1], atol=1.0)
+
+
 def test_full_sphere_is_uniform(shell):
     d = directions(sweep(exact(full_sphere()), shell)[0])
     np.testing.assert_allclose(d.mean(axis=0), 0.0, atol=2e-3)
@@ -73,11 +107,11 @@ def test_spinning64_has_64_rings(shell):
 
 
 def test_coverage_grows_from_sweep_to_sweep(shell):
-    model = exact(livox_mid360(), points_per_sweep=1000)
-    clouds = [sweep(model, shell, number=number)[0] for number in range(10)]
-    shares = [coverage(np.concatenate(clouds[:n])) for n in (1, 2, 5, 10)]
-    assert shares[0] < 0.5 and shares[-1] > 0.99
-    assert all(b > a for a, b in pairwise(shares))
+    for model, least, most in ((livox_mid360(), 0.97, 0.99), (LidarModel("sparse", points_per_sweep=1000), 0.5, 0.99)):
+        clouds = [sweep(exact(model), shell, number=number)[0] for number in range(10)]
+        shares = [coverage(np.concatenate(clouds[:n])) for n in (1, 2, 5, 10)]
+        assert shares[0] < least and shares[-1] > most
+        assert shares[0] < shares[1] and all(b >= a for a, b in pairwise(shares))
     repeated = exact(spinning64(), points_per_sweep=1024)
     np.testing.assert_allclose(sweep(repeated, shell, number=0), sweep(repeated, shell, number=7), atol=1e-5)
 
@@ -188,7 +222,8 @@ def test_point_times_span_the_sweep():
     "changes",
     [
         {"points_per_sweep": 0},
-        {"rings": 3},
+        {"rings": 3, "pattern": "rings"},
+        {"pattern": "spiral"},
         {"range_max": 0.05},
         {"dropout": 1.5},
         {"elevation_min": 60.0},

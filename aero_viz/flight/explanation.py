@@ -1,0 +1,99 @@
+"""Sentences about flights: what ended one, and what keeps one from being flown at all."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_viz.errors import UserError
+from aero_viz.flight.simulator import FlightRules
+from aero_viz.scenes.world import World
+
+__all__ = ["explain", "refuse_impossible"]
+
+
+def explain(
+    reason: str | None,
+    world: World,
+    position: ArrayLike,
+    *,
+    time: float,
+    clearance: float,
+    goal: ArrayLike,
+    rules: FlightRules,
+) -> str | None:
+    """Return in one sentence what ended a flight, None for an arrival.
+
+    Args:
+        reason: outcome of the flight; None when it was not over.
+        world: where it was flown.
+        position: last position [m], shape [3].
+        time: at which it ended [s].
+        clearance: least distance to a surface [m]; of a collision, the one that ended it.
+        goal: that was flown to [m], shape [3].
+        rules: of the flight.
+    """
+    place = np.asarray(position, dtype=np.float64)
+    left = float(np.linalg.norm(np.asarray(goal, dtype=np.float64) - place))
+    if reason == "arrived":
+        return None
+    if reason == "collision":
+        solid = world.nearest(place)[1]
+        who = "The start is" if time == 0.0 else f"After {time:.2f} s the drone was"
+        if clearance < 0.0:
+            return f"{who} inside an obstacle, {-clearance:.3f} m deep in {solid}, at {_point(place)}."
+        return (
+            f"{who} {clearance:.3f} m from {solid}, nearer than the radius of {rules.radius:g} m, at {_point(place)}."
+        )
+    if reason == "stall":
+        return (
+            f"The drone came no {rules.stall_distance:g} m nearer to the goal within {rules.stall_time:g} s and is at "
+            f"{_point(place)}, {left:.1f} m before it."
+        )
+    if reason == "out_of_bounds":
+        return f"The drone left the world's bounds, {_box(world.bounds)}, at {_point(place)}."
+    if reason == "timeout":
+        return f"The {rules.time_limit:g} s of the flight were over {left:.1f} m before the goal, at {_point(place)}."
+    return f"It ends after {time:.2f} s, {left:.1f} m before the goal, at {_point(place)}."
+
+
+def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -> None:
+    """Refuse a world in which no flight can arrive, whoever flies. A start in an obstacle is not refused: it collides.
+
+    Args:
+        world: where to fly.
+        rules: when the flight ends.
+        speed_limit: of the planner [m/s].
+
+    Raises:
+        UserError: the goal lies in an obstacle or too far to be reached in time, or an end lies outside the bounds.
+    """
+    for name, place in (("start", world.start), ("goal", world.goal)):
+        if not ((place >= world.bounds[0]) & (place <= world.bounds[1])).all():
+            raise UserError(
+                f"The {name} {_point(place)} lies outside the bounds of the world {world.name!r}, "
+                f"{_box(world.bounds)}; move it inside, or widen the world's bounds."
+            )
+    distance, solid = world.nearest(world.goal)
+    if distance < 0.0:
+        raise UserError(
+            f"The goal {_point(world.goal)} lies inside an obstacle of the world {world.name!r}, "
+            f"{-distance:.2f} m deep in {solid}; give another goal."
+        )
+    way = float(np.linalg.norm(world.goal - world.start)) - rules.arrival_radius
+    time_limit = max(rules.time_limit, FlightRules().time_limit)  # who sets a shorter one wants a piece of the flight
+    if way > speed_limit * time_limit:
+        raise UserError(
+            f"The goal {_point(world.goal)} of the world {world.name!r} is {way + rules.arrival_radius:.0f} m away: "
+            f"{speed_limit:g} m/s do not reach it within the flight's {time_limit:g} s; "
+            "give a nearer goal, or raise the time limit or the speed."
+        )
+
+
+def _point(place: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{round(float(value), 2) + 0.0:g}" for value in place) + ")"
+
+
+def _box(corners: NDArray[np.float64]) -> str:
+    sides = zip("xyz", *corners.tolist(), strict=True)
+    return ", ".join(f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in sides)

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.flight import FlightInterrupted, fly
+from aero_viz.flight.interrupt import deferred_interrupt
+from aero_viz.flight.progress import share_of_way
+from aero_viz.logs import fly_and_log
+from aero_viz.recordings import inspect
+from aero_viz.scenes import scene
+from aero_viz.score import load_trajectory
+from aero_viz.sensors import LidarModel
+
+OPTIONS = {
+    "config": PlannerConfig().replace({"sampling.samples": 8}),
+    "lidar": LidarModel("small", points_per_sweep=500),
+    "seed": 4,
+}
+
+
+def press_at(time: float):
+    """A `Way` that presses Ctrl-C at that time."""
+
+    def way(share: float, simulated: float) -> None:
+        if simulated >= time - 1e-9:
+            signal.raise_signal(signal.SIGINT)
+
+    return way
+
+
+def test_the_first_ctrl_c_waits_and_the_second_does_not() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with deferred_interrupt() as pressed:
+        assert not pressed()
+        signal.raise_signal(signal.SIGINT)
+        assert pressed()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_other_threads_are_never_asked() -> None:
+    answers = []
+
+    def ask() -> None:
+        with deferred_interrupt() as pressed:
+            answers.append(pressed())
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    assert answers == [False]
+
+
+def test_what_was_flown_is_in_the_exception_and_in_the_file(tmp_path) -> None:
+    world = scene("wall", seed=1)
+    with pytest.raises(FlightInterrupted) as caught:
+        fly(world, trajectory=tmp_path / "a.csv", progress=press_at(0.3), **OPTIONS)
+    result = caught.value.result
+    assert (result.reason, result.arrived) == (None, False) and result.flight_time_s == pytest.approx(0.3)
+    assert result.explanation is not None and result.explanation.startswith("It ends after 0.30 s")
+    trajectory = load_trajectory(tmp_path / "a.csv")
+    assert trajectory.times[-1] == pytest.approx(0.3) and len(trajectory.times) == 16
+    assert np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum() == pytest.approx(
+        result.length_m, abs=1e-4
+    )
+
+
+def test_a_log_ends_whole(tmp_path) -> None:
+    with pytest.raises(FlightInterrupted) as caught:
+        fly_and_log(scene("wall", seed=1), tmp_path / "a.mcap", progress=press_at(0.3), **OPTIONS)
+    assert caught.value.result.flight_time_s == pytest.approx(0.3)
+    info = inspect(tmp_path / "a.mcap")
+    assert info.problems == () and info.poses == 16
+
+
+def test_progress_goes_from_start_to_goal(tmp_path) -> None:
+    world = scene("wall", seed=1)
+    for i, fly_once in enumerate((fly, lambda world, **options: fly_and_log(world, tmp_path / "a.mcap", **options))):
+        told: list[tuple[float, float]] = []
+        result = fly_once(world, progress=lambda *call, told=told: told.append(call), speed=2.0, **OPTIONS)
+        shares, times = np.array(told).T
+        assert result.arrived and shares[0] == 0.0 and shares[-1] > 0.7, i
+        assert np.all(np.diff(times) > 0.0) and times[-1] == pytest.approx(result.flight_time_s)
+    assert share_of_way(world, world.goal) == 1.0

@@ -1,0 +1,112 @@
+"""World files of all kinds of wrong: whatever they hold, they make a world, or one sentence that names the file."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from aero_viz.errors import UserError
+from aero_viz.scenes import World
+
+GOOD: dict[str, Any] = {
+    "name": "w", "start": [0, 0, 2], "goal": [9, 0, 2],
+    "cylinders": [[4, 3, 0, 0, 0, 1, 0.3, 4], [5, -3, 0, 0, 0, 1, 0.3, 4]],
+    "boxes": [[5, 0, -0.5, 60, 60, 1, 0]], "spheres": [[3, 3, 3, 0.5]],
+    "bounds": [[-20, -20, -2], [30, 20, 20]],
+}  # fmt: skip
+
+ODD = st.one_of(
+    st.none(), st.booleans(), st.text(max_size=4), st.integers(), st.floats(),
+    st.sampled_from([10**400, 2**63, 1e308, 1e30, 5e-324, -0.0, [], {}, [1], [[]], [None] * 8, [["a"] * 7],
+                     [[1e30] * 4], [[0, 0, 0, 0, 0, 1, 1e30, 1e30]], {"a": 1}, [[[1]]]]),
+)  # fmt: skip
+
+
+@st.composite
+def mutants(draw: st.DrawFn) -> Any:
+    """The good world with one to three things replaced, removed, added or renamed, at any depth."""
+    world = copy.deepcopy(GOOD)
+    for _ in range(draw(st.integers(1, 3))):
+        node: Any = world
+        while True:
+            places = list(node) if isinstance(node, dict) else list(range(len(node)))
+            if not places:
+                break
+            place = draw(st.sampled_from(places))
+            if isinstance(node[place], (dict, list)) and draw(st.booleans()):
+                node = node[place]
+                continue
+            action = draw(st.sampled_from(["replace", "replace", "replace", "remove", "add"]))
+            if action == "remove":
+                del node[place]
+            elif action == "add" and isinstance(node, list):
+                node.insert(place, copy.deepcopy(draw(ODD)))
+            else:
+                key = draw(st.sampled_from(["boxs", "Start", ""])) if action == "add" else place
+                node[key] = copy.deepcopy(draw(ODD))
+            break
+    return world
+
+
+def check(path: Path) -> None:
+    """Load a file: a sound world, or a UserError fit for a terminal."""
+    try:
+        world = World.load(path)
+    except UserError as error:
+        said = str(error)
+        assert str(path) in said and "\n" not in said and len(said) < 400
+        return
+    for table in (world.start, world.goal, world.cylinders, world.boxes, world.spheres, world.bounds):
+        assert np.isfinite(table).all()
+    assert math.isfinite(world.distance([world.start])[0]) or not len(world.boxes) + len(world.cylinders)
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(mutants())
+def test_mutants(tmp_path: Path, content: Any) -> None:
+    path = tmp_path / "w.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    check(path)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_damaged_text(tmp_path: Path, data: st.DataObject) -> None:
+    text = bytearray(json.dumps(GOOD).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / "w.json"
+    path.write_bytes(bytes(text[: data.draw(st.integers(0, len(text)))]))
+    check(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"spheres": [[0, 0, 0, 1e6]]}, '"spheres" row 0 has radius = 1e+06; it must be greater than 0 and at most'),
+        ({"boxes": [[0, 2e5, 0, 1, 1, 1, 0]]}, '"boxes" row 0 has cy = 200000; it must be within 100000 m'),
+        ({"cylinders": [[0, 0, 0, 0, 0, 1e300, 1, 1]]}, '"cylinders" row 0 has an axis of length inf'),
+        ({"cylinders": "x" * 5000}, "\"cylinders\" is 'xxxxxxxxxxxx...xxxxxxxxxxxxx'"),
+        ({"goal": [[1, 2, 3], 4, 5]}, '"goal" has x = [1, 2, 3]; it must be a finite number'),
+        ({"goals": [0, 0, 0]}, "unknown key 'goals' (did you mean 'goal'?)"),
+    ],
+)
+def test_what_is_wrong_is_said_precisely_and_briefly(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    path = tmp_path / "w.json"
+    path.write_text(json.dumps(GOOD | changes), encoding="utf-8")
+    with pytest.raises(UserError) as caught:
+        World.load(path)
+    assert said in str(caught.value)
+
+
+def test_a_folder_is_no_world(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="Is a directory"):
+        World.load(tmp_path)
