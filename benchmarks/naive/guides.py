@@ -7,7 +7,7 @@ import warp as wp
 from aero_planner.params import Params
 from benchmarks.naive.model import clamp_control, rk4, rotate_back, rotation, yaw
 
-__all__ = ["guides", "nominal_controls", "write_brake"]
+__all__ = ["BRAKES", "guides", "nominal_controls", "write_brake"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -80,13 +80,26 @@ def follow_guide(
         _p, _v, q = rk4(wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), q, u, c)
 
 
+BRAKES = wp.constant(5)
+"""Ways to brake: straight ahead, and turned to both sides."""
+
+
+@wp.func
+def turned(v: wp.vec3, angle: float) -> wp.vec3:
+    """v turned about the vertical."""
+    c = wp.cos(angle)
+    s = wp.sin(angle)
+    return wp.vec3(c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
+
+
 @wp.func
 def write_brake(
-    b: int, m: int, p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, q0: wp.vec4, c: Params, anchor: wp.array2d(dtype=wp.vec3),
-    coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3), nominal: wp.array3d(dtype=wp.vec4),
+    b: int, m: int, angle: float, p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, q0: wp.vec4, c: Params,
+    anchor: wp.array2d(dtype=wp.vec3), coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3),
+    nominal: wp.array3d(dtype=wp.vec4),
 ):  # fmt: skip
-    """A guide to rest within brake_reach v T, and its controls."""
-    end = p0 + c.brake_reach * float(nominal.shape[2]) * c.dt * v0
+    """A guide to rest within brake_reach v T, `angle` to the left of straight ahead, and its controls."""
+    end = p0 + c.brake_reach * float(nominal.shape[2]) * c.dt * turned(v0, angle)
     anchor[b, m] = end
     write_guide(b, m, p0, v0, a0, end, wp.vec3(0.0, 0.0, 0.0), c.dt, coefficient, guide)
     follow_guide(b, m, q0, yaw(q0), c, coefficient, nominal)

@@ -31,7 +31,7 @@ class NaivePlanner:
     Attributes:
         params: live parameters, shape [B].
         arrays: device arrays of the last run; instance i = b M + m, samples k, positions [B M, K, N + PROBES]. Those of
-            Stage II have an instance M, the plain brake, and rows half way between two steps.
+            Stage II have the ways to brake after the M instances, and rows half way between two steps.
         stage_ms: time of each stage of the last `run` [ms]; on CUDA that of launching only.
     """
 
@@ -61,10 +61,10 @@ class NaivePlanner:
                 direction=wp.zeros((B, config.anchor_count), dtype=wp.vec3),
                 safe_range=wp.zeros((B, coarse), dtype=float),
                 safe_direction=wp.zeros((B, coarse), dtype=wp.vec3),
-                anchor=wp.zeros((B, M + 1), dtype=wp.vec3),
+                anchor=wp.zeros((B, M + guides.BRAKES), dtype=wp.vec3),
                 elapsed=wp.zeros(B, dtype=float),
-                coefficient=wp.zeros((B, M + 1, 6), dtype=wp.vec3),
-                guide=wp.zeros((B, M + 1, N + 1), dtype=wp.vec3),
+                coefficient=wp.zeros((B, M + guides.BRAKES, 6), dtype=wp.vec3),
+                guide=wp.zeros((B, M + guides.BRAKES, N + 1), dtype=wp.vec3),
                 nominal=wp.zeros((B, M, N), dtype=wp.vec4),
                 noise=wp.zeros((B * M, K, N), dtype=wp.vec4),
                 sample_controls=wp.zeros((B * M, K, N), dtype=wp.vec4),
@@ -72,15 +72,15 @@ class NaivePlanner:
                 sample_distance=wp.zeros((B * M, K, N + PROBES), dtype=float),
                 cost=wp.zeros((B * M, K), dtype=float),
                 weight=wp.zeros((B * M, K), dtype=float),
-                controls=wp.zeros((B, M + 1, N), dtype=wp.vec4),
-                states=wp.zeros((B, M + 1, N + 1), dtype=wp.vec3),
-                positions=wp.zeros((B * (M + 1), 1, N + PROBES + N), dtype=wp.vec3),
-                distance=wp.zeros((B * (M + 1), 1, N + PROBES + N), dtype=float),
-                J_goal=wp.zeros((B, M + 1), dtype=float),
-                J_speed=wp.zeros((B, M + 1), dtype=float),
-                J_col=wp.zeros((B, M + 1), dtype=float),
-                S2=wp.zeros((B, M + 1), dtype=float),
-                nearest=wp.zeros((B, M + 1), dtype=float),
+                controls=wp.zeros((B, M + guides.BRAKES, N), dtype=wp.vec4),
+                states=wp.zeros((B, M + guides.BRAKES, N + 1), dtype=wp.vec3),
+                positions=wp.zeros((B * (M + guides.BRAKES), 1, N + PROBES + N), dtype=wp.vec3),
+                distance=wp.zeros((B * (M + guides.BRAKES), 1, N + PROBES + N), dtype=float),
+                J_goal=wp.zeros((B, M + guides.BRAKES), dtype=float),
+                J_speed=wp.zeros((B, M + guides.BRAKES), dtype=float),
+                J_col=wp.zeros((B, M + guides.BRAKES), dtype=float),
+                S2=wp.zeros((B, M + guides.BRAKES), dtype=float),
+                nearest=wp.zeros((B, M + guides.BRAKES), dtype=float),
                 best=wp.zeros(B, dtype=int),
                 status=wp.zeros(B, dtype=int),
                 source=wp.zeros(B, dtype=int),
@@ -210,10 +210,10 @@ class NaivePlanner:
     def _stage2(self) -> None:
         i, a, kinds = self._planner.inputs, self.arrays, self._config.kinds
         self._launch(
-            stage2.plain_brake, self._batch, i.position, i.velocity, a.quaternion, i.acceleration, self.params,
+            stage2.ways_to_brake, self._batch, i.position, i.velocity, a.quaternion, i.acceleration, self.params,
             a.anchor, a.coefficient, a.guide, a.controls,
         )  # fmt: skip
-        count, instances = a.positions.shape[0], self._M + 1
+        count, instances = a.positions.shape[0], self._M + guides.BRAKES
         self._launch(
             stage2.final_rollouts, count, instances, *self._states(), a.controls, a.states, a.positions, a.J_goal,
             a.J_speed,

@@ -1,6 +1,6 @@
 """Stage II: rollouts of the optimised controls, choice, braking.
 
-Instance i = b (M + 1) + m is instance m of drone b, the last of them the plain brake.
+Instance i = b (M + BRAKES) + m is instance m of drone b; after the M candidates come the ways to brake.
 """
 
 from __future__ import annotations
@@ -8,17 +8,17 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.params import Params
-from benchmarks.naive.guides import write_brake
+from benchmarks.naive.guides import BRAKES, write_brake
 from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
-__all__ = ["choose", "conclude", "final_rollouts", "final_scores", "plain_brake"]
+__all__ = ["choose", "conclude", "final_rollouts", "final_scores", "ways_to_brake"]
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def plain_brake(
+def ways_to_brake(
     position: wp.array(dtype=wp.vec3),
     velocity: wp.array(dtype=wp.vec3),
     quaternion: wp.array(dtype=wp.vec4),
@@ -29,10 +29,15 @@ def plain_brake(
     guide: wp.array3d(dtype=wp.vec3),
     controls: wp.array3d(dtype=wp.vec4),
 ):
-    """Write the controls that brake straight ahead as instance M. Launched over [B]."""
+    """Write the controls that brake straight ahead, left, right, farther left and farther right. Launched over [B]."""
     b = wp.tid()
-    write_brake(b, controls.shape[1] - 1, position[b], velocity[b], acceleration[b], quaternion[b], params[b], anchor,
-                coefficient, guide, controls)  # fmt: skip
+    M = controls.shape[1] - BRAKES
+    for way in range(BRAKES):
+        angle = float((way + 1) // 2) * wp.radians(params[b].brake_fan)
+        if way % 2 == 0:
+            angle = -angle
+        write_brake(b, M + way, angle, position[b], velocity[b], acceleration[b], quaternion[b], params[b], anchor,
+                    coefficient, guide, controls)  # fmt: skip
 
 
 @wp.kernel
@@ -51,7 +56,7 @@ def final_rollouts(
     J_goal: wp.array2d(dtype=float),
     J_speed: wp.array2d(dtype=float),
 ):
-    """Roll out the optimised controls and the plain brake. Launched over [B (M + 1)]."""
+    """Roll out the optimised controls and the ways to brake. Launched over [B (M + BRAKES)]."""
     i = wp.tid()
     b = i // instances
     m = i % instances
@@ -89,7 +94,7 @@ def final_scores(
     S2: wp.array2d(dtype=float),
     nearest: wp.array2d(dtype=float),
 ):
-    """S2 and the least clearance of every instance. Launched over [B (M + 1)]."""
+    """S2 and the least clearance of every instance. Launched over [B (M + BRAKES)]."""
     i = wp.tid()
     b = i // instances
     m = i % instances
@@ -123,11 +128,12 @@ def choose(
     """The least S2, among the safe instances first where prefer_safe says so; brake where it is not safe. Launched over
     [B].
 
-    status: 0 OK, 1 none safe, 2 cloud too old. `source` is the instance whose controls are flown: M is the plain brake.
+    status: 0 OK, 1 none safe, 2 cloud too old. `source` is the instance whose controls are flown; of the ways to brake
+    it is the one that stays farthest from the points, straight ahead before others.
     """
     b = wp.tid()
     c = params[b]
-    M = S2.shape[1] - 1
+    M = S2.shape[1] - BRAKES
     safe = c.safe_clearance
     here = distance_to(position[b], safe, b, count, filtered)
     if here < safe:  # too near already: not nearer still
@@ -147,6 +153,9 @@ def choose(
     source[b] = chosen
     if status[b] != 0:
         source[b] = M
+        for way in range(M + 1, M + BRAKES):
+            if nearest[b, way] > nearest[b, source[b]]:
+                source[b] = way
         if brake_index >= 0:
             chosen = brake_index
     best[b] = chosen

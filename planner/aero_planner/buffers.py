@@ -11,6 +11,7 @@ import warp as wp
 
 from aero_planner.clearance import GRID, block_type
 from aero_planner.config import PlannerConfig
+from aero_planner.guides import BRAKES
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 from aero_planner.partition import fill_directions
 
@@ -102,7 +103,7 @@ def input_block(batch: int, device: wp.Device) -> Block:
 
 
 def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> Block:
-    """Everything that a Plan shows; the last of M + 1 instances is the plain brake, which it doesn't."""
+    """Everything that a Plan shows; after the M instances come the ways to brake, which it doesn't."""
     M, N = len(config.kinds), config.sampling.steps
     coarse = config.partition.coarse_rows * config.partition.coarse_columns
     fine = math.prod(fine_shape(config))
@@ -113,19 +114,19 @@ def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Devic
         "filtered": (vec3, (batch, fine)),
         "safe_range": (real, (batch, coarse)),
         "safe_direction": (vec3, (batch, coarse)),
-        "initial_endpoint": (vec3, (batch, M + 1)),
-        "anchor": (vec3, (batch, M + 1)),
-        "coefficient": (vec3, (batch, M + 1, 6)),
-        "guide": (vec3, (batch, M + 1, N + 1)),
-        "controls": (vec4, (batch, M + 1, N)),
-        "positions": (vec3, (batch, M + 1, N + 1)),
-        "velocities": (vec3, (batch, M + 1, N + 1)),
-        "quaternions": (vec4, (batch, M + 1, N + 1)),
+        "initial_endpoint": (vec3, (batch, M + BRAKES)),
+        "anchor": (vec3, (batch, M + BRAKES)),
+        "coefficient": (vec3, (batch, M + BRAKES, 6)),
+        "guide": (vec3, (batch, M + BRAKES, N + 1)),
+        "controls": (vec4, (batch, M + BRAKES, N)),
+        "positions": (vec3, (batch, M + BRAKES, N + 1)),
+        "velocities": (vec3, (batch, M + BRAKES, N + 1)),
+        "quaternions": (vec4, (batch, M + BRAKES, N + 1)),
         "cost": (real, (batch * M, padded_samples(config, device))),
-        "S2": (real, (batch, M + 1)),
-        "J_goal": (real, (batch, M + 1)),
-        "J_col": (real, (batch, M + 1)),
-        "clearance": (real, (batch, M + 1, N)),
+        "S2": (real, (batch, M + BRAKES)),
+        "J_goal": (real, (batch, M + BRAKES)),
+        "J_col": (real, (batch, M + BRAKES)),
+        "clearance": (real, (batch, M + BRAKES, N)),
         "best": (integer, (batch,)),
         "status": (integer, (batch,)),
         "braked": (integer, (batch,)),
@@ -188,13 +189,14 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             total=wp.zeros((lanes, batch), dtype=wp.int32),
             end=wp.zeros((batch, GRID**3), dtype=wp.int32),
             directions=wp.zeros(fine_shape(config), dtype=wp.vec3),
-            nominal=wp.zeros((batch, M + 1, N), dtype=wp.vec4),
+            nominal=wp.zeros((batch, M + BRAKES, N), dtype=wp.vec4),
             sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
             sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
             sample_clearance_cost=wp.zeros((batch * M, rows, K), dtype=wp.float32),
             weight=wp.zeros((batch * M, K), dtype=wp.float32),
-            terms=wp.zeros((batch, M + 1, rows + N), dtype=wp.vec4),
-            nearest=wp.zeros((batch, M + 1), dtype=wp.float32),
+            terms=wp.zeros((batch, M + BRAKES, rows + N), dtype=wp.vec4),
+            flown=wp.zeros(batch, dtype=wp.int32),
+            nearest=wp.zeros((batch, M + BRAKES), dtype=wp.float32),
             noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
             seed=wp.zeros(batch, dtype=wp.int32),
             tick=wp.zeros(batch, dtype=wp.int32),

@@ -79,7 +79,7 @@ class AnchorConfig(_Section):
     spacing: float = live(18.0, "deg", 1.0, 45.0, "Angle between two directions.")
     lookahead: float = live(5.0, "m", 0.2, 30.0, "Distance of the anchors; never beyond the goal.", symbol="l")
     lookahead_rest: float = live(
-        2.0, "m", 0.1, 30.0,
+        2.5, "m", 0.1, 30.0,
         "Distance at rest, growing by 0.6 T v with the speed v up to the look-ahead: from rest a full-length guide "
         "asks for an acceleration that saturates the thrust. At or above the look-ahead this is off, as in the paper.",
     )  # fmt: skip
@@ -101,7 +101,7 @@ class CandidateConfig(_Section):
     )  # fmt: skip
     brake: bool = switch(True, "Add a guide that brakes, for when all others cross an obstacle.", live=False)
     safe_clearance: float = live(
-        0.25, "m", 0.0, 5.0, "A candidate that comes nearer than this is not safe: the drone's radius."
+        0.27, "m", 0.0, 5.0, "A candidate that comes nearer than this is not safe: the drone's radius, and a margin."
     )
     between_steps: bool = switch(
         True, "Judge what is safe half way between two steps, too: at 7 m/s they lie 0.35 m apart."
@@ -113,6 +113,10 @@ class CandidateConfig(_Section):
     brake_reach: float = live(
         0.35, "", 0.1, 1.0, "End of the braking guide, as a fraction of v T; the smaller, the harder it brakes."
     )
+    brake_fan: float = live(
+        20.0, "deg", 0.0, 45.0, "Angle between five ways to brake, of which the one that stays farthest from "
+        "obstacles is flown: straight ahead may be what the drone was avoiding. 0 brakes straight ahead only.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,7 @@ class CostConfig(_Section):
     decay: float = live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
     soft_weight: float = live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty.")
     q_blocked: float = live(
-        200.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the way from the last state to the goal; 0 in the paper."
+        300.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the way from the last state to the goal; 0 in the paper."
     )
     blocked_range: float = live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
     blocked_radius: float = live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
@@ -287,8 +291,10 @@ _PAPER: dict[str, Value] = {
     "anchors.slow_spread": 1.0,
     "candidates.previous": False,
     "candidates.brake": False,
+    "candidates.safe_clearance": 0.25,
     "candidates.prefer_safe": False,
     "candidates.between_steps": False,
+    "candidates.brake_fan": 0.0,
     "sampling.correlation": 0.0,
     "sampling.keep_nominal": False,
     "sampling.fresh_noise": False,

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.dynamics import clamp_control, near_atan2, quat_inverse_rotate, rotate_by_rates, thrust_axis
+from aero_planner.dynamics import (
+    clamp_control,
+    near_atan2,
+    quat_from_heading,
+    quat_inverse_rotate,
+    quat_rotate,
+    rotate_by_rates,
+    thrust_axis,
+)
 from aero_planner.params import Params
 
-__all__ = ["Quintic", "heading", "make_guides", "quintic", "wrap_angle", "write_nominal"]
+__all__ = ["BRAKES", "Quintic", "heading", "make_guides", "quintic", "wrap_angle", "write_nominal"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -135,6 +143,17 @@ def write_previous(
         nominal[b, m, t] = u0 + (s - float(i)) * (u1 - u0)
 
 
+BRAKES = wp.constant(5)
+"""Ways to brake: straight ahead, then to both sides."""
+
+
+@wp.func
+def brake_direction(way: int, params: Params) -> float:
+    """Angle of a way to brake from straight ahead [rad], to the left: 0, 1, -1, 2, -2 times brake_fan."""
+    side = wp.where(way % 2 == 1, 1.0, -1.0)
+    return side * float((way + 1) // 2) * wp.radians(params.brake_fan)
+
+
 @wp.kernel
 def make_guides(
     position: wp.array(dtype=wp.vec3),
@@ -146,6 +165,7 @@ def make_guides(
     goal_velocity: wp.array(dtype=wp.vec3),
     goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
+    instances: int,
     anchor_count: int,
     previous_index: int,
     reach: wp.array(dtype=float),
@@ -158,7 +178,7 @@ def make_guides(
     guide: wp.array3d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
 ):
-    """Guide and nominal controls of each instance, and of the plain brake, which is the last. Launched over [B, M + 1].
+    """Guide and nominal controls of the M instances, and then of the ways to brake. Launched over [B, M + BRAKES].
 
     Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a `time` of NaN means
     one replan_period later.
@@ -170,7 +190,9 @@ def make_guides(
     T = float(nominal.shape[2]) * c.dt
     to_goal = goal_position[b] - p0
     goal_distance = wp.length(to_goal)
-    p1 = p0 + (c.brake_reach * T) * velocity[b]
+    turn = brake_direction(wp.max(m - instances, 0), c)
+    ahead = quat_rotate(quat_from_heading(turn), velocity[b])
+    p1 = p0 + (c.brake_reach * T) * ahead
     v1 = wp.vec3(0.0, 0.0, 0.0)
     heading_goal = heading(goal_quaternion[b])
     elapsed = float(-1.0)

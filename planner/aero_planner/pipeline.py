@@ -88,6 +88,7 @@ class Pipeline:
         i, o, w = inputs, outputs, work
         state = [i.position, i.velocity, w.quaternion]
         goal = [i.goal_position, w.goal_velocity, w.goal_quaternion]
+        rolled_out = M + guides.BRAKES
         width, beside = points_width(self._device), 1 if self._device.is_cpu else 0
         cloud = [beside, w.end, w.blocks]
 
@@ -160,8 +161,8 @@ class Pipeline:
                 o.anchor,
             ),
             launch(
-                guides.make_guides, (B, M + 1), *state, i.acceleration, i.time, *goal, params, anchor_count, previous,
-                w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
+                guides.make_guides, (B, rolled_out), *state, i.acceleration, i.time, *goal, params, M, anchor_count,
+                previous, w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
                 o.coefficient, o.guide, w.nominal, block_dim=32,
             ),
         )  # fmt: skip
@@ -195,23 +196,23 @@ class Pipeline:
         choose = serial(
             "stage2",
             launch(
-                stage2.roll_out_best, (B, M + 1), *state, params, w.nominal, o.controls, o.positions, o.velocities,
-                o.quaternions, block_dim=32,
+                stage2.roll_out_best, (B, rolled_out), M, *state, params, w.nominal, o.controls, o.positions,
+                o.velocities, o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.evaluate(width, team), (B, M + 1, 2 * N + mppi.PROBES, team), i.position, *goal, params, *cloud,
-                o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
+                stage2.evaluate(width, team), (B, rolled_out, 2 * N + mppi.PROBES, team), i.position, *goal, params,
+                *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
-                stage2.score, (B, M + 1), i.goal_position, params, o.positions, w.terms, o.J_goal, o.J_col, o.S2,
+                stage2.score, (B, rolled_out), i.goal_position, params, o.positions, w.terms, o.J_goal, o.J_col, o.S2,
                 w.nearest, block_dim=32,
             ),
             launch(
-                stage2.select(width), B, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, o.best,
-                o.status, o.braked,
+                stage2.select(width), B, M, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, w.flown,
+                o.best, o.status, o.braked,
             ),
             launch(
-                stage2.conclude, (B, N + 1), i.time, params, o.best, o.braked, o.anchor, o.coefficient,
+                stage2.conclude, (B, N + 1), i.time, params, w.flown, o.best, o.braked, o.anchor, o.coefficient,
                 o.guide, o.controls, o.positions, o.velocities, o.quaternions, o.J_goal, o.J_col, o.S2,
                 o.clearance, w.tick, w.previous_controls, w.previous_end, w.previous_time,
             ),

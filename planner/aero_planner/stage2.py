@@ -1,7 +1,6 @@
 """Stage II: roll out the optimised controls, pick the best instance, and brake where none is safe.
 
-Beside the M instances there is the plain brake, which is the last of M + 1 and takes the place of another where braking
-is what is left.
+After the M instances come the ways to brake. One of them takes the place of an instance where braking is what is left.
 """
 
 # No postponed annotations: those of kernels that `width` shapes name local types.
@@ -28,6 +27,7 @@ STALE_CLOUD = wp.constant(2)
 
 @wp.kernel
 def roll_out_best(
+    instances: int,
     position: wp.array(dtype=wp.vec3),
     velocity: wp.array(dtype=wp.vec3),
     quaternion: wp.array(dtype=wp.vec4),
@@ -38,7 +38,8 @@ def roll_out_best(
     velocities: wp.array3d(dtype=wp.vec3),
     quaternions: wp.array3d(dtype=wp.vec4),
 ):
-    """Stage II rollouts of the optimised controls; the plain brake's are its nominal ones. Launched over [B, M + 1]."""
+    """Stage II rollouts of the optimised controls; of the ways to brake, the nominal ones. Launched over [B, M +
+    BRAKES]."""
     b, m = wp.tid()
     c = params[b]
     p = position[b]
@@ -47,7 +48,7 @@ def roll_out_best(
     positions[b, m, 0] = p
     velocities[b, m, 0] = v
     quaternions[b, m, 0] = q
-    is_brake = m == controls.shape[1] - 1
+    is_brake = m >= instances
     steps = controls.shape[2]
     u_next = wp.where(is_brake, nominal[b, m, 0], controls[b, m, 0])
     for t in range(steps):
@@ -87,8 +88,8 @@ def evaluate(width: int, threads: int) -> wp.Kernel:
         """Costs and clearance of every state of Stage II, and the clearance on the way to the goal and half way between
         the states, in this order.
 
-        `terms` are J_goal, J_col, the speed's cost and the distance to the nearest point. Launched over [B, M + 1, N +
-        PROBES + N, threads].
+        `terms` are J_goal, J_col, the speed's cost and the distance to the nearest point. Launched over [B, M + BRAKES,
+        N + PROBES + N, threads].
         """
         b, m, t, thread = wp.tid()
         c = params[b]
@@ -126,7 +127,7 @@ def score(
     S2: wp.array2d(dtype=float),
     nearest: wp.array2d(dtype=float),
 ):
-    """S2 of each instance, its terms, and how near it comes to a point. Launched over [B, M + 1]."""
+    """S2 of each instance, its terms, and how near it comes to a point. Launched over [B, M + BRAKES]."""
     b, m = wp.tid()
     c = params[b]
     steps = positions.shape[2] - 1
@@ -158,6 +159,7 @@ def select(width: int) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def select(
+        instances: int,
         brake_index: int,
         position: wp.array(dtype=wp.vec3),
         params: wp.array(dtype=Params),
@@ -167,6 +169,7 @@ def select(width: int) -> wp.Kernel:
         blocks: wp.array2d(dtype=Block),
         S2: wp.array2d(dtype=float),
         nearest: wp.array2d(dtype=float),
+        flown: wp.array(dtype=int),
         best: wp.array(dtype=int),
         status: wp.array(dtype=int),
         braked: wp.array(dtype=int),
@@ -175,7 +178,8 @@ def select(width: int) -> wp.Kernel:
 
         An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer
         already, when it does not come nearer still. Where the status is not OK, `braked` is the instance whose place
-        the plain brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
+        the farthest way to brake takes: the braking candidate, or the chosen one where there is none; else it is -1.
+        `flown` is what is flown, before that replacement.
         """
         b = wp.tid()
         c = params[b]
@@ -185,7 +189,7 @@ def select(width: int) -> wp.Kernel:
             safe = here - 0.02
         chosen = int(0)
         chosen_safe = nearest[b, 0] >= safe
-        for m in range(1, S2.shape[1] - 1):
+        for m in range(1, instances):
             is_safe = nearest[b, m] >= safe
             better = S2[b, m] < S2[b, chosen]
             if c.prefer_safe != 0 and is_safe != chosen_safe:
@@ -200,6 +204,13 @@ def select(width: int) -> wp.Kernel:
         if outcome != OK:
             replaced = wp.where(brake_index >= 0, brake_index, chosen)
             chosen = replaced
+            source = instances
+            for way in range(instances + 1, S2.shape[1]):
+                if nearest[b, way] > nearest[b, source]:
+                    source = way
+            flown[b] = source
+        else:
+            flown[b] = chosen
         best[b] = chosen
         status[b] = outcome
         braked[b] = replaced
@@ -211,6 +222,7 @@ def select(width: int) -> wp.Kernel:
 def conclude(
     time: wp.array(dtype=wp.float64),
     params: wp.array(dtype=Params),
+    flown: wp.array(dtype=int),
     best: wp.array(dtype=int),
     braked: wp.array(dtype=int),
     anchor: wp.array2d(dtype=wp.vec3),
@@ -229,16 +241,15 @@ def conclude(
     previous_end: wp.array(dtype=wp.vec3),
     previous_time: wp.array(dtype=wp.float64),
 ):
-    """Put the plain brake in its place where it is needed, and keep what the next plan starts from.
+    """Put the way to brake in its place where it is needed, and keep what the next plan starts from.
 
     That is the controls to fly, the end they lead to, and the time. Launched over [B, N + 1].
     """
     b, t = wp.tid()
     steps = controls.shape[2]
     m = best[b]
-    source = m
+    source = flown[b]
     if braked[b] >= 0:
-        source = controls.shape[1] - 1
         guide[b, m, t] = guide[b, source, t]
         positions[b, m, t] = positions[b, source, t]
         velocities[b, m, t] = velocities[b, source, t]

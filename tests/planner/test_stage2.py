@@ -40,3 +40,24 @@ def test_what_is_safe_is_judged_between_the_steps(device: str, between: bool):
             slipped += nearest_approach(plan, plan.best, between=True) < 0.3 - 1e-5
     assert chosen > 10
     assert slipped == 0 if between else slipped > 0
+
+
+def test_braking_leads_where_it_stays_farthest_from_obstacles(device: str):
+    """A wall beside and ahead: braking turns away from it, ends as slow, and without the fan leads straight on."""
+    case = random_case(0, count=0, tilt=0.0)
+    case.velocity, case.acceleration, case.goal = np.array([6.0, 0, 0]), np.zeros(3), case.beside(20, 0, 0)
+    y, z = np.meshgrid(np.arange(-0.3, 6, 0.05), np.arange(-6, 6, 0.05))
+    wall = np.stack((np.full_like(y, 2.4), y, z), axis=-1).reshape(-1, 3)
+    case.points = (wall + case.position).astype(np.float32)
+    ends, approaches = [], []
+    for fan in (0.0, 20.0):
+        # Too wide a berth for any candidate, so that it brakes.
+        config = config_of(candidates__brake_fan=fan, candidates__safe_clearance=1.5, costs__distance_max=0.55)
+        plan = case.plan(Planner(config, device=device))
+        assert plan.status == PlanStatus.NO_SAFE_CANDIDATE and plan.kinds[plan.best] == "brake"
+        assert np.linalg.norm(plan.velocities[plan.best, -1]) < 2.0
+        ends.append(plan.positions[plan.best, -1] - case.position)
+        approaches.append(nearest_approach(plan, plan.best, between=True))
+    assert abs(ends[0][1]) < 0.05
+    assert ends[1][1] < -0.2, ends
+    assert approaches[1] > approaches[0] + 0.01
