@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from aero_planner.config import find_parameter
 from aero_viz.errors import UserError
 from aero_viz.source import Source
 
@@ -62,18 +63,20 @@ def open_source(
         goal_ahead: of a recording [m].
 
     Raises:
-        UserError: what is named does not exist or cannot be used.
+        UserError: what is named does not exist or cannot be used, or no flight there can arrive.
     """
     from aero_viz.scenes import SCENES
 
     is_path = "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
     if spec in SCENES or spec.endswith(".json") or is_map(spec) or not is_path:
-        from aero_viz.flight import FlightSource
+        from aero_viz.flight import FlightRules, FlightSource
+        from aero_viz.flight.explanation import refuse_impossible
         from aero_viz.sensors import lidar_model
 
-        return FlightSource(
-            load_world(spec, seed=seed, count=count), lidar=lidar_model(lidar), seed=seed, device=device
-        )
+        world = load_world(spec, seed=seed, count=count)
+        # The configuration comes later: refused is only what none of them can reach.
+        refuse_impossible(world, rules=FlightRules(), speed_limit=find_parameter("vehicle.speed_limit").high)
+        return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
     from aero_viz.recordings import RecordingSource, open_recording
 
     recording = open_recording(spec, points_topic=points_topic, pose_topic=pose_topic)

@@ -92,11 +92,22 @@ class Engine:
             self._plan(history=self._timeline.present.history)
 
     def set_goal(self, position: NDArray[np.float64]) -> None:
-        """Move the goal [m], shape [3], world frame; the present tick is planned again, and returned to with it."""
+        """Move the goal [m], shape [3], world frame; the present tick is planned again, and returned to with it.
+
+        If it cannot be planned to, the goal stays.
+        """
+        before = self.source.checkpoint()
         self.source.set_goal(position)
-        if self._timeline:
-            self._timeline.amend(self.source.checkpoint())
-        self.replan()
+        try:
+            if self._timeline:
+                self._timeline.amend(self.source.checkpoint())
+            self.replan()
+        except Exception:
+            # Otherwise every further tick would fail in the same way.
+            self.source.restore(before)
+            if self._timeline:
+                self._timeline.amend(before)
+            raise
 
     def seek(self, wanted: float) -> None:
         """Go to the tick at or before `wanted` [s]; ValueError unless it is finite."""
@@ -187,6 +198,7 @@ class Engine:
             config=config,
             config_version=version,
             outcome=self.source.outcome,
+            explanation=self.source.explanation,
             timings_ms={
                 "observe": 1e3 * (observed - started),
                 "plan": 1e3 * (planned - observed),
@@ -196,6 +208,7 @@ class Engine:
             dropped_ticks=self.dropped_ticks,
             trail=self._timeline.trail(),
             epoch=self._epoch,
+            source=self.source,
         )
         return self._publish(frame)
 

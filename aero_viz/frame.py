@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig
-from aero_viz.source import Observation
+from aero_viz.source import Observation, Source
 
 __all__ = ["Frame", "Notice"]
 
@@ -29,16 +29,20 @@ class Frame:
     """Counts the configurations of the session."""
     outcome: str | None
     """None while running; see `Source.outcome`."""
+    explanation: str | None
+    """In one sentence what ended it; see `Source.explanation`."""
     timings_ms: dict[str, float]
     """Duration of "observe", "plan" and of the "advance" that led here [ms]."""
     rate: float
     """Ticks per second of wall time, over the last second."""
     dropped_ticks: int
-    """Ticks skipped (recording) or started late by more than a period (flight) since the source's start."""
+    """Ticks skipped (recording) or given up as too late (flight) since the source's start."""
     trail: NDArray[np.float32]
     """Positions so far [m], shape [n, 3], world frame; read-only."""
     epoch: int
     """Changes when time jumps or the source is exchanged."""
+    source: Source
+    """Where the observation comes from; its methods belong to the engine, so only read its attributes."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,9 @@ from aero_viz.source import Source
 __all__ = ["Frame", "Notice", "Session"]
 
 _log = logging.getLogger(__name__)
+_EXPECTED = (UserError, ValueError)
+_CATCH_UP = 0.1
+"""A flight that is late by up to this makes up for it by and by [s of wall time]: other work comes in bursts."""
 
 
 class Session:
@@ -44,6 +47,7 @@ class Session:
         self._configs = ConfigHistory(config or PlannerConfig())
         self._frames = Publisher()
         self._notices = Publisher()
+        self._states = Publisher()
         self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
         self._clock = Clock()
         self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
@@ -97,10 +101,16 @@ class Session:
         """Call `callback` with each notice, from a thread of its own."""
         return self._notices.subscribe(callback, capacity=64, name="notices")
 
+    def subscribe_playing(self, callback: Callable[[bool], None]) -> Sink:
+        """Call `callback` with `playing`, now and whenever it changes, from a thread of its own."""
+        sink = self._states.subscribe(callback, capacity=64, name="playing")
+        sink.put(self._playing)
+        return sink
+
     def unsubscribe(self, sink: Sink) -> None:
         """Close a sink and forget it."""
-        self._frames.unsubscribe(sink)
-        self._notices.unsubscribe(sink)
+        for publisher in (self._frames, self._notices, self._states):
+            publisher.unsubscribe(sink)
 
     def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
         """Send a notice to everyone."""
@@ -114,23 +124,25 @@ class Session:
         def command() -> None:
             if self.source.outcome is not None:
                 self._engine.seek(self.time_range[0])
-            self._playing = True
+            self._set_playing(True)
             self._clock.restart(self._engine.next_time)
 
         self._post(command)
 
     def pause(self) -> None:
         """Hold time; parameters still act on the plan."""
-        self._post(self._set_paused)
+        self._post(lambda: self._set_playing(False))
 
-    def _set_paused(self) -> None:
-        self._playing = False
+    def _set_playing(self, playing: bool) -> None:
+        if playing != self._playing:
+            self._playing = playing
+            self._states.publish(playing)
 
     def step(self, count: int = 1) -> Future[Any]:
         """Pause and go `count` ticks on, or back when negative."""
 
         def command() -> None:
-            self._playing = False
+            self._set_playing(False)
             if count < 0:
                 self._engine.step_back(-count)
             for _ in range(count):
@@ -158,13 +170,18 @@ class Session:
 
         self._post(command)
 
-    def set_goal(self, position: Any) -> Future[Any]:
-        """Move the goal [m], shape [3], world frame."""
+    def set_goal(self, position: Any, *, quiet: bool = False) -> Future[Any]:
+        """Move the goal [m], shape [3], world frame; one that can't be flown to is refused, and the goal stays.
+
+        Args:
+            position: where to.
+            quiet: tell of a refusal in the future only, not in a notice: for one of many positions in a row.
+        """
         goal = np.asarray(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise ValueError(f"goal is {position!r}; it must be three finite numbers [m].")
 
-        return self._post(lambda: self._engine.set_goal(goal))
+        return self._post(lambda: self._engine.set_goal(goal), quiet=quiet)
 
     def set_source(self, source: Source) -> Future[Any]:
         """Go on with another source from its start. If its first tick fails, the present one stays."""
@@ -207,26 +224,27 @@ class Session:
         self._post(self._replan_if_changed)
         return config
 
-    def _post(self, command: Callable[[], Any]) -> Future[Any]:
+    def _post(self, command: Callable[[], Any], *, quiet: bool = False) -> Future[Any]:
         """Run `command` between two ticks; at once when no thread keeps the time."""
         future: Future[Any] = Future()
-        if self._thread is None or threading.current_thread() is self._thread:
-            self._run_command(command, future)
-        else:
-            self._commands.put((command, future))
-        return future
 
-    def _run_command(self, command: Callable[[], Any], future: Future[Any]) -> None:
-        try:
-            future.set_result(command())
-        except Exception as error:
-            future.set_exception(error)
-            self._report(error)
+        def run() -> None:
+            try:
+                future.set_result(command())
+            except Exception as error:
+                future.set_exception(error)
+                if not (quiet and isinstance(error, _EXPECTED)):
+                    self._report(error)
+
+        if self._thread is None or threading.current_thread() is self._thread:
+            run()
+        else:
+            self._commands.put((run, future))
+        return future
 
     def _report(self, error: Exception) -> None:
         self.notify(str(error) or type(error).__name__, level="error")
-        expected = isinstance(error, UserError | ValueError)
-        _log.error("%s", error, exc_info=None if expected else error)
+        _log.error("%s", error, exc_info=None if isinstance(error, _EXPECTED) else error)
 
     def _replan_if_changed(self) -> None:
         # Of many changes in a row only the last one is planned.
@@ -239,10 +257,11 @@ class Session:
         """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
         frame = self._engine.tick()
         if self.source.outcome is not None:
-            self._playing = False
+            self._set_playing(False)
             if self._told_end != frame.epoch:
                 self._told_end = frame.epoch
-                self.notify(f"{self.source.name}: {_OUTCOMES.get(self.source.outcome, self.source.outcome)}")
+                words = [f"{self.source.name}: {_OUTCOMES.get(self.source.outcome, self.source.outcome)}"]
+                self.notify(" ".join(words if frame.explanation is None else [*words, frame.explanation]))
         return frame
 
     def start(self, *, play: bool = True) -> None:
@@ -254,7 +273,7 @@ class Session:
 
     def _run(self, play: bool) -> None:
         if self._try_tick() and play and self.source.outcome is None:
-            self._playing = True
+            self._set_playing(True)
             self._clock.restart(self._engine.next_time)
         while True:
             delay = self._clock.delay_until(self._engine.next_time) if self._playing else None
@@ -266,13 +285,13 @@ class Session:
                 continue
             if item is None:
                 return
-            self._run_command(*item)
+            item[0]()
 
     def _try_tick(self) -> bool:
         try:
             self.tick()
         except Exception as error:
-            self._playing = False
+            self._set_playing(False)
             self._report(error)
             return False
         return True
@@ -282,8 +301,8 @@ class Session:
         late = self._clock.now() - self._engine.next_time
         if self.source.times is not None:
             self._engine.skip_to(self._clock.now())
-        elif late > self.source.period:
-            self._engine.dropped_ticks += 1
+        elif late > max(self.source.period, _CATCH_UP * self.speed):
+            self._engine.dropped_ticks += int(late / self.source.period)
             self._clock.restart(self._engine.next_time)
 
     def close(self) -> None:
@@ -298,6 +317,7 @@ class Session:
                 item[1].cancel()
         self._frames.close()
         self._notices.close()
+        self._states.close()
         self._engine.close()
 
 

@@ -124,8 +124,9 @@ def _go_to(session: Session, time: float) -> None:
     while frame.time < time - half:
         frame = session.tick()
         if frame.outcome is not None and frame.time < time - half:
+            why = "" if frame.explanation is None else f" {frame.explanation}"
             raise UserError(
-                f"{session.source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time."
+                f"{session.source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time.{why}"
             )
 
 

@@ -83,6 +83,11 @@ class Source(Protocol):
         """None while running, then "arrived", "collision", "stall", "out_of_bounds", "timeout" or "end"."""
         ...
 
+    @property
+    def explanation(self) -> str | None:
+        """In one sentence what ended it; None while running and where the outcome says it all."""
+        ...
+
     def observe(self) -> Observation:
         """Return the current tick's observation; without side effects."""
         ...
@@ -92,7 +97,7 @@ class Source(Protocol):
         ...
 
     def checkpoint(self) -> object:
-        """Return all that `restore` needs to continue from here exactly."""
+        """Return all that `restore` needs to continue from here exactly; small, as one is kept for every tick."""
         ...
 
     def restore(self, checkpoint: object) -> None:
@@ -104,7 +109,11 @@ class Source(Protocol):
         ...
 
     def set_goal(self, position: NDArray[np.float64]) -> None:
-        """Move the goal to `position` [m], shape [3], world frame."""
+        """Move the goal to `position` [m], shape [3], world frame.
+
+        Raises:
+            UserError: it can't be flown to, and the goal stays.
+        """
         ...
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ _CAPACITY = 30_000
 """Ticks that can be returned to: ten minutes of flight at 50 Hz."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Mark:
     """All that repeats one tick bit for bit."""
 

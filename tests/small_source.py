@@ -17,7 +17,7 @@ def small_config() -> PlannerConfig:
     return PlannerConfig().replace({"sampling.samples": 16})
 
 
-def small_source(*, goal: float = 12.0) -> FlightSource:
+def small_source(*, goal: float = 12.0, kind: type[FlightSource] = FlightSource) -> FlightSource:
     """A flight of a few seconds between three poles."""
     poles = [[4.0, y, 0.0, 0.0, 0.0, 1.0, 0.3, 4.0] for y in (-2.0, 0.3, 2.5)]
     world = World(
@@ -25,4 +25,4 @@ def small_source(*, goal: float = 12.0) -> FlightSource:
         boxes=np.array([[5.0, 0.0, -0.5, 60.0, 60.0, 1.0, 0.0]]), spheres=np.zeros((0, 4)),
     )  # fmt: skip
     lidar = LidarModel("sparse", points_per_sweep=2000)
-    return FlightSource(world, lidar=lidar, rules=FlightRules(time_limit=20.0), seed=1)
+    return kind(world, lidar=lidar, rules=FlightRules(time_limit=20.0), seed=1)

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from aero_viz.catalog import load_world, open_source, source_choices
 from aero_viz.errors import UserError
+from aero_viz.scenes import World
 
 
 def test_every_choice_opens() -> None:
@@ -36,6 +38,16 @@ def test_a_saved_world_is_the_same_world(tmp_path: Path) -> None:
 def test_what_cannot_be_opened_is_told_with_the_way_out(spec: str, options: dict[str, str], message: str) -> None:
     with pytest.raises(UserError, match=message):
         open_source(spec, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"), [([4.0, 0.0, 2.0], r"goal \(4, 0, 2\) lies inside"), ([9e4, 0.0, 2.0], "90000 m away")]
+)
+def test_a_world_in_which_no_flight_can_arrive_is_refused(tmp_path: Path, goal: list[float], words: str) -> None:
+    path = tmp_path / "world.json"
+    World("ball", np.array([0.0, 0.0, 2.0]), np.array(goal), spheres=np.array([[4.0, 0.0, 2.0, 1.0]])).save(path)
+    with pytest.raises(UserError, match=words):
+        open_source(str(path))
 
 
 def test_a_count_for_a_file_is_refused(tmp_path: Path) -> None:

@@ -13,8 +13,13 @@ import pytest
 from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightSource
 from aero_viz.frame import Frame, Notice
+from aero_viz.scenes import World
+from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
+from aero_viz.source import Observation
 
 
 @pytest.fixture
@@ -36,6 +41,16 @@ def wait_for(condition: Callable[[], Any], timeout: float = 20.0) -> None:
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.005)
+
+
+class Shortsighted(FlightSource):
+    """Takes a goal beyond 25 m, and cannot be observed with it."""
+
+    def observe(self) -> Observation:
+        seen = super().observe()
+        if np.asarray(seen.goal.position)[0] > 25.0:
+            raise ValueError("goal.position is too far.")
+        return seen
 
 
 def same_plan(a: Frame, b: Frame) -> bool:
@@ -145,6 +160,21 @@ def test_time_follows_the_clock(live: Session) -> None:
     assert time.monotonic() - started >= 0.7
 
 
+def test_a_flight_makes_up_for_a_little_and_gives_up_on_much(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aero_viz.session._CATCH_UP", 60.0)  # so that no slow machine takes a part in it
+    run(session, 3)
+    due = session._engine.next_time
+    session._clock.restart(due + 30.0)
+    session._keep_up()
+    assert session._clock.now() >= due + 30.0
+    assert run(session, 1)[0].dropped_ticks == 0
+    due = session._engine.next_time
+    session._clock.restart(due + 90.0)
+    session._keep_up()
+    assert session._clock.now() < due + 90.0
+    assert run(session, 1)[0].dropped_ticks >= 90.0 / session.source.period - 1
+
+
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e9, float("nan")])
 def test_a_useless_speed_is_refused(session: Session, speed: float) -> None:
     with pytest.raises(ValueError, match="speed is"):
@@ -191,6 +221,46 @@ def test_an_impossible_goal_is_refused(session: Session, goal: list[float]) -> N
         session.set_goal(goal)
 
 
+def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_one_before_stays(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    inside = [4.0, 0.3, 2.0]
+    with pytest.raises(UserError, match="inside an obstacle"):
+        live.set_goal(inside, quiet=True).result()
+    assert live.set_goal(inside).exception() is not None
+    live.set_goal([0.0, 12.0, 2.0]).result()
+    wait_for(lambda: notices)
+    assert [(n.level, "inside an obstacle" in n.text) for n in notices] == [("error", True)]
+    assert live.frame is not None
+    np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_a_goal_that_cannot_be_planned_to_leaves_the_one_before() -> None:
+    session = Session(small_source(goal=20.0, kind=Shortsighted), config=small_config())
+    before = run(session, 3)[-1]
+    with pytest.raises(ValueError, match=r"goal\.position"):
+        session.set_goal([26.0, 0.0, 2.0]).result()
+    after = run(session, 1)[-1]
+    np.testing.assert_array_equal(after.observation.goal.position, [20.0, 0.0, 2.0])
+    session.seek(before.time)
+    assert session.frame is not None and same_plan(session.frame, before)
+    session.close()
+
+
+def test_who_asks_is_told_when_time_stops_and_goes_on(live: Session) -> None:
+    told: list[bool] = []
+    sink = live.subscribe_playing(told.append)
+    live.play()
+    live.play()
+    live.pause()
+    live.set_speed(100.0)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome is not None)
+    wait_for(lambda: len(told) == 5)
+    assert told == [False, True, False, True, False]
+    live.unsubscribe(sink)
+
+
 def test_samples_come_when_asked_for(live: Session) -> None:
     assert live.frame is not None and live.frame.plan.samples is None
     live.set_samples(True).result()
@@ -212,9 +282,7 @@ def test_a_source_that_fails_at_once_leaves_the_old_one(live: Session) -> None:
     live.subscribe_notices(notices.append)
     live.step(2).result()
     old, frame = live.source, live.frame
-    broken = small_source()
-    broken.set_goal(np.array([2e6, 0.0, 0.0]))
-    future = live.set_source(broken)
+    future = live.set_source(small_source(goal=26.0, kind=Shortsighted))
     with pytest.raises(ValueError, match=r"goal\.position"):
         future.result()
     assert live.source is old
@@ -248,6 +316,19 @@ def test_the_end_is_told_once(live: Session) -> None:
     wait_for(lambda: live.frame is not None and live.frame.outcome == "arrived")
     wait_for(lambda: not live.playing and notices)
     assert [n.text for n in notices] == ["poles: arrived at the goal."]
+
+
+def test_a_flight_that_cannot_begin_says_why(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    pole = World("pole", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]]))
+    live.set_source(FlightSource(pole, lidar=LidarModel("sparse", points_per_sweep=2000))).result()
+    assert live.frame is not None and live.frame.source is live.source
+    assert live.frame.outcome == "collision"
+    explanation = live.frame.explanation
+    assert explanation is not None and "start" in explanation
+    live.play()
+    wait_for(lambda: any(n.text == f"pole: collided with an obstacle. {explanation}" for n in notices))
 
 
 def test_playing_after_the_end_starts_again(live: Session) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -9,6 +11,7 @@ from collections.abc import Callable, Sequence
 import viser
 
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
+from aero_viz.dashboard.pace import Pace
 from aero_viz.dashboard.panels import Page
 from aero_viz.dashboard.panels.layout import build
 from aero_viz.dashboard.server import LocalServer, notify
@@ -19,7 +22,6 @@ from aero_viz.source import Source
 
 __all__ = ["Dashboard"]
 
-_PERIOD = 1.0 / 30.0
 _PANEL_PERIOD = 0.2
 
 
@@ -53,13 +55,17 @@ class Dashboard:
         """Time that the last updates took [ms]."""
         self._session = session
         self._source: Source | None = None
-        self._epoch = -1
+        self._pace = Pace()
         self._panels_due = 0.0
+        self._panels_late = False
         self._sink: Sink | None = None
         page = Page(self.server, session, self.layers, self.refresh)
         self._camera, self._panels = build(page, open_source=open_source, choices=choices)
         self._sink = session.subscribe(self._show, name="dashboard")
-        self._notices = session.subscribe_notices(self._notify)
+        self._others = [
+            session.subscribe_notices(self._notify),
+            session.subscribe_playing(lambda _: self.refresh()),
+        ]
         self.server.on_client_connect(self._greet)
 
     @property
@@ -101,7 +107,8 @@ class Dashboard:
         """Close the page; the session goes on."""
         if self._sink is not None:
             self._session.unsubscribe(self._sink)
-        self._session.unsubscribe(self._notices)
+        for sink in self._others:
+            self._session.unsubscribe(sink)
         for panel in self._panels:
             panel.close()
         self.server.stop()
@@ -125,31 +132,37 @@ class Dashboard:
             return
         started = time.perf_counter()
         changes = self._changes(frame)
-        with self.server.atomic():
+        with contextlib.ExitStack() as stack:
+            for sender in (self.server, *clients):
+                stack.callback(sender.flush)
+                stack.enter_context(sender.atomic())
             apply(changes)
-        self.server.flush()
-        for client in clients:
-            client.flush()
-        took = time.perf_counter() - started
-        self.update_ms.append(1e3 * took)
-        time.sleep(max(0.0, _PERIOD - took))
+        ended = time.perf_counter()
+        self.update_ms.append(1e3 * (ended - started))
+        playing = self._session.playing
+        if playing and frame.source.closed_loop:
+            self._pace.note(frame.rate, self._session.speed / frame.source.period)
+        if self._panels_late and not playing:
+            # While time stands still no frame follows that would bring the panels up to date.
+            later = threading.Timer(_PANEL_PERIOD, self.refresh)
+            later.daemon = True
+            later.start()
+        time.sleep(self._pace.delay(ended))
 
     def _changes(self, frame: Frame) -> list[Change]:
         """Compute everything before the first message is queued."""
         changes: list[Change] = []
-        source = self._session.source
-        # A frame of the epoch before is still the old source's, even if it has been exchanged by now.
-        if source is not self._source and frame.epoch != self._epoch:
-            self._source = source
+        if frame.source is not self._source:
+            self._source = frame.source
             for part in (*self.layers.values(), *self._panels):
-                changes += part.enter(source)
-        self._epoch = frame.epoch
+                changes += part.enter(frame.source)
         for layer in self.layers.values():
             if layer.visible:
                 changes += layer.update(frame)
         changes += self._camera.follow(frame)
         now = time.monotonic()
-        if now >= self._panels_due:
+        self._panels_late = now < self._panels_due
+        if not self._panels_late:
             self._panels_due = now + _PANEL_PERIOD
             for panel in self._panels:
                 changes += panel.update(frame)

@@ -79,9 +79,11 @@ def colorize(values: ArrayLike, low: float, high: float, table: Table) -> NDArra
 
     Values must not be NaN."""
     last = len(table) - 1
-    scale = last / max(high - low, 1e-9)
-    rows = np.clip((np.asarray(values, dtype=np.float32) - np.float32(low)) * np.float32(scale), 0.0, last)
-    return table[rows.astype(np.uint8)]
+    rows = np.array(values, dtype=np.float32)
+    rows -= np.float32(low)
+    rows *= np.float32(last / max(high - low, 1e-9))
+    np.clip(rows, 0.0, last, out=rows)
+    return table.take(rows.astype(np.uint8), axis=0)
 
 
 # The ACES filmic curve as three.js has it: matrices in and out, and (v (v + a) - b) / (v (c v + d) + e) between.

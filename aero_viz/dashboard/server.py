@@ -18,6 +18,7 @@ __all__ = ["LocalServer", "notify", "sky"]
 _STYLE = ":root{" + ";".join(
     f"--mantine-color-dark-{shade}:{palette.css(color)}" for shade, color in palette.PANEL.items()
 ) + ";--mantine-color-body:var(--mantine-color-dark-7)!important}"  # fmt: skip
+_STYLE += '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}'  # room for 100000 at a slider
 _log = logging.getLogger(__name__)
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 

@@ -339,4 +339,4 @@ def _below_ground(world: World, place: NDArray[np.float64]) -> float:
 def _returns(parts: list[Cloud]) -> Cloud:
     """Join the parts of a sweep and leave out the rays without return."""
     points: Any = np.concatenate(parts)
-    return points[~np.isnan(points[:, 0])]
+    return np.compress(~np.isnan(points[:, 0]), points, axis=0)

@@ -58,6 +58,8 @@ class BagFile(Protocol):
 
     problems: list[str]
     """What `scan` found wrong, one clause each."""
+    truncated: bool
+    """Whether `scan` came to an end before the file's own."""
     channels: dict[int, Channel]
     """Channels declared so far, by their number in the file."""
     damaged: int
@@ -132,6 +134,7 @@ class BlockFile:
     def __init__(self, path: Path):
         self.path = path
         self.problems: list[str] = []
+        self.truncated = False
         self.channels: dict[int, Channel] = {}
         self.damaged = 0
         with path.open("rb") as file:

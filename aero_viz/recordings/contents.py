@@ -95,7 +95,8 @@ def read_contents(storage: Storage) -> Contents:
     topics: dict[tuple[str, str], TopicContents] = {}
     contents = Contents(storage.path, [], TransformTree(), None, None, list(storage.problems))
     for file in storage.files:
-        for message in file.scan(wanted):
+        count = 0
+        for count, message in enumerate(file.scan(wanted), start=1):  # noqa: B007
             channel = message.channel
             topic = topics.get(channel[:2])
             if topic is None:
@@ -112,6 +113,9 @@ def read_contents(storage: Storage) -> Contents:
             topics.setdefault(channel[:2], TopicContents(*channel))
         name = getattr(file, "path", storage.path).name
         contents.problems += [f"{name} is {problem}" for problem in file.problems]
+        if file.truncated:
+            whole = f"{count} messages are" if count > 1 else "one message is" if count else "no message is"
+            contents.problems.append(f"{name} is truncated, its end is missing: {whole} whole before the cut")
         if file.damaged:
             contents.problems.append(f"{file.damaged} damaged records or blocks of {name} are left out")
     contents.topics = sorted(topics.values(), key=lambda topic: topic.name)
@@ -122,7 +126,8 @@ def read_contents(storage: Storage) -> Contents:
                 f"because {topic.reason}"
             )
     if not contents.topics and contents.problems:
-        raise UserError(f"nothing can be read from {storage.path}: {'; '.join(contents.problems)}")
+        problems = "; ".join(contents.problems)
+        raise UserError(f"nothing can be read from {storage.path}: {problems}; record or copy it again")
     return contents
 
 

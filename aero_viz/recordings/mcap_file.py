@@ -52,7 +52,7 @@ class McapFile(BlockFile):
         if damaged:
             self.problems.append("damaged: a record's length is wrong and what follows it up to the next chunk is lost")
         elif not finished:
-            self.problems.append("truncated: the end of the file is missing and what was whole before it is used")
+            self.truncated = True
 
     def _read_summary(self) -> list[int]:
         """Learn the channels from the summary, where there is one, and return where the chunks start.

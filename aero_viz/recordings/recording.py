@@ -68,9 +68,10 @@ class Recording:
         self._kind, self._encoding = cloud.type, cloud.encoding
         entries = sorted((entry for entry in cloud.clouds if entry.count), key=lambda entry: entry.time)
         if not entries:
-            raise UserError(f"every cloud on {cloud.name} of {self.path} is empty: choose another points topic")
+            raise UserError(f"no sweep on {cloud.name} of {self.path} has a point{_others(contents, cloud)}")
         if len(entries) < len(cloud.clouds):
-            self.problems.append(f"{len(cloud.clouds) - len(entries)} sweeps on {cloud.name} have no points")
+            empty = len(cloud.clouds) - len(entries)
+            self.problems.append(f"{empty} of {len(cloud.clouds)} sweeps on {cloud.name} have no points: left out")
         self._set_timeline(contents, entries, pose_topic)
         self.sweep_counts = np.array([entry.count for entry in self._entries], np.int64)
         """Points of each playable sweep as recorded, invalid ones included, shape [n]."""
@@ -78,7 +79,8 @@ class Recording:
         """Playable sweeps that turned out to be unreadable; they play as sweeps without points."""
         self._cache: OrderedDict[int, PointSweep] = OrderedDict()
         if not any(len(self.sweep(i).points) for i in range(len(self._entries))):
-            raise UserError(f"no cloud on {cloud.name} of {self.path} has a valid point: choose another points topic")
+            said = f"no sweep on {cloud.name} of {self.path} has a valid point"
+            raise UserError(f"{said}, all are zero, not finite or out of any range{_others(contents, cloud)}")
 
     def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
@@ -252,6 +254,12 @@ def _named(contents: Contents, name: str, role: str) -> TopicContents:
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
     advice = f"did you mean {' or '.join(close)}?" if close else f"it holds {', '.join(names) or 'no topics'}"
     raise UserError(f"{contents.path} has no {role} topic {name}; {advice}")
+
+
+def _others(contents: Contents, topic: TopicContents) -> str:
+    """Advice for a topic that is of no use."""
+    others = [other for other in contents.of_types(CLOUD_TYPES) if other is not topic]
+    return _offer(others) or ": look whether the driver publishes the sensor's points there"
 
 
 def _offer(topics: Sequence[TopicContents]) -> str:

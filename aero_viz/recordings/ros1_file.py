@@ -47,7 +47,7 @@ class Ros1File(BlockFile):
             elif record.op == _CONNECTION and record.whole:
                 self._connection(self._map, record)
         if not whole:
-            self.problems.append("truncated: the end of the file is missing and what was whole before it is used")
+            self.truncated = True
 
     def _chunk(self, chunk: _Record, wanted: Collection[str]) -> Iterator[Message]:
         compression = chunk.header.get(b"compression", b"").decode(errors="replace")

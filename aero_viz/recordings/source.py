@@ -73,6 +73,7 @@ class RecordingSource:
     """
 
     closed_loop = False
+    explanation = None
 
     def __init__(self, recording: Recording, *, goal_ahead: float = 15.0, sweeps: int = 10):
         if sweeps < 1:

@@ -20,6 +20,7 @@ class SqliteFile:
     def __init__(self, path: Path):
         self.path = path
         self.problems: list[str] = []
+        self.truncated = False
         self.channels: dict[int, Channel] = {}
         self.damaged = 0
         # Without a write-ahead log nobody else writes, and read-only folders need no lock file.

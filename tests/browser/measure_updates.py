@@ -1,17 +1,25 @@
-"""Scene updates per second that one page gets while the forest flies; run by hand."""
+"""What a page that is drawn in software leaves of the engine's pace, and what each side costs; run by hand.
+
+Rates suffer from whatever else the machine does, which is told; the CPU time per tick and per update hardly does.
+"""
 
 from __future__ import annotations
 
 import argparse
+import threading
 import time
+from collections import defaultdict
 
 import numpy as np
+import psutil
 
 from aero_viz.dashboard import Dashboard
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Session
 from aero_viz.snapshot import launch_chromium
+
+_ENGINE = ("aero-viz-session", "aero-planner")
 
 
 def main() -> None:
@@ -22,34 +30,57 @@ def main() -> None:
     session = Session(FlightSource(scene("forest", seed=0)))
     session.start(play=False)
     dashboard = Dashboard(session, port=0)
-    received = [0]
+    received = [0, 0]
+
+    def count(message: str | bytes) -> None:
+        received[0] += 1
+        received[1] += len(message)
+
     try:
         with launch_chromium() as browser:
             page = browser.new_page(viewport={"width": arguments.size[0], "height": arguments.size[1]})
-            page.on("websocket", lambda socket: socket.on("framereceived", lambda _: _count(received)))
+            page.on("websocket", lambda socket: socket.on("framereceived", count))
             page.goto(dashboard.url)
             page.wait_for_timeout(3000)
             session.play()
             page.wait_for_timeout(500)
             page.evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
             dashboard.update_ms.clear()
-            received[0], started, frame = 0, time.perf_counter(), session.frame
+            received[:] = [0, 0]
+            started, frame, before = time.perf_counter(), session.frame, _spent()
             page.wait_for_timeout(int(1e3 * arguments.seconds))
             took, last, updates = time.perf_counter() - started, session.frame, list(dashboard.update_ms)
+            spent = {who: used - before[who] for who, used in _spent().items()}
             drawn = page.evaluate("window.n")
     finally:
         dashboard.close()
         session.close()
     assert frame is not None
-    assert last is not None
-    print(f"updates sent       {len(updates) / took:6.1f} /s, {np.median(updates):.1f} ms of Python each (median)")
-    print(f"messages received  {received[0] / took:6.1f} /s")
-    print(f"pictures drawn     {drawn / took:6.1f} /s")
-    print(f"planner ticks      {(last.index - frame.index) / took:6.1f} /s")
+    assert last is not None and last.outcome is None, "the flight is over before the time is: measure for fewer seconds"
+    ticks = last.index - frame.index
+    others = spent["machine"] - spent["engine"] - spent["page"] - spent["browser"]
+    print(f"planner ticks      {ticks / took:6.1f} /s, {1e3 * spent['engine'] / ticks:.1f} ms of CPU each")
+    print(f"updates sent       {len(updates) / took:6.1f} /s, {1e3 * spent['page'] / len(updates):.1f} ms of CPU each, "
+          f"{np.median(updates):.1f} ms until sent (median)")  # fmt: skip
+    print(f"messages received  {received[0] / took:6.1f} /s, {1e-6 * received[1] / took:.1f} MB/s")
+    print(f"pictures drawn     {drawn / took:6.1f} /s, {spent['browser'] / took:.2f} cores for the browser")
+    print(f"others             {others / took:6.2f} cores of {psutil.cpu_count()}")
 
 
-def _count(received: list[int]) -> None:
-    received[0] += 1
+def _spent() -> dict[str, float]:
+    """Processor time so far of the engine's threads, of those that serve the page, of the browser, of all [s]."""
+    process, spent = psutil.Process(), defaultdict[str, float](float)
+    names = {thread.native_id: thread.name for thread in threading.enumerate()}
+    for thread in process.threads():
+        name = names.get(thread.id, "")
+        who = "engine" if name.startswith(_ENGINE) else "driver" if name in ("", "MainThread") else "page"
+        spent[who] += thread.user_time + thread.system_time
+    for child in process.children(recursive=True):
+        used = child.cpu_times()
+        spent["browser"] += used.user + used.system
+    whole = psutil.cpu_times()
+    spent["machine"] = whole.user + whole.nice + whole.system
+    return spent
 
 
 if __name__ == "__main__":

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.rollouts import cost_scale
-from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW
+from tests.browser.desk import open_desk
+from tests.browser.pictures import count, differing, rollouts_drawn
 
 # Layer, one of its colours, pixels of that colour that must be there. Shaded surfaces are asked for any pixel.
 DRAWN = [
@@ -24,12 +25,6 @@ DRAWN = [
     ("obstacles", None, 3000),
     ("ground", None, 5000),
 ]
-
-
-def count(image: NDArray[np.uint8], color: palette.Rgb, *, tolerance: int = 24) -> int:
-    """Opaque pixels near `color`."""
-    away = np.abs(image[..., :3].astype(int) - color).max(axis=-1)
-    return int(((away <= tolerance) & (image[..., 3] > 128)).sum())
 
 
 def behind(desk) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -62,31 +57,69 @@ def test_all_fifteen_rollouts_are_on_screen_each_in_its_colour(desk):
     desk.dashboard.show_only(["rollouts"])
     position, look_at = behind(desk)
     image = desk.render(position, look_at)
-    expected = palette.colorize(cost_scale(plan), 0.0, 1.0, palette.COST).astype(int)
-    expected[plan.best] = palette.CHOSEN
-    found = [
-        _share(image, _project(plan.positions[i, 4:], position, look_at, image.shape), expected[i]) for i in range(15)
-    ]
-    assert min(found) > 0.2, f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
-    assert len({tuple(color) for color in expected}) == 15
+    found = rollouts_drawn(image, plan, position, look_at)
+    assert found.min() > 0.2, f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
 
 
-def _project(points, position, look_at, shape) -> NDArray[np.int64]:
-    """Pixel (row, column) of world points, for a pinhole camera with z up in the picture."""
-    forward = (look_at - position) / np.linalg.norm(look_at - position)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    local = (points - position) @ np.stack((right, np.cross(forward, right), forward), axis=1)
-    focal = 0.5 * shape[0] / np.tan(0.5 * FIELD_OF_VIEW)
-    pixel = focal * local[:, :2] / local[:, 2:] + (0.5 * shape[1], 0.5 * shape[0])
-    return pixel[:, ::-1].round().astype(int)
+# .. and by the switches of the page: the colour, or None for any change, and pixels of it in the window's picture.
+SWITCHED = [
+    ("rollouts", palette.CHOSEN, 100),
+    ("samples", None, 1000),
+    ("guides", palette.GUIDE, 200),
+    ("anchors", palette.ANCHOR, 60),
+    ("cloud", None, 5000),
+    ("fine_cells", None, 20_000),
+    ("coarse_cells", None, 5000),
+    ("drone", None, 150),
+    ("trail", palette.TRAIL, 100),
+    ("goal", None, 30),
+    ("obstacles", None, 20_000),
+    ("ground", None, 1000),
+]
 
 
-def _share(image, pixels, color) -> float:
-    """Share of the pixels with `color` within a step around."""
-    height, width = image.shape[:2]
-    inside = pixels[(pixels > 1).all(axis=1) & (pixels[:, 0] < height - 2) & (pixels[:, 1] < width - 2)]
-    hits = [
-        np.abs(image[r - 1 : r + 2, c - 1 : c + 2, :3].astype(int) - color).max(axis=-1).min() <= 22 for r, c in inside
-    ]
-    return float(np.mean(hits)) if len(hits) else 0.0
+@pytest.fixture(scope="module")
+def bare(browser):
+    """A page whose layers were all switched off with the mouse, and what is left on the screen."""
+    with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper"), size=(1280, 720)) as desk:
+        desk.open_tab("Layers")
+        switches = [layer for layer in desk.dashboard.layers.values() if layer.available]
+        for layer in switches:
+            box = desk.checkbox(layer.title)
+            assert box.is_checked() == layer.on
+            if layer.on:
+                box.click()
+        desk.wait_for(lambda: not any(layer.visible for layer in switches), "all layers to be off")
+        before = [desk.screenshot()]
+
+        def settled() -> bool:
+            desk.page.wait_for_timeout(500)
+            before.append(desk.screenshot())
+            return differing(before[-1], before[-2]) == 0 and before[-1].max() < 100
+
+        desk.wait_for(settled, "an empty scene")
+        yield desk, before[-1]
+        assert desk.console == []
+
+
+@pytest.mark.parametrize(("name", "color", "least"), SWITCHED, ids=[name for name, _, _ in SWITCHED])
+def test_a_click_on_its_switch_shows_a_layer_and_another_hides_it(bare, name, color, least):
+    desk, empty = bare
+    box = desk.checkbox(desk.dashboard.layers[name].title)
+
+    def drawn() -> int:
+        image = desk.screenshot()
+        return differing(image, empty) if color is None else count(image, color)
+
+    assert drawn() < least // 10 + 1
+    box.click()
+    desk.wait_for(lambda: drawn() >= least, f"{least} pixels of {name}")
+    assert box.is_checked()
+    box.click()
+    desk.wait_for(lambda: differing(desk.screenshot(), empty) == 0, f"{name} to be gone")
+    assert not box.is_checked()
+
+
+def test_every_layer_of_a_flight_has_its_switch_tested(bare):
+    desk, _ = bare
+    assert {name for name, *_ in SWITCHED} == {name for name, layer in desk.dashboard.layers.items() if layer.available}

@@ -86,6 +86,19 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     assert desk.console == []
 
 
+def test_who_plays_and_pauses_from_elsewhere_is_seen_in_the_page(fresh_desk):
+    desk = fresh_desk
+    desk.dashboard.show_only(["drone"])
+    desk.session.play()
+    desk.page.get_by_role("button", name="Pause", exact=True).wait_for(timeout=10_000)
+    desk.session.pause()
+    desk.page.get_by_role("button", name="Play", exact=True).wait_for(timeout=10_000)
+    desk.wait_for(lambda: "paused" in status_text(desk), "the status")
+    desk.session.step(3).result()
+    time = f"{desk.session.frame.time:.2f} s"
+    desk.wait_for(lambda: time in status_text(desk), "the panels to follow a step that is not theirs")
+
+
 def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
     desk = fresh_desk
     source = desk.session.source

@@ -51,6 +51,25 @@ def test_lines_keep_their_size_and_hide_the_rest_under_the_last_point(server):
     assert not lines.node.visible
 
 
+def test_colours_are_sent_when_they_change_and_not_with_every_update(server):
+    lines = Lines(server.scene, "/test/colours", thickness=1.0, capacity=8)
+    one, ramp = np.array((200, 100, 50), np.uint8), np.array([(1, 2, 3), (4, 5, 6)], np.uint8)
+
+    def sent(count: int, colors: np.ndarray) -> bool:
+        changes = lines.show(np.zeros((count, 2, 3)), colors)
+        apply(changes)
+        return "colors" in [name for _, name, _ in changes]
+
+    assert sent(3, one)
+    assert not sent(5, one), "one colour fills the buffer"
+    assert sent(9, one), "a larger buffer"
+    assert (lines.node.colors == one).all()
+    assert sent(3, ramp) and not sent(3, ramp)
+    assert sent(4, ramp), "what is behind the last segment has the colour of its end"
+    np.testing.assert_array_equal(lines.node.colors[:4], np.broadcast_to(ramp, (4, 2, 3)))
+    assert sent(4, ramp.copy())
+
+
 def test_polylines_join_neighbours_only():
     vertices = np.arange(24, dtype=np.float32).reshape(2, 4, 3)
     segments = polylines(vertices)

@@ -65,7 +65,8 @@ def test_truncated_mcap_plays_what_is_whole(bags, tmp_path, compression):
     whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     info = inspect(whole)
     assert 2 <= info.sweeps < 10
-    assert any("a.mcap is truncated" in problem for problem in info.problems)
+    said = f"a.mcap is truncated, its end is missing: {sum(topic.count for topic in info.topics)} messages are whole"
+    assert any(problem.startswith(said) for problem in info.problems)
     with open_recording(whole) as recording:
         assert all(len(recording.sweep(k).points) == 200 for k in range(info.sweeps))
 
@@ -79,7 +80,15 @@ def test_truncated_ros1_bag_plays_what_is_whole(bags, tmp_path, compression):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     info = inspect(path)
     assert 4 <= info.sweeps < 20
-    assert any("a.bag is truncated" in problem for problem in info.problems)
+    said = f"a.bag is truncated, its end is missing: {info.topics[0].count} messages are whole before the cut"
+    assert said in info.problems
+
+
+def test_a_file_cut_before_its_first_message_says_what_to_do(bags, tmp_path):
+    path = bags.write_mcap(tmp_path / "a.mcap", bags.drive())
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(UserError, match=r"a.mcap is truncated, .* no message is whole before the cut; record or copy"):
+        inspect(path)
 
 
 def test_unindexed_ros1_bag_plays_and_says_how_to_repair_it(bags, tmp_path):

@@ -11,6 +11,9 @@ from aero_viz.session import Frame
 
 __all__ = ["AnchorLayer", "GuideLayer"]
 
+_RAMP = palette.unmapped((palette.ENDPOINT, palette.ANCHOR))
+_GUIDE = palette.unmapped(palette.GUIDE)
+
 
 class AnchorLayer(Layer):
     """Initial endpoints, refined anchors, and a line from one to the other."""
@@ -32,11 +35,10 @@ class AnchorLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         count = frame.config.anchor_count
         initial, refined = frame.plan.initial_endpoints[:count], frame.plan.anchors[:count]
-        ramp = np.array([palette.ENDPOINT, palette.ANCHOR], dtype=np.uint8)
         return [
             (self._initial, "points", initial),
             (self._refined, "points", refined),
-            *self._moves.show(np.stack((initial, refined), axis=1), ramp),
+            *self._moves.show(np.stack((initial, refined), axis=1), _RAMP),
         ]
 
 
@@ -49,4 +51,4 @@ class GuideLayer(Layer):
         self._lines = Lines(scene, "/guides/lines", thickness=1.2, capacity=512)
 
     def update(self, frame: Frame) -> list[Change]:
-        return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), palette.GUIDE)
+        return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), _GUIDE)

@@ -9,7 +9,6 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from aero_viz.dashboard import palette
 from aero_viz.session import Frame
 from aero_viz.source import Source
 
@@ -72,6 +71,8 @@ class Lines:
 
     def __init__(self, scene: viser.SceneApi, name: str, *, thickness: float, capacity: int = 64) -> None:
         self._capacity = capacity
+        self._colors: ArrayLike | None = None
+        self._painted = (0, 0)
         self.node = scene.add_line_segments(
             name,
             np.zeros((capacity, 2, 3), dtype=np.float32),
@@ -82,7 +83,13 @@ class Lines:
         )
 
     def show(self, segments: ArrayLike, colors: ArrayLike) -> list[Change]:
-        """Return the changes that show `segments` [m], shape [n, 2, 3], in `colors` that broadcast to that shape."""
+        """Return the changes that show `segments` [m], shape [n, 2, 3].
+
+        Args:
+            segments: from where to where.
+            colors: uint8, broadcast to the same shape; as `palette.unmapped` makes them. Those of the call before, the
+                same object, are not sent again.
+        """
         segments = np.asarray(segments, dtype=np.float32)
         count = len(segments)
         if count == 0:
@@ -91,10 +98,16 @@ class Lines:
             self._capacity *= 2
         points = np.empty((self._capacity, 2, 3), dtype=np.float32)
         points[:count], points[count:] = segments, segments[-1, 1]
-        paint = np.empty((self._capacity, 2, 3), dtype=np.uint8)
-        paint[:count] = palette.unmapped(colors)
-        paint[count:] = paint[count - 1, 1]
-        return [(self.node, "points", points), (self.node, "colors", paint), (self.node, "visible", True)]
+        changes: list[Change] = [(self.node, "points", points), (self.node, "visible", True)]
+        # One colour fills the whole buffer, whatever the count.
+        size = (self._capacity, count if np.ndim(colors) > 1 else 0)
+        if colors is not self._colors or size != self._painted:
+            self._colors, self._painted = colors, size
+            paint = np.empty((self._capacity, 2, 3), dtype=np.uint8)
+            paint[:count] = colors
+            paint[count:] = paint[count - 1, 1]
+            changes.append((self.node, "colors", paint))
+        return changes
 
 
 def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:

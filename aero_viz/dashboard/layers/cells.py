@@ -13,6 +13,8 @@ from aero_viz.session import Frame
 __all__ = ["CoarseCellLayer", "FineCellLayer"]
 
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
+_BORDER = palette.unmapped(palette.GRID_SECTION)
+_FREE = palette.unmapped(palette.VIRIDIS)
 _SPHERE = 2.0  # radius at which the coarse cells are drawn [m]
 
 
@@ -70,11 +72,11 @@ class CoarseCellLayer(Layer):
         changes = _pose(self._pose, frame)
         if ranges.shape != self._shape:
             self._shape = ranges.shape
-            changes += self._borders.show(_SPHERE * _borders(ranges.shape), palette.GRID_SECTION)
+            changes += self._borders.show(_SPHERE * _borders(ranges.shape), _BORDER)
         reach = frame.config.partition.range_max
         start = _SPHERE * directions.reshape(-1, 3)
         share = ranges.reshape(-1, 1) / reach
-        paint = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, palette.VIRIDIS)
+        paint = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, _FREE)
         return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), paint)]
 
 

@@ -13,6 +13,7 @@ from aero_viz.session import Frame
 __all__ = ["DroneLayer", "TrailLayer"]
 
 _TRAIL_SEGMENTS = 512
+_TRAIL = palette.unmapped(palette.TRAIL)
 
 
 class DroneLayer(Layer):
@@ -56,4 +57,4 @@ class TrailLayer(Layer):
         while len(trail) > (_TRAIL_SEGMENTS - 1) * step:
             step *= 2
         vertices = np.concatenate((trail[::step], trail[-1:]))
-        return self._lines.show(polylines(vertices), palette.TRAIL)
+        return self._lines.show(polylines(vertices), _TRAIL)

@@ -23,7 +23,7 @@ class GoalLayer(Layer):
         angle = 2.0 * np.pi * np.arange(49) / 48
         ring = 0.8 * np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
         segments = np.stack((ring[:-1], ring[1:]), axis=1)
-        apply(Lines(scene, "/goal/pose/ring", thickness=3.0).show(segments, palette.GOAL))
+        apply(Lines(scene, "/goal/pose/ring", thickness=3.0).show(segments, palette.unmapped(palette.GOAL)))
 
     def update(self, frame: Frame) -> list[Change]:
         return [(self._pose, "position", np.asarray(frame.observation.goal.position, dtype=np.float64))]

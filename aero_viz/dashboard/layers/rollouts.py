@@ -13,6 +13,8 @@ from aero_viz.session import Frame
 
 __all__ = ["RolloutLayer", "cost_scale"]
 
+_COST, _CHOSEN = palette.unmapped(palette.COST), palette.unmapped(palette.CHOSEN)
+
 
 def cost_scale(plan: Plan, *, by: str = "rank") -> NDArray[np.float64]:
     """Return the place of each instance between the worst (0) and the best (1) Stage II cost, shape [M].
@@ -42,11 +44,10 @@ class RolloutLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         plan = frame.plan
         best = int(plan.best)
-        others = np.arange(len(plan.positions)) != best
-        scale = cost_scale(plan, by=self.color_by)[others]
-        paint = palette.colorize(scale, 0.0, 1.0, palette.COST)
-        paint = np.repeat(paint, plan.positions.shape[1] - 1, axis=0)[:, None, :]
+        others = np.delete(plan.positions, best, axis=0)
+        paint = palette.colorize(np.delete(cost_scale(plan, by=self.color_by), best), 0.0, 1.0, _COST)
+        paint = np.repeat(paint, others.shape[1] - 1, axis=0)[:, None, :]
         return [
-            *self._all.show(polylines(plan.positions[others]), paint),
-            *self._chosen.show(polylines(plan.positions[best]), palette.CHOSEN),
+            *self._all.show(polylines(others), paint),
+            *self._chosen.show(polylines(plan.positions[best]), _CHOSEN),
         ]

@@ -12,6 +12,7 @@ from aero_viz.session import Frame
 __all__ = ["SampleLayer"]
 
 BEST = -1
+_RANKS = palette.unmapped(palette.VIRIDIS)
 
 
 class SampleLayer(Layer):
@@ -27,9 +28,9 @@ class SampleLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         plan = frame.plan
         if plan.samples is None:
-            return self._lines.show(np.zeros((0, 2, 3)), palette.SAMPLE)
+            return self._lines.show(np.zeros((0, 2, 3)), _RANKS[0])
         instance = int(plan.best) if self.instance == BEST else min(self.instance, len(plan.samples) - 1)
         rollouts = plan.samples[instance]
         rank = np.argsort(np.argsort(plan.stage1_cost[instance]))
-        paint = palette.colorize(-rank, -1.25 * len(rank), 0.0, palette.VIRIDIS)
+        paint = palette.colorize(-rank, -1.25 * len(rank), 0.0, _RANKS)
         return self._lines.show(polylines(rollouts), np.repeat(paint, rollouts.shape[1] - 1, axis=0)[:, None, :])

@@ -15,6 +15,7 @@ __all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer"]
 
 _SHAPES = ("cylinders", "boxes", "spheres")
 _MOST_PATH_SEGMENTS = 2048
+_RECORDED = palette.unmapped(palette.RECORDED)
 
 
 class ObstacleLayer(Layer):
@@ -54,8 +55,8 @@ class GroundLayer(Layer):
         self._grid = scene.add_frame("/ground/grid", show_axes=False)
         fine = _grid(1.0, 25.0)
         coarse = _grid(5.0, 50.0)
-        apply(Lines(scene, "/ground/grid/fine", thickness=0.7).show(fine, palette.GRID_CELL))
-        apply(Lines(scene, "/ground/grid/coarse", thickness=1.0).show(coarse, palette.GRID_SECTION))
+        apply(Lines(scene, "/ground/grid/fine", thickness=0.7).show(fine, palette.unmapped(palette.GRID_CELL)))
+        apply(Lines(scene, "/ground/grid/coarse", thickness=1.0).show(coarse, palette.unmapped(palette.GRID_SECTION)))
 
     def enter(self, source: Source) -> list[Change]:
         self._height = 0.0 if source.scenery.world is not None else None
@@ -97,7 +98,7 @@ class RecordedPathLayer(Layer):
         path = source.scenery.recorded_path
         self.available = path is not None and len(path) > 1
         if path is None or len(path) < 2:
-            return self._lines.show(np.zeros((0, 2, 3)), palette.RECORDED)
+            return self._lines.show(np.zeros((0, 2, 3)), _RECORDED)
         step = -(-len(path) // _MOST_PATH_SEGMENTS)
         vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
-        return self._lines.show(polylines(vertices), palette.RECORDED)
+        return self._lines.show(polylines(vertices), _RECORDED)

@@ -71,8 +71,8 @@ class CameraPanel(Panel):
             if time.monotonic() < self._settled.setdefault(number, time.monotonic() + _SETTLE):
                 changes += [(camera, "position", start), (camera, "look_at", target)]
             elif self._mode != "free":
-                away = np.asarray(camera.position) - np.asarray(camera.look_at)
-                changes += [(camera, "position", target + away), (camera, "look_at", target)]
+                # Moving a camera takes along what it looks at.
+                changes.append((camera, "position", target + camera.position - camera.look_at))
         return changes
 
     def begin(self, position: NDArray[np.float64], look_at: NDArray[np.float64]) -> list[Change]:

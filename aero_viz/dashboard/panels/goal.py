@@ -22,7 +22,7 @@ class GoalPanel(Panel):
     """The goal's coordinates, and three arrows at the goal."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._touched = -_HOLD
+        self._typed = self._dragged = -_HOLD
         self._position = gui.add_vector3("Goal", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world [m].")
         self._drag = gui.add_checkbox("Drag the goal", False, hint="Show arrows at the goal that move it.")
         self._arrows = self.page.server.scene.add_transform_controls(
@@ -33,13 +33,13 @@ class GoalPanel(Panel):
         @self._position.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._touched = time.monotonic()
-                self._moves.put(self._position.value)
+                self._typed = time.monotonic()
+                self._moves.put((self._position.value, False))
 
         @self._arrows.on_update
-        async def _(_: viser.TransformControlsEvent) -> None:
-            self._touched = time.monotonic()
-            self._moves.put(tuple(self._arrows.position))
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._dragged = time.monotonic()
+            self._moves.put((tuple(self._arrows.position), event.phase != "end"))
 
         @self._drag.on_update
         async def _(_: viser.GuiEvent) -> None:
@@ -48,11 +48,19 @@ class GoalPanel(Panel):
     def close(self) -> None:
         self._moves.close()
 
-    def _move(self, position: tuple[float, float, float]) -> None:
-        self.session.set_goal(position).exception()
+    def _move(self, move: tuple[tuple[float, float, float], bool]) -> None:
+        """Runs in the sink's thread. A place that is refused is news only where the hand lets go."""
+        position, on_the_way = move
+        refused = self.session.set_goal(position, quiet=on_the_way).exception() is not None
+        if refused and not on_the_way:
+            self._typed = self._dragged = -_HOLD  # back to the goal that stays
+        self.page.refresh()
 
     def update(self, frame: Frame) -> list[Change]:
-        if time.monotonic() - self._touched < _HOLD:
-            return []
-        goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
-        return [(self._position, "value", tuple(float(round(x, 2)) for x in goal)), (self._arrows, "position", goal)]
+        goal, now = np.asarray(frame.observation.goal.position, dtype=np.float64), time.monotonic()
+        changes: list[Change] = []
+        if now - self._typed >= _HOLD:
+            changes.append((self._position, "value", tuple(float(round(x, 2)) for x in goal)))
+        if now - self._dragged >= _HOLD:
+            changes.append((self._arrows, "position", goal))
+        return changes

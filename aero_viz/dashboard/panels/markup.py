@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.palette import Rgb, css
 
-__all__ = ["bars", "block", "key", "metrics", "pill", "scale", "stacked", "text"]
+__all__ = ["bars", "block", "key", "metrics", "note", "pill", "scale", "stacked", "text"]
 
 _FONT = "font-size:12px;line-height:1.45;font-variant-numeric:tabular-nums"
 
@@ -35,6 +35,11 @@ def pill(label: str, color: Rgb) -> str:
 def muted(label: str) -> str:
     """A word of less importance."""
     return f'<span style="color:{css(palette.MUTED)}">{text(label)}</span>'
+
+
+def note(label: str) -> str:
+    """A small line of its own under a control; nothing for nothing."""
+    return f'<div style="{_FONT};font-size:11px;padding:0 12px">{muted(label)}</div>' if label else ""
 
 
 def metrics(values: Iterable[tuple[str, str, str]]) -> str:

@@ -86,7 +86,6 @@ class PlaybackPanel(Panel):
             self.session.pause()
         else:
             self.session.play()
-        self.page.refresh()
 
     def enter(self, source: Source) -> list[Change]:
         return [(self._time, "step", max(round(source.period, 3), 0.001))]

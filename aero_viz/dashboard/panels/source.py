@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import viser
 
+from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.server import notify
 from aero_viz.source import Source
@@ -18,14 +19,22 @@ class SourcePanel(Panel):
 
     def __init__(self, page: Page, open_source: Callable[[str], Source], choices: Sequence[tuple[str, str]]) -> None:
         self._open_source = open_source
-        self._choices = dict(choices)
+        # A dropdown cuts off what is long: it gets the names, and what they stand for is told below.
+        split = [(*label.partition(": "), spec) for label, spec in choices]
+        self._choices = {name: (about, spec) for name, _, about, spec in split}
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
         if self._choices:
             offer = gui.add_dropdown("On offer", tuple(self._choices), hint="Scenes and recordings.")
+            about = gui.add_html(markup.note(self._choices[offer.value][0]))
+
+            @offer.on_update
+            async def _(_: viser.GuiEvent) -> None:
+                about.content = markup.note(self._choices[offer.value][0])
+
             offer_open = gui.add_button("Open", icon=viser.Icon.PLAYER_EJECT, color="gray")
-            offer_open.on_click(lambda event: self._open(self._choices[offer.value], event.client))
+            offer_open.on_click(lambda event: self._open(self._choices[offer.value][1], event.client))
         path = gui.add_text("Path", "", hint="A recording or a world on this machine, or the name of a scene.")
         path_open = gui.add_button("Open path", icon=viser.Icon.FOLDER_OPEN, color="gray")
         path_open.on_click(lambda event: self._open(path.value.strip(), event.client))

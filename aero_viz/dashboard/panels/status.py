@@ -45,19 +45,19 @@ class StatusPanel(Panel):
         return [self._state(frame), _figures(frame), _stages(frame), self._costs(frame), *self._legend(frame)]
 
     def _state(self, frame: Frame) -> str:
-        source = self.session.source
         words = [markup.pill(*_STATUS[PlanStatus(int(frame.plan.status))])]  # type: ignore[arg-type]
         if frame.outcome is not None:
             words.append(markup.pill(frame.outcome.replace("_", " "), _OUTCOMES.get(frame.outcome, palette.WARNING)))
         elif not self.session.playing:
             words.append(markup.pill("paused", palette.MUTED))
         if frame.dropped_ticks:
-            words.append(markup.muted(f"{frame.dropped_ticks} ticks dropped or late"))
+            words.append(markup.muted(f"{frame.dropped_ticks} ticks lost"))
+        told = (*frame.source.scenery.notices, *([frame.explanation] if frame.explanation else []))
         notices = "".join(
             f'<div style="color:{palette.css(palette.WARNING)};margin-top:3px">{markup.text(notice)}</div>'
-            for notice in source.scenery.notices
+            for notice in told
         )
-        name = f"<b>{markup.text(source.name)}</b> {markup.muted(f'{frame.time:.2f} s')}"
+        name = f"<b>{markup.text(frame.source.name)}</b> {markup.muted(f'{frame.time:.2f} s')}"
         return f'<div style="margin-bottom:5px">{name}</div>{"".join(words)}{notices}'
 
     def _costs(self, frame: Frame) -> str:

@@ -1,0 +1,129 @@
+"""A session, its dashboard, and the page that shows it, with what a user's hand and eye do there."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import imageio.v3 as iio
+import numpy as np
+from numpy.typing import ArrayLike
+from playwright.sync_api import Browser, Locator, Page
+
+from aero_planner import PlannerConfig
+from aero_viz.catalog import open_source, source_choices
+from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
+from aero_viz.flight import FlightSource
+from aero_viz.scenes import scene
+from aero_viz.session import Session
+from aero_viz.source import Source
+from tests.browser.pictures import Image, project
+
+__all__ = ["Desk", "open_desk"]
+
+LEFT, RIGHT = 330, 355
+"""Columns of the page that its panels take [pixels]."""
+
+
+@dataclass
+class Desk:
+    """A paused session, its dashboard, and a page that shows it."""
+
+    session: Session
+    dashboard: Dashboard
+    page: Page
+    console: list[str] = field(default_factory=list)
+
+    def wait_for(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f"waited {timeout} s for {what}"
+            self.page.wait_for_timeout(30)
+
+    def click(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def control(self, label: str) -> Locator:
+        """The row of the panel with this label."""
+        exact = self.page.locator("label", has_text=re.compile(f"^{re.escape(label)}$"))
+        return exact.locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
+
+    def open_tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=name).click()
+
+    def checkbox(self, label: str) -> Locator:
+        return self.control(label).get_by_role("checkbox")
+
+    def refusal(self, words: str) -> Locator:
+        """The notification of what did not work, with these words."""
+        said = self.page.locator(".mantine-Notification-root", has_text="That did not work")
+        return said.filter(has_text=words)
+
+    def screenshot(self) -> Image:
+        """What is on the screen between the panels, shape [height, width, 3]."""
+        return iio.imread(io.BytesIO(self.page.screenshot()))[:, LEFT:-RIGHT, :3]
+
+    def place_on_page(self, point: ArrayLike) -> tuple[float, float]:
+        """Where the page's camera shows a point of the world, from the left and from the top [pixels]."""
+        camera = next(iter(self.dashboard.server.get_clients().values())).camera
+        canvas = self.page.locator("canvas").first.bounding_box()
+        assert canvas is not None
+        shape = (round(canvas["height"]), round(canvas["width"]))
+        row, column = project(np.atleast_2d(point), camera.position, camera.look_at, shape)[0]
+        return canvas["x"] + float(column), canvas["y"] + float(row)
+
+    def drag(self, start: tuple[float, float], by: tuple[float, float]) -> None:
+        """Press the mouse there, move it in steps, and let go."""
+        mouse = self.page.mouse
+        mouse.move(*start)
+        self.page.wait_for_timeout(300)  # the page looks what is under the mouse once per picture
+        mouse.down()
+        for share in np.linspace(0.0, 1.0, 9)[1:]:
+            mouse.move(start[0] + share * by[0], start[1] + share * by[1])
+            self.page.wait_for_timeout(60)
+        mouse.up()
+
+    def render(self, position: ArrayLike, look_at: ArrayLike, *, width: int = 640, height: int = 600) -> Image:
+        """What the page's camera sees from there, shape [height, width, 4]; alpha is 0 where nothing is."""
+        assert self.dashboard.drain()
+        client = next(iter(self.dashboard.server.get_clients().values()))
+        position, look_at = np.asarray(position, dtype=np.float64), np.asarray(look_at, dtype=np.float64)
+        look = orientation(position, look_at)
+        return client.get_render(
+            height, width, wxyz=look, position=position, fov=FIELD_OF_VIEW, transport_format="png", timeout=30.0
+        )
+
+
+@contextlib.contextmanager
+def open_desk(
+    browser: Browser,
+    source: Source | None = None,
+    *,
+    ticks: int,
+    config: PlannerConfig | None = None,
+    size: tuple[int, int] = (1000, 600),
+) -> Iterator[Desk]:
+    session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
+    for _ in range(ticks):
+        session.tick()
+    session.start(play=False)
+    choices = [(f"{name}: {about}", name) for name, about in source_choices().items()]
+    dashboard = Dashboard(session, port=0, open_source=open_source, choices=choices)
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
+    page = context.new_page()
+    desk = Desk(session, dashboard, page)
+    page.on("console", lambda message: desk.console.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: desk.console.append(str(error)))
+    try:
+        page.goto(dashboard.url)
+        desk.wait_for(lambda: bool(dashboard.server.get_clients()), "the page to connect")
+        yield desk
+    finally:
+        context.close()
+        dashboard.close()
+        session.close()

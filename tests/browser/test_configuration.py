@@ -1,0 +1,95 @@
+"""The configuration as a file, and its structure, through the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_planner.config_file import format_config, load_config
+from tests.browser.desk import Desk
+
+
+def open_folder(desk: Desk, name: str, inside: str) -> None:
+    """Open a folder of the panel unless `inside`, one of its controls, can be seen."""
+    control = desk.page.get_by_text(inside, exact=True).first
+    if not control.is_visible():
+        desk.page.get_by_text(name, exact=True).first.click()
+        control.wait_for(timeout=5_000)
+
+
+def upload(desk: Desk, path: Path) -> None:
+    open_folder(desk, "File", "Upload YAML")
+    with desk.page.expect_file_chooser() as chooser:
+        desk.click("Upload YAML")
+    chooser.value.set_files(path)
+
+
+def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_path):
+    desk = fresh_desk
+    saved = desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
+    desk.open_tab("Tune")
+    open_folder(desk, "File", "Download YAML")
+    with desk.page.expect_download() as download:
+        desk.click("Download YAML")
+    path = tmp_path / download.value.suggested_filename
+    assert path.name == "aero-planner.yaml"
+    download.value.save_as(path)
+    assert path.read_text() == format_config(saved)
+    assert load_config(path) == saved
+
+    desk.click("reset all")
+    desk.wait_for(lambda: desk.session.config == PlannerConfig(), "the defaults")
+    upload(desk, path)
+    desk.wait_for(lambda: desk.session.frame.config == saved, "a plan with the configuration of the file")
+    field = desk.control("q_track").locator("input.mantine-NumberInput-input")
+    desk.wait_for(lambda: float(field.input_value()) == 7.5, "the slider to show it")
+    assert desk.console == []
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("costs: [1, 2", "bad.yaml"),
+        ("costs:\n  q_trak: 3\n", "q_trak"),
+        ("costs:\n  q_track: -3\n", "q_track"),
+        (b"\xff\xfe\x00\x81", "bad.yaml"),
+    ],
+    ids=["no YAML", "unknown name", "out of bounds", "no text"],
+)
+def test_a_malformed_file_is_refused_with_a_reason(desk, tmp_path, content, words):
+    before, version = desk.session.config, desk.session.frame.config_version
+    path = tmp_path / "bad.yaml"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    desk.open_tab("Tune")
+    upload(desk, path)
+    notice = desk.refusal(words)
+    notice.wait_for(timeout=10_000)
+    assert desk.session.config == before
+    assert desk.session.frame.config_version == version
+    notice.get_by_role("button").click()  # so that the next one is not taken for it
+    notice.wait_for(state="detached", timeout=10_000)
+
+
+def test_a_structure_applied_in_the_form_rebuilds_the_planner(fresh_desk):
+    desk = fresh_desk
+    assert desk.session.frame.plan.stage1_cost.shape[1] == 128
+    desk.open_tab("Tune")
+    open_folder(desk, "Structure", "samples")
+    number = desk.control("samples").locator("input")
+    number.fill("64")
+    number.press("Enter")
+    desk.page.wait_for_timeout(300)
+    assert desk.session.config.sampling.samples == 128, "a form acts when it is applied"
+    desk.click("Apply")
+    desk.wait_for(lambda: desk.session.config.sampling.samples == 64, "the new structure")
+    desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 64, "a plan with 64 samples")
+    index = desk.session.frame.index
+    desk.click("+1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 1, "the flight to go on")
+    desk.click("undo")
+    desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 128, "the structure before")
+    desk.wait_for(lambda: number.input_value() == "128", "the form to show it")
+    assert desk.console == []
+    assert desk.dashboard.failures == 0

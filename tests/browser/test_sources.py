@@ -1,0 +1,128 @@
+"""Other scenes, worlds and recordings through the page, and what a recording looks like there."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.scenes import World
+from tests.browser.desk import Desk, open_desk
+from tests.browser.pictures import differing, rollouts_drawn
+
+
+def choose(desk: Desk, name: str) -> None:
+    """Open a source on offer as a user does: unfold the list, take one, press the button."""
+    desk.control("On offer").locator("input").first.click()
+    desk.page.get_by_role("option", name=name, exact=True).click()
+    desk.page.get_by_role("button", name="Open", exact=True).click()
+
+
+def solids(desk: Desk) -> np.ndarray:
+    """The obstacles alone, from behind the drone."""
+    desk.dashboard.show_only(["obstacles"])
+    position = np.asarray(desk.session.frame.observation.state.position)  # type: ignore[union-attr]
+    return desk.render(np.add(position, (-4.0, 0.0, 3.0)), np.add(position, (4.0, 0.0, 0.0)))
+
+
+def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk, tmp_path):
+    desk = fresh_desk
+    forest = solids(desk)
+    choose(desk, "pillars")
+    desk.page.get_by_text("A room with 6 pillars").wait_for(timeout=10_000)
+    desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
+    room = solids(desk)
+    assert differing(room, forest) > 20_000
+    index = desk.session.frame.index
+    desk.click("+1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 1, "a tick in the room")
+
+    path = tmp_path / "gate.json"
+    gate = np.array([[4.0, y, 0.0, 0.0, 0.0, 1.0, 0.3, 4.0] for y in (-1.5, 1.5)])
+    World("two posts", np.array([0.0, 0.0, 2.0]), np.array([9.0, 0.0, 2.0]), cylinders=gate).save(path)
+    desk.control("Path").locator("input").fill(str(path))
+    desk.click("Open path")
+    desk.wait_for(lambda: desk.session.frame.source.name == "two posts", "the world of the file")
+    desk.page.get_by_text("two posts").first.wait_for(timeout=10_000)
+    assert differing(solids(desk), room) > 20_000
+    assert desk.console == []
+    assert desk.dashboard.failures == 0
+
+
+def test_a_world_whose_start_is_in_an_obstacle_says_why_it_ends_at_once(fresh_desk, tmp_path):
+    desk = fresh_desk
+    path = tmp_path / "stuck.json"
+    World("stuck", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]])).save(path)
+    desk.control("Path").locator("input").fill(str(path))
+    desk.click("Open path")
+    words = re.compile("The start .*inside an obstacle")
+    desk.page.get_by_text(words).first.wait_for(timeout=20_000)  # beside the outcome
+    desk.click("Play")
+    said = desk.page.locator(".mantine-Notification-root", has_text=words)
+    said.first.wait_for(timeout=10_000)
+    assert "collided with an obstacle" in said.first.inner_text()
+
+
+@pytest.fixture(scope="module")
+def recording(browser, shared_datasets):
+    """A real recording, opened in the page of another source, with the literal planner of the paper."""
+    with open_desk(browser, ticks=1, config=PlannerConfig.preset("paper"), size=(1280, 720)) as desk:
+        desk.control("Path").locator("input").fill(str(shared_datasets / "hilti_os0_A_mcap"))
+        desk.click("Open path")
+        desk.wait_for(lambda: not desk.session.source.closed_loop, "the recording")
+        desk.wait_for(lambda: desk.control("Time").is_visible(), "its time line")
+        yield desk
+        assert desk.console == []
+        assert desk.dashboard.failures == 0
+
+
+def test_a_recording_says_that_its_loop_is_open(recording):
+    recording.page.get_by_text("open loop: the plan is shown, not flown").wait_for(timeout=10_000)
+    recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for(timeout=10_000)
+
+
+def test_a_recordings_cloud_is_on_the_screen(recording):
+    recording.dashboard.show_only([])
+    empty = recording.screenshot()
+    recording.dashboard.show_only(["cloud"])
+    recording.wait_for(lambda: differing(recording.screenshot(), empty) > 5000, "the cloud")
+
+
+def test_a_recordings_fifteen_rollouts_are_on_screen_each_in_its_colour(recording):
+    recording.dashboard.show_only(["rollouts"])
+    frame = recording.session.frame
+    plan, start = frame.plan, np.asarray(frame.observation.state.position)
+    assert len(plan.positions) == 15
+    middle = plan.positions[:, -1].mean(axis=0)
+    away = (start - middle) / np.linalg.norm(start - middle)
+    position, look_at = start + 3.0 * away + (0.0, 0.0, 2.0), start - 1.5 * away
+    found = rollouts_drawn(recording.render(position, look_at), plan, position, look_at)
+    assert (found > 0.2).all(), f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
+
+
+def test_a_recording_has_the_layers_it_can_have(recording):
+    recording.dashboard.show_only(None)
+    recording.open_tab("Layers")
+    for title, there in (("Recorded path", True), ("LiDAR cloud", True), ("Obstacles (ground truth)", False)):
+        recording.wait_for(lambda: recording.checkbox(title).is_visible() == there, title)  # noqa: B023
+    box = recording.checkbox("Recorded path")
+    recording.dashboard.show_only([])
+    empty = recording.screenshot()
+    recording.wait_for(lambda: not box.is_checked(), "the switch to be off")
+    box.click()
+    recording.wait_for(lambda: differing(recording.screenshot(), empty) > 50, "the recorded path")
+    box.click()
+    recording.wait_for(lambda: differing(recording.screenshot(), empty) == 0, "the path to be gone")
+
+
+def test_a_recording_plays_to_its_end(recording):
+    recording.dashboard.show_only(["rollouts", "drone"])
+    recording.session.set_speed(4.0)
+    recording.click("Play")
+    recording.page.get_by_text("end of the recording").first.wait_for(timeout=30_000)
+    recording.wait_for(lambda: recording.session.frame.outcome == "end", "the end")
+    assert recording.session.frame.time == pytest.approx(11.5, abs=0.1)
+    recording.click("-1")
+    recording.wait_for(lambda: recording.session.frame.outcome is None, "one tick back")

@@ -1,0 +1,53 @@
+"""The page in a small window."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.scenes import SCENES
+from tests.browser.desk import open_desk
+
+
+@pytest.fixture(scope="module")
+def small(browser):
+    """1280 x 720: a common laptop's screen, or a quarter of a large one."""
+    with open_desk(browser, ticks=30, size=(1280, 720)) as desk:
+        desk.wait_for(lambda: "cost, rank" in desk.page.locator("body").inner_text(), "the planner's panel")
+        yield desk
+
+
+def test_drone_and_chosen_rollout_are_in_view_and_not_behind_a_panel(small):
+    plan = small.session.frame.plan
+    for point in (plan.positions[plan.best][0], plan.positions[plan.best][-1]):
+        place = small.place_on_page(point)
+        over = small.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName", list(place))
+        assert over == "CANVAS", f"{np.round(place)} shows {over}"
+
+
+@pytest.mark.parametrize("tab", ["Fly", "Layers", "Tune"])
+def test_nothing_is_cut_off_on_the_right_and_everything_can_be_scrolled_to(small, tab):
+    small.open_tab(tab)
+    cut = small.page.evaluate(
+        """() => [...document.querySelectorAll('label, button, input[type=text], [role=tab]')]
+            .filter((e) => e.offsetParent && e.clientWidth && e.scrollWidth > e.clientWidth + 1)
+            .map((e) => (e.innerText || e.value) + ' ' + e.scrollWidth + ' > ' + e.clientWidth)"""
+    )
+    assert cut == []
+    last = small.page.locator("label:visible").last
+    last.scroll_into_view_if_needed()
+    box = last.bounding_box()
+    assert box["y"] + box["height"] <= 720
+    assert box["x"] + box["width"] <= 1280
+    assert small.page.evaluate("document.documentElement.scrollWidth") <= 1280
+
+
+def test_every_scene_on_offer_has_a_name_that_fits_and_says_what_it_is(small):
+    small.open_tab("Fly")
+    field = small.control("On offer").locator("input").first
+    for name, kind in SCENES.items():
+        field.click()
+        small.page.get_by_role("option", name=name, exact=True).click()
+        small.page.get_by_text(kind.description).wait_for(timeout=5_000)
+        assert field.input_value() == name
+        assert field.evaluate("(e) => e.scrollWidth <= e.clientWidth"), f"{name} is cut off"
