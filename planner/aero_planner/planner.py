@@ -77,7 +77,8 @@ class Planner:
         self._config = config or PlannerConfig()
         self._inputs = input_block(self._batch, self._device)
         self._set_input_defaults()
-        self.points = wp.full((self._batch, 1), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
+        self._points = wp.full((self._batch, 1), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
+        self._points_given: Any = None
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
         self._build()
 
@@ -102,7 +103,7 @@ class Planner:
             self._pipeline.close()
         self._pipeline = Pipeline(
             self._config, batch=self._batch, lanes=self._lanes, inputs=self._inputs.arrays,
-            outputs=self._outputs.arrays, work=self._work, points=self.points, params=self._params,
+            outputs=self._outputs.arrays, work=self._work, points=self._points, params=self._params,
         )  # fmt: skip
 
     def _write_params(self, records: NDArray[Any] | None = None) -> None:
@@ -132,6 +133,12 @@ class Planner:
         """Device arrays written by `launch`, instances flattened where a name is singular; see
         `buffers.output_block`."""
         return self._outputs.arrays
+
+    @property
+    def points(self) -> wp.array:
+        """Device array of the clouds, shape [B, P], vec3 [m], world frame; `reserve` makes room."""
+        self._points_given = None  # the caller may write to it
+        return self._points
 
     @property
     def command(self) -> wp.array:
@@ -173,11 +180,12 @@ class Planner:
 
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone; the cloud is then all NaN, which means no points."""
-        if count != self.points.shape[1]:
-            self.points = wp.full((self._batch, max(count, 1)), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
+        self._points_given = None
+        if count != self._points.shape[1]:
+            self._points = wp.full((self._batch, max(count, 1)), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
             self._record()
         else:
-            self.points.fill_(wp.vec3(np.nan))
+            self._points.fill_(wp.vec3(np.nan))
         self._inputs.host()["point_count"][:] = count
         self._inputs.upload()
         self._pipeline.limit_points(count)
@@ -271,18 +279,20 @@ class Planner:
             host[name][:] = value
 
     def _write_points(self, points: Points) -> None:
+        if self._points_given is points:
+            return  # read-only, and here already
         clouds = self._split(points)
         counts = [len(cloud) for cloud in clouds]
-        capacity = self.points.shape[1]
+        capacity = self._points.shape[1]
         if max(counts) > capacity:
             # Room to grow, so that a cloud that gains a few points each sweep does not rebuild the graph each time.
             self.reserve(max(counts) * 5 // 4)
         for b, cloud in enumerate(clouds):
-            row: Any = self.points[b]
+            row: Any = self._points[b]
             if isinstance(cloud, wp.array):
                 wp.copy(row, cloud, count=counts[b])
             elif self._device.is_cpu:
-                self.points.numpy()[b, : counts[b]] = cloud
+                self._points.numpy()[b, : counts[b]] = cloud
             else:
                 source = wp.array(
                     np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False
@@ -290,6 +300,8 @@ class Planner:
                 wp.copy(row, source, count=counts[b])
         self._inputs.host()["point_count"][:] = counts
         self._pipeline.limit_points(max(counts))
+        is_constant = isinstance(points, np.ndarray) and points.base is None and not points.flags.writeable
+        self._points_given = points if is_constant else None
 
     def _split(self, points: Points) -> list[Any]:
         if isinstance(points, wp.array):

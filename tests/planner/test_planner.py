@@ -290,3 +290,22 @@ def test_launch_plans_from_device_arrays(device: str):
     planner.reserve(len(case.points))  # all NaN again
     planner.launch()
     assert planner.outputs.occupied.numpy().sum() == 0
+
+
+def test_a_read_only_cloud_is_copied_once(device: str):
+    """And again after anything else was in its place."""
+    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
+    fresh = case.plan(planner)
+    case.points.flags.writeable = False
+    for disturb in (
+        lambda: None,
+        lambda: planner.plan(case.state, Goal(case.goal), np.zeros((0, 3), np.float32)),
+        lambda: planner.reserve(10),
+        lambda: planner.points.fill_(0.0),
+    ):
+        case.plan(planner)
+        disturb()
+        planner.reset()
+        again = case.plan(planner)
+        np.testing.assert_array_equal(again.filtered_points, fresh.filtered_points)
+        np.testing.assert_array_equal(again.controls, fresh.controls)

@@ -8,9 +8,9 @@ from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case
 
 
-def nearest_approach(plan: Plan, instance: int, *, between: bool) -> float:
-    """Least distance of an instance's states, and of the places half way between them, to the cloud [m]."""
-    x = plan.positions[instance].astype(np.float64)
+def nearest_approach(plan: Plan, *, between: bool) -> float:
+    """Least distance of the chosen instance's states, and of the places half way between them, to the cloud [m]."""
+    x = plan.positions[plan.best].astype(np.float64)
     places = np.concatenate((x[1:], 0.5 * (x[1:] + x[:-1]))) if between else x[1:]
     return float(reference.clearance(places, kept_points(plan), 10.0).min())
 
@@ -36,8 +36,8 @@ def test_what_is_safe_is_judged_between_the_steps(device: str, between: bool):
         if plan.status == PlanStatus.OK:
             chosen += 1
             # Distances of positions 30 m from the origin are known to 1e-5 m.
-            assert nearest_approach(plan, plan.best, between=False) > 0.3 - 1e-5
-            slipped += nearest_approach(plan, plan.best, between=True) < 0.3 - 1e-5
+            assert nearest_approach(plan, between=False) > 0.3 - 1e-5
+            slipped += nearest_approach(plan, between=True) < 0.3 - 1e-5
     assert chosen > 10
     assert slipped == 0 if between else slipped > 0
 
@@ -57,7 +57,7 @@ def test_braking_leads_where_it_stays_farthest_from_obstacles(device: str):
         assert plan.status == PlanStatus.NO_SAFE_CANDIDATE and plan.kinds[plan.best] == "brake"
         assert np.linalg.norm(plan.velocities[plan.best, -1]) < 2.0
         ends.append(plan.positions[plan.best, -1] - case.position)
-        approaches.append(nearest_approach(plan, plan.best, between=True))
+        approaches.append(nearest_approach(plan, between=True))
     assert abs(ends[0][1]) < 0.05
     assert ends[1][1] < -0.2, ends
     assert approaches[1] > approaches[0] + 0.01
