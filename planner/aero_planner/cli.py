@@ -1,4 +1,4 @@
-"""The command line on the drone: `aero-planner run`, `preflight`, `config`, and verbs that other packages add.
+"""The command line on the drone: `aero-planner run`, `preflight`, `export`, `config`, and verbs of other packages.
 
 A package adds a verb by an entry point in the group "aero_planner.commands": its name is the verb, its value a function
 that takes the arguments behind it, a list of strings, and returns an exit code or None.
@@ -7,6 +7,7 @@ that takes the arguments behind it, a list of strings, and returns an exit code 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.metadata
 import json
 import logging
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from aero_planner.parameter import did_you_mean
 
 if TYPE_CHECKING:
+    from aero_planner.bundle import Bundle
     from aero_planner.config import PlannerConfig
     from aero_planner.onboard.node import Node
     from aero_planner.onboard.record import Observer
@@ -77,7 +79,6 @@ def _parser(others: Sequence[str]) -> argparse.ArgumentParser:
     files = argparse.ArgumentParser(add_help=False)
     files.add_argument(
         "--config",
-        default="default",
         help="preset, or YAML file saved from the dashboard; settings of the node stand in it under 'onboard:'",
     )
     files.add_argument(
@@ -88,6 +89,9 @@ def _parser(others: Sequence[str]) -> argparse.ArgumentParser:
         "--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="where to fly: north, west, up [m]"
     )
     flight.add_argument("--device", default="cpu", help="of the planner: cpu or cuda:0")
+    flight.add_argument(
+        "--bundle", metavar="PATH", help="kernels to use instead of a compiler, and the configuration without --config"
+    )
     flight.add_argument("--log", type=Path, metavar="PATH", help="MCAP file to write, or folder for one with a date")
 
     run = verbs.add_parser(
@@ -104,6 +108,17 @@ def _parser(others: Sequence[str]) -> argparse.ArgumentParser:
     check.add_argument("--listen", type=float, default=3.0, help="how long to listen to sensor and autopilot [s]")
     check.add_argument("--json", action="store_true", help="print one JSON object")
     check.set_defaults(call=_check)
+
+    export = verbs.add_parser("export", help="compile for a drone that has no compiler", description=_export.__doc__)
+    export.add_argument("out", metavar="OUT[.tar]", help="folder or tar file to write")
+    export.add_argument(
+        "--config", default="default", help="preset or YAML file; settings of the node stand in it under 'onboard:'"
+    )
+    export.add_argument(
+        "--arch", action="append", default=[], metavar="sm_87", help="of a GPU; may be given several times"
+    )
+    export.add_argument("--cpu", action="store_true", help="for this machine's CPU, with a graph for the C++ host")
+    export.set_defaults(call=_export)
 
     config = verbs.add_parser("config", help="show or validate a configuration")
     actions = config.add_subparsers(dest="action", required=True, metavar="ACTION")
@@ -122,6 +137,17 @@ def _version() -> str:
         return "(not installed)"
 
 
+def _bundle(options: argparse.Namespace, stack: contextlib.ExitStack) -> Bundle | None:
+    """Return the bundle that the options name, until the stack unwinds; its configuration is the default then."""
+    if options.bundle is None:
+        return None
+    from aero_planner.bundle import open_bundle
+
+    bundle = stack.enter_context(open_bundle(options.bundle))
+    options.config = options.config or str(bundle.config_file)
+    return bundle
+
+
 def _load(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
     """Return the configurations that the options name."""
     from aero_planner.config import PlannerConfig
@@ -129,10 +155,11 @@ def _load(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
     from aero_planner.onboard.settings import OnboardConfig, check_together
     from aero_planner.onboard.settings_file import load_flight_config, load_onboard
 
-    if options.config not in PlannerConfig.presets() and Path(options.config).exists():
-        planner, onboard = load_flight_config(options.config)
+    name = options.config or "default"
+    if name not in PlannerConfig.presets() and Path(name).exists():
+        planner, onboard = load_flight_config(name)
     else:
-        planner, onboard = config_from_name(options.config), OnboardConfig()
+        planner, onboard = config_from_name(name), OnboardConfig()
     if options.onboard is not None:
         onboard = load_onboard(options.onboard)
     check_together(planner, onboard)
@@ -163,12 +190,35 @@ def _check(options: argparse.Namespace) -> int:
 
     if not 0.1 <= options.listen <= 600.0:
         raise ValueError(f"--listen is {options.listen:g}; it must be in [0.1, 600] s.")
-    planner, onboard = _load(options)
-    report = preflight(
-        planner, onboard, device=options.device, goal=options.goal, log=options.log, listen=options.listen
-    )
+    with contextlib.ExitStack() as stack:
+        bundle = _bundle(options, stack)
+        planner, onboard = _load(options)
+        if bundle is not None:
+            bundle.fit(planner, options.device)
+        report = preflight(
+            planner, onboard, device=options.device, goal=options.goal, log=options.log, listen=options.listen,
+            bundle=bundle,
+        )  # fmt: skip
     print(json.dumps(report.to_json()) if options.json else report.format_table())
     return 0 if report.passed else 2
+
+
+def _export(options: argparse.Namespace) -> int:
+    """Compile every kernel ahead and write a bundle for `run --bundle`. No GPU is needed."""
+    from aero_planner.export import export, parse_architecture
+
+    began = time.monotonic()
+    manifest = export(
+        options.out,
+        config=options.config,
+        architectures=[parse_architecture(one) for one in options.arch],
+        cpu=options.cpu,
+    )
+    targets = [f"sm_{one}" for one in manifest["architectures"]] + ([manifest["cpu"]] if manifest["cpu"] else [])
+    size = sum(one["size"] for one in manifest["files"].values())
+    print(f"{options.out}: {', '.join(targets)}; {len(manifest['files'])} files, {size / 1e6:.1f} MB, "
+          f"in {time.monotonic() - began:.0f} s")  # fmt: skip
+    return 0
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -177,12 +227,19 @@ def _run(options: argparse.Namespace) -> int:
     Never arms and never changes the mode. SIGINT or SIGTERM brings the drone to rest and then stops the commands, so
     that the autopilot's own failsafe takes over; a second one stops them at once.
     """
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s", stream=sys.stderr)
+    with contextlib.ExitStack() as stack:
+        return _run_with(_bundle(options, stack), options)
+
+
+def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> int:
     from aero_planner.onboard.assemble import open_lidar, open_link
     from aero_planner.onboard.node import Node
     from aero_planner.planner import Planner
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s", stream=sys.stderr)
     planner_config, onboard = _load(options)
+    if bundle is not None:
+        bundle.fit(planner_config, options.device)
     planner = Planner(planner_config, device=options.device, seed=options.seed, threads=options.threads)
     opened: list[Any] = []
     try:
@@ -195,6 +252,8 @@ def _run(options: argparse.Namespace) -> int:
         except RuntimeError as error:
             raise ValueError(f"the planner can't plan on {planner.device}: {error}") from error
         _log.info("a plan takes %.1f ms on %s", 1e3 * took, planner.device)
+        if bundle is not None and bundle.compiled():
+            _log.warning("kernels were compiled that the bundle lacks; export it again")
         opened.clear()
         code = _fly(node, onboard)
     finally:
@@ -266,4 +325,4 @@ def _fly(node: Node, onboard: OnboardConfig) -> int:
     return 0
 
 
-_VERBS = ("run", "preflight", "config")
+_VERBS = ("run", "preflight", "export", "config")

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.bundle import Bundle
 from aero_planner.config import PlannerConfig
 from aero_planner.onboard.assemble import open_lidar, open_link
 from aero_planner.onboard.frames import quaternion_from_angles
@@ -88,6 +89,7 @@ def preflight(
     goal: ArrayLike | None = None,
     log: str | Path | None = None,
     listen: float = 3.0,
+    bundle: Bundle | None = None,
 ) -> PreflightReport:
     """Look at this computer, open the connections and listen to them; nothing is commanded.
 
@@ -97,8 +99,10 @@ def preflight(
         goal: [m], shape [3], world frame; None expects one over the link.
         log: file or folder of the flight log; None for none.
         listen: how long to listen to sensor and autopilot [s].
+        bundle: whose kernels are used; it fits.
     """
     checks = [_configuration(planner, onboard), *_versions(log is not None), _device(planner, onboard, device)]
+    checks += _bundle(bundle)
     checks += [_thrust(planner, onboard), _clock(), *_disk(log), *_telemetry_port(onboard), *_receive_buffer()]
     link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle))
     lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard))
@@ -160,6 +164,13 @@ def _device(planner: PlannerConfig, onboard: OnboardConfig, device: str) -> Chec
     advice = "Lower rates.replan or sampling.samples, or plan on the GPU with --device cuda:0."
     found = f"plans {len(cloud)} points in {median:.1f} ms (median), {max(took[2:]):.1f} ms (worst of 10)"
     return Check(name, f"{found}; a plan is due every {1e3 * period:.0f} ms", median < 1e3 * period, advice)
+
+
+def _bundle(bundle: Bundle | None) -> Iterator[Check]:
+    if bundle is not None:
+        lacking = bundle.compiled()
+        found = f"{bundle.describe()}; {len(lacking)} files had to be compiled" if lacking else bundle.describe()
+        yield Check("bundle", found, not lacking, "Export it again with this version of aero-planner.")
 
 
 def _thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:

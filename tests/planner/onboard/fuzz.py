@@ -1,4 +1,5 @@
-"""Throws broken and hostile datagrams at what listens on the network, and checks what must hold whatever comes.
+"""Throws broken and hostile datagrams at what listens on the network, and broken and hostile bundles at what reads
+them, and checks what must hold whatever comes.
 
 python tests/planner/onboard/fuzz.py --seconds 600
 """
@@ -6,18 +7,27 @@ python tests/planner/onboard/fuzz.py --seconds 600
 from __future__ import annotations
 
 import argparse
+import hashlib
+import io
+import json
 import math
 import re
 import resource
 import socket
 import struct
 import sys
+import tarfile
+import tempfile
 import time
 import zlib
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
+from aero_planner.bundle import open_bundle
+from aero_planner.config import PlannerConfig
+from aero_planner.export import pack, write_manifest
 from aero_planner.onboard.livox import LivoxPacket, LivoxSource, Reject, encode_packet, parse_packet
 from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
 from aero_planner.sweeps import SweepBuffer
@@ -205,7 +215,125 @@ class FuzzMavlink:
         self.socket.close()
 
 
-TARGETS: dict[str, Callable[[], FuzzLivox | FuzzMavlink]] = {"livox": FuzzLivox, "mavlink": FuzzMavlink}
+class FuzzBundle:
+    """Bundles as tar files, opened and fitted."""
+
+    def __init__(self) -> None:
+        self.seen = 0
+        # In memory where possible: a disk would take most of the time.
+        self.temporary = tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
+        self.root = Path(self.temporary.name)
+        # Deep enough that what escapes by a few ".." still lands where it is seen.
+        self.copies = self.root / "1/2/3/4"
+        self.copies.mkdir(parents=True)
+        folder = self.root / "bundle"
+        (folder / "kernels/a").mkdir(parents=True)
+        for name in ("a.sm87.cubin", "a.o", "a.meta"):
+            (folder / "kernels/a" / name).write_bytes(name.encode() * 100)
+        (folder / "config.yaml").write_text("costs:\n  q_track: 7.5\n")
+        self.manifest = write_manifest(folder, [87], True)
+        pack(folder, self.root / "whole.tar", self.manifest)
+        self.whole = (self.root / "whole.tar").read_bytes().rstrip(b"\0") + bytes(1024)
+        self.file = self.root / "bundle.tar"
+        self.file.touch()
+        self.before = self.listing()
+        self.directory, tempfile.tempdir = tempfile.tempdir, str(self.copies)
+
+    def listing(self) -> list[tuple[str, int]]:
+        return sorted((str(path), path.lstat().st_mode) for path in self.root.rglob("*"))
+
+    def content(self, random: Random) -> bytes:
+        kind = random.uniform()
+        if kind < 0.1:
+            return random.bytes(int(random.integers(0, 3000)))
+        if kind < 0.4:
+            return damaged(self.whole, random)
+        if kind < 0.7:
+            return self.entry(random) + self.whole
+        manifest = self.altered(json.loads(json.dumps(self.manifest)), random)
+        text = json.dumps(manifest).encode()
+        if random.uniform() < 0.2:
+            text = damaged(text, random)
+        output = io.BytesIO()
+        with tarfile.open(fileobj=output, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+            for member in (whole := tarfile.open(fileobj=io.BytesIO(self.whole))):  # noqa: SIM115
+                content = text if member.name == "manifest.json" else (whole.extractfile(member) or io.BytesIO()).read()
+                member.size = len(content)
+                archive.addfile(member, io.BytesIO(content))
+        return output.getvalue()
+
+    def entry(self, random: Random) -> bytes:
+        """Return an entry with a good checksum, and hostile otherwise."""
+        names = [
+            "../x",
+            "/tmp/x",
+            "a/../../x",
+            "kernels",
+            "kernels/a/a.o",
+            "b/c/d",
+            "",
+            ".",
+            "x\n",
+            "\x7f",
+            "config.yaml",
+        ]
+        header = tarfile.TarInfo(str(random.choice(names)))
+        header.type = bytes(random.choice(np.frombuffer(b"01234567xgLKSV\0", dtype="S1")))[:1] or b"\0"
+        header.linkname = str(random.choice(["", "../x", "/etc/passwd", "kernels"]))
+        header.size = int(random.choice([0, 0, 0, 7, 512, 2**20, 2**33 - 1]))
+        buffer = bytearray(header.tobuf(tarfile.USTAR_FORMAT))
+        if random.uniform() < 0.3:  # sizes in base 256, negative ones included
+            buffer[124:136] = bytes([int(random.choice([0x80, 0xFF]))]) + random.bytes(11)
+        at = int(random.integers(0, 500))
+        if random.uniform() < 0.3:
+            buffer[at : at + 4] = random.bytes(4)
+        buffer[148:156] = b"        "
+        buffer[148:156] = b"%06o\0 " % sum(buffer)
+        return bytes(buffer)
+
+    def altered(self, manifest: dict, random: Random) -> dict:
+        """Return a manifest with a value somewhere that does not belong there."""
+        wrong = [None, -1, 0, 1, 2**70, 1.5, math.nan, "", "x" * 1000, "../x", [], {}, [[]], True, ["a"], {"a": 1}]
+        place = manifest
+        while random.uniform() < 0.5 and (inner := [key for key in place if isinstance(place[key], dict)]):
+            place = place[inner[random.integers(len(inner))]]
+        key = str(random.choice([*place, "../x", "kernels/../../x", "kernels/a"]))
+        place[key] = wrong[random.integers(len(wrong))]
+        return manifest
+
+    def batch(self, random: Random) -> None:
+        for _ in range(BATCH):
+            self.file.write_bytes(self.content(random))
+            try:
+                bundle = open_bundle(self.file)
+            except ValueError as error:
+                assert str(error).endswith(".") and "\n" not in str(error), str(error)
+            else:
+                with bundle:
+                    self.seen += 1
+                    self.look(bundle.folder)
+                    try:
+                        bundle.fit(PlannerConfig(), "cpu")
+                    except ValueError as error:
+                        assert "export it again" in str(error)
+            assert self.listing() == self.before
+
+    def look(self, folder: Path) -> None:
+        """Check that what was copied is what was exported, under names that were."""
+        for path in folder.rglob("*"):
+            if path.is_file() and not path.is_symlink():
+                said = self.manifest["files"][path.relative_to(folder).as_posix()]
+                assert hashlib.sha256(path.read_bytes()).hexdigest() == said["sha256"]
+            else:
+                assert path.is_dir()
+
+    def close(self) -> None:
+        tempfile.tempdir = self.directory
+        self.temporary.cleanup()
+
+
+Target = FuzzLivox | FuzzMavlink | FuzzBundle
+TARGETS: dict[str, Callable[[], Target]] = {"livox": FuzzLivox, "mavlink": FuzzMavlink, "bundle": FuzzBundle}
 
 
 def memory() -> float:
@@ -245,7 +373,7 @@ def main() -> int:
     options = parser.parse_args()
     for name in TARGETS:
         count, growth = run(name, seed=options.seed, seconds=options.seconds / len(TARGETS))
-        print(f"{name}: {count} datagrams, seed {options.seed}, memory +{growth:.1f} MB", flush=True)
+        print(f"{name}: {count} inputs, seed {options.seed}, memory +{growth:.1f} MB", flush=True)
     return 0
 
 

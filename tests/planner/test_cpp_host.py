@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
+from aero_planner.export import export
+
+SOURCES = Path(__file__).parents[2] / "planner" / "cpp"
+POINTS = 3000
+"""Room for points in the exported graph."""
+
+Outcome = subprocess.CompletedProcess[str]
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example of the C++ host, built from scratch."""
+    missing = [tool for tool in ("cmake", "c++") if shutil.which(tool) is None]
+    if missing:
+        message = f"the C++ host was not tested: {', '.join(missing)} not found; install cmake and a C++ compiler"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    build = tmp_path_factory.mktemp("build")
+    options = [f"-DPython3_EXECUTABLE={sys.executable}", "-DCMAKE_COMPILE_WARNING_AS_ERROR=ON"]
+    for command in (["cmake", "-S", str(SOURCES), "-B", str(build), *options], ["cmake", "--build", str(build)]):
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+    return build / "aero_example"
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("bundle")
+    (place / "flight.yaml").write_text(f"onboard:\n  lidar:\n    points_max: {POINTS}\n")
+    export(place / "bundle", config=place / "flight.yaml", cpu=True)
+    return place / "bundle"
+
+
+@pytest.fixture
+def ask(example: Path, tmp_path: Path) -> Callable[[Path, bytes], Outcome]:
+    """Run the example; its answers are then in the file `answers`."""
+
+    def run(bundle: Path, requests: bytes) -> Outcome:
+        (tmp_path / "requests").write_bytes(requests)
+        command = [str(example), str(bundle), str(tmp_path / "requests"), str(tmp_path / "answers")]
+        return subprocess.run(command, capture_output=True, text=True)
+
+    return run
+
+
+def request(state: VehicleState, goal: Sequence[float], points: np.ndarray, age: float = 0.0) -> bytes:
+    floats = [state.position, state.velocity, state.quaternion, state.acceleration, goal, [age]]
+    parts = [np.asarray(part, dtype=np.float32).tobytes() for part in floats]
+    assert state.time is not None
+    head = struct.pack("<d", float(np.asarray(state.time))) + b"".join(parts) + struct.pack("<i", len(points))
+    return head + np.asarray(points, dtype=np.float32).tobytes()
+
+
+def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> VehicleState:
+    return VehicleState(position, velocity, (1.0, 0.1, 0.0, 0.2), (0.5, 0.0, -0.5), time)
+
+
+def test_its_plans_are_those_of_python(ask: Callable[[Path, bytes], Outcome], bundle: Path, tmp_path: Path):
+    random = np.random.default_rng(4)
+    planner = Planner(PlannerConfig(), seed=0)
+    requests, expected, seen = b"", [], set()
+    for tick in range(10):
+        # A box around the drone leaves no way; a cloud of two seconds ago is stale.
+        low, high = ([-1, -1, -1], [1, 1, 1]) if tick == 7 else ([1.5, -8, -3], [10, 8, 4])
+        points = random.uniform(low, high, (int(random.integers(0, POINTS + 1)), 3)).astype(np.float32)
+        points[::50] = np.nan
+        state = state_of(random.normal(size=3), random.normal(size=3), 0.05 * tick)
+        goal, age = [20.0, float(random.normal()), 1.0], 2.0 if tick == 4 else 0.0
+        plan = planner.plan(state, Goal(goal), points, cloud_age=age)
+        seen.add(plan.status)
+        requests += request(state, goal, points, age)
+        outputs = planner.outputs
+        arrays = (planner.command, outputs.controls, outputs.positions, outputs.S2)
+        expected.append((int(plan.status), plan.best, [array.numpy()[0].copy() for array in arrays]))
+    planner.close()
+    assert seen == set(PlanStatus)
+
+    done = ask(bundle, requests)
+    assert done.returncode == 0, done.stderr
+    instances, steps = len(PlannerConfig().kinds), PlannerConfig().sampling.steps
+    assert done.stdout.startswith(f"{instances} instances, {steps} steps, up to {POINTS} points, loaded in ")
+    answers, at = (tmp_path / "answers").read_bytes(), 0
+    for status, best, arrays in expected:
+        assert struct.unpack_from("<ii", answers, at) == (status, best)
+        at += 8
+        for array in arrays:
+            answer = np.frombuffer(answers, np.float32, array.size, at).reshape(array.shape)
+            np.testing.assert_allclose(answer, array, rtol=1e-5, atol=1e-5)
+            at += answer.nbytes
+    assert at == len(answers)
+
+
+def edit_target(line: int, text: str) -> Callable[[Path], None]:
+    def act(graph: Path) -> None:
+        lines = (graph / "target.txt").read_text().splitlines()
+        lines[line] = text
+        (graph / "target.txt").write_text("\n".join(lines))
+
+    return act
+
+
+def cut(graph: Path) -> None:
+    path = graph / "planner.wrp"
+    path.write_bytes(path.read_bytes()[:5000])
+
+
+@pytest.mark.parametrize(
+    ("damage", "problem"),
+    [
+        (shutil.rmtree, "graph/target.txt can't be read: give the folder of a bundle"),
+        (edit_target(0, "1.14.0"), "the bundle is for Warp 1.14.0, this program for"),
+        (edit_target(1, "aarch64-unknown-linux-gnu"), "the bundle is for another CPU: export it again"),
+        (edit_target(2, "sse"), "the bundle is for another CPU: export it again"),
+        (edit_target(3, "100"), "the graph is none of a planner for one drone"),
+        (lambda graph: (graph / "planner.wrp").unlink(), "planner.wrp can't be loaded"),
+        (cut, "planner.wrp can't be loaded"),
+        (lambda graph: next(graph.glob("planner_modules/*select*.o")).unlink(), "is missing: copy the whole bundle"),
+    ],
+)
+def test_what_does_not_fit_is_told(
+    ask: Callable[[Path, bytes], Outcome], bundle: Path, tmp_path: Path, damage: Callable[[Path], object], problem: str
+):
+    broken = shutil.copytree(bundle, tmp_path / "broken")
+    damage(broken / "graph")
+    done = ask(broken, request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))))
+    assert done.returncode == 2 and problem in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("asked", "problem"),
+    [
+        (request(state_of((0, np.nan, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "the state's position, velocity"),
+        (request(state_of((0, 0, 2), (2e6, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "not finite or beyond 1e6"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (np.inf, 0, 2), np.zeros((0, 3))), "the goal's position"),
+        (request(state_of((0, 0, 2), (1, 0, 0), np.inf), (20, 0, 2), np.zeros((0, 3))), "the state's time is infinite"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), np.nan), "the cloud's age"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((POINTS + 1, 3))), "than the graph has room for"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((5, 3)))[:-4], "ends within a record"),
+        (b"", "holds no request"),
+    ],
+)  # fmt: skip
+def test_bad_inputs_are_told(ask: Callable[[Path, bytes], Outcome], bundle: Path, asked: bytes, problem: str):
+    done = ask(bundle, asked)
+    assert done.returncode == 2 and problem in done.stderr
