@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 DATASETS = Path(__file__).resolve().parents[2] / "shared" / "datasets"
 
@@ -19,3 +25,19 @@ def shared_datasets() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return DATASETS
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """Chromium, one for all tests; in CI a missing one is a failure."""
+    from aero_viz.errors import UserError
+    from aero_viz.snapshot import launch_chromium
+
+    with contextlib.ExitStack() as stack:
+        try:
+            chromium = stack.enter_context(launch_chromium())
+        except UserError as error:
+            if os.environ.get("CI"):
+                pytest.fail(str(error))
+            pytest.skip(f"NO PAGE WAS TESTED: {error}")
+        yield chromium

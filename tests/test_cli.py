@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from playwright.sync_api import Browser
 from small_source import small_source
 
 from aero_planner.config import parameters
 from aero_viz.cli import main
 from aero_viz.recordings import inspect as inspect_recording
-from aero_viz.snapshot import launch_chromium
 
 FLIGHT_FIELDS = {
     "arrived", "reason", "flight_time_s", "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance",
@@ -298,15 +298,14 @@ def test_demo_serves_until_it_is_told_to_end(poles: str) -> None:
         process.wait()
 
 
-def test_no_headless_flies_in_the_page(poles: str) -> None:
+def test_no_headless_flies_in_the_page(poles: str, browser: Browser) -> None:
     """A real start, looked at by a real Chromium: time begins when the page is open, and the drone arrives."""
     port = free_port()
     process = serve("fly", poles, "--no-headless", "--port", str(port), "--speed", "5", "--sampling.samples", "16")
     try:
         assert process.stdout is not None
         assert f"http://127.0.0.1:{port}" in process.stdout.readline()
-        with launch_chromium() as browser:
-            page = browser.new_page()
+        with browser.new_page() as page:
             page.goto(f"http://127.0.0.1:{port}")
             page.get_by_text("arrived at the goal").first.wait_for(timeout=60_000)
         process.send_signal(signal.SIGINT)

@@ -279,7 +279,7 @@ class Planner:
             host[name][:] = value
 
     def _write_points(self, points: Points) -> None:
-        if self._points_given is points:
+        if self._points_given is not None and self._points_given is points:
             return  # read-only, and here already
         clouds = self._split(points)
         counts = [len(cloud) for cloud in clouds]

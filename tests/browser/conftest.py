@@ -2,30 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Iterator
 
 import pytest
 from playwright.sync_api import Browser
 
 from aero_planner import PlannerConfig
-from aero_viz.errors import UserError
-from aero_viz.snapshot import launch_chromium
 from tests.browser.desk import Desk, open_desk
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """Chromium; in CI a missing one is a failure."""
-    with contextlib.ExitStack() as stack:
-        try:
-            chromium = stack.enter_context(launch_chromium())
-        except UserError as error:
-            if os.environ.get("CI"):
-                pytest.fail(str(error))
-            pytest.skip(f"NO PAGE WAS TESTED: {error}")
-        yield chromium
 
 
 @pytest.fixture(scope="module")
