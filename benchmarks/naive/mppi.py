@@ -120,14 +120,14 @@ def rollouts(
 
 @wp.func
 def distance_to(
-    x: wp.vec3, limit: float, b: int, count: wp.array(dtype=int), filtered: wp.array2d(dtype=wp.vec3)
+    x: wp.vec3, limit: float, b: int, floor: float, count: wp.array(dtype=int), filtered: wp.array2d(dtype=wp.vec3)
 ) -> float:
-    """Distance from x to the nearest point of the filtered cloud, cut at `limit`."""
+    """Distance from x to the nearest point of the filtered cloud or to the floor, cut at `limit`."""
     best = limit * limit
     for j in range(count[b]):
         d = filtered[b, j] - x
         best = wp.min(best, wp.dot(d, d))
-    return wp.sqrt(best)
+    return wp.min(wp.sqrt(best), wp.max(0.0, x[2] - floor))
 
 
 @wp.kernel
@@ -150,7 +150,7 @@ def clearance(
         limit = c.safe_clearance
     elif t >= steps:
         limit = c.blocked_radius
-    distance[i, k, t] = distance_to(positions[i, k, t], limit, b, count, filtered)
+    distance[i, k, t] = distance_to(positions[i, k, t], limit, b, params[b].floor, count, filtered)
 
 
 @wp.func

@@ -135,7 +135,7 @@ def choose(
     c = params[b]
     M = S2.shape[1] - BRAKES
     safe = c.safe_clearance
-    here = distance_to(position[b], safe, b, count, filtered)
+    here = distance_to(position[b], safe, b, c.floor, count, filtered)
     if here < safe:  # too near already: not nearer still
         safe = here - 0.02
     chosen = int(0)

@@ -20,6 +20,7 @@ from aero_planner.params import Params
 __all__ = [
     "FAR",
     "GRID",
+    "above_floor",
     "allocate_rows",
     "block_type",
     "cell_size",
@@ -234,6 +235,12 @@ def clearance_at(width: int, threads: int) -> wp.Function:
 
 
 @wp.func
+def above_floor(d: float, x: wp.vec3, params: Params) -> float:
+    """Distance d from x to the nearest point, or to the floor where that is nearer [m]."""
+    return wp.min(d, wp.max(x[2] - params.floor, 0.0))
+
+
+@wp.func
 def row_limit(t: int, steps: int, params: Params) -> float:
     """Distance beyond which row t of a rollout need not be known [m]; rows from `steps` on are probes."""
     if t >= steps:
@@ -276,7 +283,7 @@ def query_clearance(width: int) -> wp.Kernel:
         size = cell_size(c)
         for k in range(lane, cost.shape[2], stride):
             x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-            d = clearance(x, limit, b, 0, center[b], size, beside, end, blocks)
+            d = above_floor(clearance(x, limit, b, 0, center[b], size, beside, end, blocks), x, c)
             if t < steps:
                 cost[i, t, k] = collision_cost(d, c)
             else:

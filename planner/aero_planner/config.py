@@ -175,6 +175,10 @@ class CostConfig(_Section):
     )
     blocked_range: float = live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
     blocked_radius: float = live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
+    floor: float = live(
+        -1000.0, "m", -1000.0, 1000.0, "World height that counts as an obstacle from there down: the ground, for a "
+        "sensor that does not see what is below it. At -1000 this is off.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

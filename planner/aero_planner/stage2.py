@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.clearance import block_type, cell_size, clearance_at, keep_loops, row_limit
+from aero_planner.clearance import above_floor, block_type, cell_size, clearance_at, keep_loops, row_limit
 from aero_planner.costs import collision_cost, goal_cost, speed_cost
 from aero_planner.dynamics import rk4_step
 from aero_planner.mppi import PROBES, blocked_cost, probe
@@ -103,6 +103,7 @@ def evaluate(width: int, threads: int) -> wp.Kernel:
         elif t >= steps:
             x = probe(x, goal_position[b], t - steps, c)
         d = nearest_point(x, limit, b, thread, position[b], cell_size(c), beside, end, blocks)
+        d = above_floor(d, x, c)
         J_goal = float(0.0)
         J_speed = float(0.0)
         if t < steps:
@@ -184,6 +185,7 @@ def select(width: int) -> wp.Kernel:
         b = wp.tid()
         c = params[b]
         here = clearance(position[b], c.safe_clearance, b, 0, position[b], cell_size(c), beside, end, blocks)
+        here = above_floor(here, position[b], c)
         safe = c.safe_clearance
         if here < safe:
             safe = here - 0.02

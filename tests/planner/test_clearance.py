@@ -84,3 +84,28 @@ def test_points_on_the_rim_of_the_grid(device: str):
     expected = reference.clearance(plan.positions[:, 1:].reshape(-1, 3).astype(np.float64), kept_points(plan), 1.0)
     np.testing.assert_allclose(plan.clearance.ravel(), expected, atol=2e-5)
     assert (plan.clearance < 1.0).any() and (np.abs(plan.positions) > 2.6).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_floor_counts_as_an_obstacle(device: str, seed: int):
+    """Also where there is no point, and beyond the grid."""
+    case = random_case(seed, count=300 * seed, nearest=0.5)
+    floor = float(case.position[2]) - 0.2
+    config = config_of(costs__floor=floor, candidates__prefer_safe=False)
+    plan = case.plan(Planner(config, device=device))
+    x = plan.positions[:, 1:].astype(np.float64)
+    to_points = reference.clearance(x.reshape(-1, 3), kept_points(plan), 0.55).reshape(plan.clearance.shape)
+    expected = np.minimum(to_points, np.maximum(x[..., 2] - floor, 0.0))
+    np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
+    assert (plan.clearance < to_points - 0.01).any()
+
+
+def test_nothing_dives_to_an_unseen_floor(device: str):
+    """A goal ahead and 2 m below: without the floor the plan leads there, with it the drone keeps off."""
+    case = random_case(0, count=0, tilt=0.0)
+    case.velocity, case.acceleration, case.goal = np.array([3.0, 0, -2.0]), np.zeros(3), case.beside(6, 0, -2.0)
+    lowest = []
+    for floor in (-1000.0, float(case.position[2]) - 1.0):
+        plan = case.plan(Planner(config_of(costs__floor=floor), device=device))
+        lowest.append(plan.positions[plan.best, :, 2].min() - case.position[2])
+    assert lowest[0] < -0.75 < lowest[1]
