@@ -36,11 +36,15 @@ def behind(desk) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def test_a_layer_is_there_when_on_and_gone_when_off(desk, name, color, least):
     desk.session.set_samples(name == "samples").result()
     desk.dashboard.show_only([name])
-    image = desk.render(*behind(desk))
-    drawn = int((image[..., 3] > 128).sum()) if color is None else count(image, color)
-    assert drawn >= least
+
+    def drawn() -> int:
+        image = desk.render(*behind(desk))
+        return int((image[..., 3] > 128).sum()) if color is None else count(image, color)
+
+    # The page draws a change in one of its next pictures, and takes its time over those while it opens.
+    desk.wait_for(lambda: drawn() >= least, f"{least} pixels of {name}")
     desk.dashboard.show_only([])
-    assert (desk.render(*behind(desk))[..., 3] == 0).all()
+    desk.wait_for(lambda: (desk.render(*behind(desk))[..., 3] == 0).all(), "an empty picture")
 
 
 def test_the_goal_is_drawn_at_the_goal(desk):
