@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -16,15 +16,17 @@ from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 from aero_planner.partition import fill_directions
 
 __all__ = [
+    "CPU",
+    "CUDA",
     "Block",
+    "Widths",
     "as_vectors",
     "fine_shape",
     "input_block",
     "list_capacity",
     "output_block",
     "padded_samples",
-    "points_width",
-    "sample_width",
+    "widths",
     "work_arrays",
 ]
 
@@ -141,19 +143,35 @@ def fine_shape(config: PlannerConfig) -> tuple[int, int]:
     return part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
 
 
-def sample_width(device: wp.Device) -> int:
-    """Return how many samples share a thread: what LLVM turns into vector instructions, or one on a GPU."""
-    return 32 if device.is_cpu else 1
+class Widths(NamedTuple):
+    """How much one thread does at once, and how many threads share one task."""
+
+    cloud: int
+    """Points of the cloud whose cells a thread finds."""
+    samples: int
+    """Samples that a thread rolls out."""
+    points: int
+    """Points that a thread compares a position with at once."""
+    improve: int
+    """Threads that weigh the samples of one instance."""
+    team: int
+    """Threads that look at one position of Stage II, where few drones leave threads to spare."""
 
 
-def points_width(device: wp.Device) -> int:
-    """Return how many points a thread compares with at once: vector instructions on a CPU, wide loads on a GPU."""
-    return 16 if device.is_cpu else 4
+CPU = Widths(cloud=64, samples=32, points=16, improve=1, team=1)
+"""What LLVM turns into vector instructions."""
+CUDA = Widths(cloud=1, samples=1, points=4, improve=128, team=32)
+"""A thread for each, and wide loads of points."""
+
+
+def widths(device: wp.Device) -> Widths:
+    """Return the widths of a device."""
+    return CPU if device.is_cpu else CUDA
 
 
 def padded_samples(config: PlannerConfig, device: wp.Device) -> int:
     """Return K filled up to whole vectors; the samples past K are rolled out and not used."""
-    width = sample_width(device)
+    width = widths(device).samples
     return -(-config.sampling.samples // width) * width
 
 
@@ -168,7 +186,7 @@ def list_capacity(config: PlannerConfig, lanes: int, device: wp.Device) -> int:
     """Return how many points the list has room for in the layers of one lane: of three layers, those it may have."""
     rows = 3 if device.is_cpu else 1
     points = math.prod(fine_shape(config)) * rows * math.ceil(3 / lanes)
-    width = points_width(device)
+    width = widths(device).points
     return -(-points // width) * width
 
 
@@ -177,7 +195,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
     fine = math.prod(fine_shape(config))
     rows, padded = N + PROBES, padded_samples(config, device)
-    blocks = lanes * list_capacity(config, lanes, device) // points_width(device)
+    blocks = lanes * list_capacity(config, lanes, device) // widths(device).points
     with wp.ScopedDevice(device):
         work = SimpleNamespace(
             quaternion=wp.zeros(batch, dtype=wp.vec4),
@@ -206,9 +224,9 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
         )
         # The same memory twice, for reading and for writing.
         work.counts = wp.array(ptr=work.end.ptr, dtype=wp.vec4i, shape=(batch, GRID**3 // 4), device=device)
-        work.coordinates = wp.zeros((batch, blocks, 3, points_width(device)), dtype=wp.float32)
+        work.coordinates = wp.zeros((batch, blocks, 3, widths(device).points), dtype=wp.float32)
         work.blocks = wp.array(
-            ptr=work.coordinates.ptr, dtype=block_type(points_width(device)), shape=(batch, blocks), device=device
+            ptr=work.coordinates.ptr, dtype=block_type(widths(device).points), shape=(batch, blocks), device=device
         )
         wp.launch(fill_directions, dim=work.directions.shape, inputs=[work.directions])
         wp.launch(fill_noise, dim=(N, NOISE_ROWS), inputs=[work.noise])

@@ -18,20 +18,33 @@ import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
 from aero_planner.buffers import (
+    Widths,
     as_vectors,
     fine_shape,
     list_capacity,
     padded_samples,
-    points_width,
-    sample_width,
+    widths,
 )
 from aero_planner.config import PlannerConfig
 
-__all__ = ["Pipeline"]
+__all__ = ["Pipeline", "made_kernels"]
 
 
 Chunk = list[tuple[str, Callable[[], Any]]]
 """Launches in order, each with the name under which its time is counted."""
+
+
+def made_kernels(of: Widths) -> list[tuple[wp.Kernel, int]]:
+    """Return the kernels made for the widths `of` a device, and the size of the blocks that they are launched in."""
+    return [
+        (partition.scatter_points(of.cloud), 256),
+        (mppi.sample_rollouts(of.samples), 32),
+        (clearance.query_clearance(of.points), 128),
+        (mppi.improve(of.improve), of.improve),
+        (stage2.evaluate(of.points, of.team), 32),
+        (stage2.evaluate(of.points, 1), 32),
+        (stage2.select(of.points), 256),
+    ]
 
 
 class Pipeline:
@@ -63,7 +76,7 @@ class Pipeline:
         self._points = points
         self._batch = batch
         self._executor = ThreadPoolExecutor(lanes - 1, "aero-planner") if lanes > 1 else None
-        self._width = 64 if self._device.is_cpu else 1
+        self._widths = widths(self._device)
         self._side: Any = None if self._device.is_cpu else wp.Stream(self._device)
         self._graph: Any = None
         self._scatter: list[Any] = []
@@ -89,7 +102,7 @@ class Pipeline:
         state = [i.position, i.velocity, w.quaternion]
         goal = [i.goal_position, w.goal_velocity, w.goal_quaternion]
         rolled_out = M + guides.BRAKES
-        width, beside = points_width(self._device), 1 if self._device.is_cpu else 0
+        width, beside = self._widths.points, 1 if self._device.is_cpu else 0
         cloud = [beside, w.end, w.blocks]
 
         def launch(kernel: Any, dim: Any, *arguments: Any, block_dim: int = 256) -> Callable[[], Any]:
@@ -110,12 +123,12 @@ class Pipeline:
             ),
         )  # fmt: skip
         scatter: list[Chunk] = []
-        share = -(-self._points.shape[1] // (self._width * self._lanes))
+        share = -(-self._points.shape[1] // (self._widths.cloud * self._lanes))
         for lane in range(self._lanes):
             command: Any = wp.launch(
-                partition.scatter_points(self._width), (B, share), device=self._device, record_cmd=True, inputs=[
-                    lane * share * self._width, lane, self._points, i.point_count, i.position, w.quaternion, params,
-                    rows, columns, w.keys, o.dropped,
+                partition.scatter_points(self._widths.cloud), (B, share), device=self._device, record_cmd=True, inputs=[
+                    lane * share * self._widths.cloud, lane, self._points, i.point_count, i.position, w.quaternion,
+                    params, rows, columns, w.keys, o.dropped,
                 ],
             )  # fmt: skip
             scatter.append([("partition", command.launch)])
@@ -169,7 +182,7 @@ class Pipeline:
         optimise: list[Chunk] = []
         # More chunks than threads, since instances amid obstacles take longer than those in the open.
         chunks = min(instances, 4 * self._lanes) if self._lanes > 1 else 1
-        stride, lanes_k, threads = (1, sample_width(self._device), 1) if self._device.is_cpu else (K, 1, 128)
+        stride, lanes_k, threads = 1 if self._device.is_cpu else K, self._widths.samples, self._widths.improve
         groups = padded_samples(config, self._device) // lanes_k
         for chunk in range(chunks):
             first = instances * chunk // chunks
@@ -192,7 +205,7 @@ class Pipeline:
                 )),
             ])  # fmt: skip
         # The few positions of Stage II leave a GPU threads to spare, unless there are many drones.
-        team = 1 if self._device.is_cpu or B > 8 else 32
+        team = 1 if B > 8 else self._widths.team
         choose = serial(
             "stage2",
             launch(
@@ -239,10 +252,10 @@ class Pipeline:
     def limit_points(self, count: int) -> None:
         """Let the partition read only the first `count` points of each drone, where launches are not captured."""
         if self._device.is_cpu:
-            groups = -(-count // self._width)
+            groups = -(-count // self._widths.cloud)
             share = -(-groups // self._lanes)
             for lane, command in enumerate(self._scatter):
-                command.set_param_at_index(0, lane * share * self._width)
+                command.set_param_at_index(0, lane * share * self._widths.cloud)
                 command.set_dim((self._batch, max(0, min(share, groups - lane * share))))
 
     def run(self) -> None:

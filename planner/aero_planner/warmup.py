@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from aero_planner.buffers import CUDA
 from aero_planner.config import PlannerConfig
+from aero_planner.pipeline import made_kernels
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner, _find_device
 
 __all__ = ["compile_ahead", "warmup"]
 
-# How the pipeline makes and launches kernels on CUDA; each size of block gives a binary of its own.
 _BLOCK_DIMS = (32, 64, 128, 256)
-_TEAMS = {"improve": (128,), "evaluate": (1, 32)}
-"""Numbers of threads that share their work, by the function that makes the kernel; for one drone and for many."""
+"""Sizes of block on CUDA, each of which gives a binary of its own."""
 
 
 def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
@@ -98,17 +98,9 @@ def _compile_for_cuda(architecture: int) -> None:
 
 
 def _cuda_modules() -> Iterator[tuple[Any, Iterable[int]]]:
-    """Every Warp module of the package, those that a function makes included, and its sizes of block on CUDA."""
+    """Every Warp module of the package, those made for CUDA's widths included, and its sizes of block there."""
     names = [name for name in sys.modules if name.startswith(f"{__package__}.")]
     content = {id(value): value for name in names for value in vars(sys.modules[name]).values()}.values()
     written = {id(value.module): value.module for value in content if isinstance(value, wp.Kernel)}
     yield from ((module, _BLOCK_DIMS) for module in written.values())
-    for make in content:
-        # Warp replaces annotations by what they name.
-        if hasattr(make, "cache_info") and make.__annotations__.get("return") in ("wp.Kernel", wp.Kernel):
-            given = {"width": 1} if "width" in make.__annotations__ else {}
-            if "threads" in make.__annotations__:
-                for threads in _TEAMS[make.__name__]:
-                    yield make(**given, threads=threads).module, (max(threads, 32),)
-            else:
-                yield make(**given).module, _BLOCK_DIMS
+    yield from ((kernel.module, (block_dim,)) for kernel, block_dim in made_kernels(CUDA))

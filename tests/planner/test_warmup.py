@@ -17,6 +17,9 @@ import importlib, sys
 warmup = importlib.import_module("aero_planner.warmup")
 warmup._BLOCK_DIMS = (256,)  # each takes as long as all of this
 warmup.compile_ahead(sys.argv[1], architectures=[87])
+from aero_planner.buffers import CUDA
+from aero_planner.pipeline import made_kernels
+print(*(kernel.module.name for kernel, _ in made_kernels(CUDA)), file=open(sys.argv[1] + "/made", "w"))
 """
 PLAN = """
 import warp as wp
@@ -43,7 +46,11 @@ def module_of(name: str) -> str:
 
 def test_a_folder_compiled_ahead_is_all_that_a_planner_needs(tmp_path: Path):
     subprocess.run([sys.executable, "-c", AHEAD, str(tmp_path)], check=True, capture_output=True)
+    made = (tmp_path / "made").read_text().split()
+    (tmp_path / "made").unlink()
     ahead = files(tmp_path)
+    for name in made:  # with the widths that the pipeline has on a GPU
+        assert any(f"/wp_{name}_" in path and path.endswith(".sm87.cubin") for path in ahead), name
     binaries = [name for name in ahead if name.endswith(".o")]
     # A GPU's kernels may have one sample or point to a thread, and so another hash.
     on_cuda = {module_of(name) for name in ahead if name.endswith(".sm87.cubin")}
