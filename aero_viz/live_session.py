@@ -9,15 +9,15 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from aero_planner import PlannerConfig
+from aero_viz.broadcast import Broadcast
 from aero_viz.connect import READ_ONLY, LiveSource, NodeClient
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame, Notice
-from aero_viz.sinks import Publisher, Sink
 
 __all__ = ["LiveSession"]
 
@@ -29,7 +29,7 @@ _RETRY = 1.0
 """Time between two attempts to connect again [s]."""
 
 
-class LiveSession:
+class LiveSession(Broadcast):
     """A drone in the place of `aero_viz.session.Session`, for the dashboard: looks on, and can hold still and go back.
 
     Args:
@@ -38,13 +38,13 @@ class LiveSession:
     """
 
     def __init__(self, client: NodeClient, *, reconnect: Callable[[], NodeClient] | None = None) -> None:
+        super().__init__()
+        self._playing = True
         self._client = client
         self._reconnect = reconnect
-        self._frames, self._notices, self._states = Publisher(), Publisher(), Publisher()
         self._kept: deque[Frame] = deque(maxlen=_KEPT)
         self._shown: Frame | None = None
         self._epoch = 0
-        self._playing = True
         self._closed = threading.Event()
         self._lock = threading.RLock()
         self._thread = threading.Thread(target=self._run, name="aero-viz-live", daemon=True)
@@ -70,11 +70,6 @@ class LiveSession:
         return self._client.config
 
     @property
-    def playing(self) -> bool:
-        """Whether the page follows the drone."""
-        return self._playing
-
-    @property
     def speed(self) -> float:
         """A drone's time is everyone's."""
         return 1.0
@@ -84,34 +79,6 @@ class LiveSession:
         """First and last time that `seek` can reach [s]."""
         with self._lock:
             return (self._kept[0].time, self._kept[-1].time) if self._kept else (0.0, 0.0)
-
-    # --- sinks ------------------------------------------------------------------------------------------------------
-
-    def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink:
-        """Call `callback` with the newest frame, from a thread of its own; see `Session.subscribe`."""
-        sink = self._frames.subscribe(callback, capacity=256 if every else 1, name=name)
-        if self._shown is not None:
-            sink.put(self._shown)
-        return sink
-
-    def subscribe_notices(self, callback: Callable[[Notice], None]) -> Sink:
-        """Call `callback` with each notice, from a thread of its own."""
-        return self._notices.subscribe(callback, capacity=64, name="notices")
-
-    def subscribe_playing(self, callback: Callable[[bool], None]) -> Sink:
-        """Call `callback` with `playing`, now and whenever it changes, from a thread of its own."""
-        sink = self._states.subscribe(callback, capacity=64, name="playing")
-        sink.put(self._playing)
-        return sink
-
-    def unsubscribe(self, sink: Sink) -> None:
-        """Close a sink and forget it."""
-        for publisher in (self._frames, self._notices, self._states):
-            publisher.unsubscribe(sink)
-
-    def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
-        """Send a notice to everyone."""
-        self._notices.publish(Notice(level, text))
 
     # --- what the page may do ---------------------------------------------------------------------------------------
 
@@ -187,11 +154,6 @@ class LiveSession:
         future.set_exception(UserError(READ_ONLY))
         return future
 
-    def _set_playing(self, playing: bool) -> None:
-        if playing != self._playing:
-            self._playing = playing
-            self._states.publish(playing)
-
     def _jump_to(self, frame: Frame) -> None:
         self._epoch += 1
         self._show(frame)
@@ -251,8 +213,7 @@ class LiveSession:
         self._client.close()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
-        for publisher in (self._frames, self._notices, self._states):
-            publisher.close()
+        self.close_sinks()
 
 
 def _done() -> Future[Any]:

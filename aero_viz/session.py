@@ -7,17 +7,17 @@ import queue
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from aero_planner import PlannerConfig
+from aero_viz.broadcast import Broadcast
 from aero_viz.clock import Clock
 from aero_viz.config_history import ConfigHistory
 from aero_viz.engine import Engine
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame, Notice
-from aero_viz.sinks import Publisher, Sink
 from aero_viz.source import Source
 
 __all__ = ["Frame", "Notice", "Session"]
@@ -28,7 +28,7 @@ _CATCH_UP = 0.1
 """A flight that is late by up to this makes up for it by and by [s of wall time]: other work comes in bursts."""
 
 
-class Session:
+class Session(Broadcast):
     """Owns a source, a planner and the clock.
 
     Either call `tick` yourself, as fast as you like, or `start` a thread that keeps time and control it from any thread
@@ -45,14 +45,11 @@ class Session:
         self, source: Source, *, config: PlannerConfig | None = None, device: str = "cpu", seed: int = 0
     ) -> None:
         self._configs = ConfigHistory(config or PlannerConfig())
-        self._frames = Publisher()
-        self._notices = Publisher()
-        self._states = Publisher()
+        super().__init__()
         self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
         self._clock = Clock()
         self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._playing = False
         self._told_end: int | None = None
 
     # --- what anyone may read ---------------------------------------------------------------------------------------
@@ -73,11 +70,6 @@ class Session:
         return self._configs.present[0]
 
     @property
-    def playing(self) -> bool:
-        """Whether time goes on."""
-        return self._playing
-
-    @property
     def speed(self) -> float:
         """Source time per wall time."""
         return self._clock.speed
@@ -86,35 +78,6 @@ class Session:
     def time_range(self) -> tuple[float, float]:
         """First and last time that `seek` can reach [s]."""
         return self._engine.time_range
-
-    # --- sinks ------------------------------------------------------------------------------------------------------
-
-    def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink:
-        """Call `callback` with the newest frame, from a thread of its own; with `every`, with each frame as long as
-        fewer than 256 wait. `unsubscribe` ends it."""
-        sink = self._frames.subscribe(callback, capacity=256 if every else 1, name=name)
-        if self.frame is not None:
-            sink.put(self.frame)
-        return sink
-
-    def subscribe_notices(self, callback: Callable[[Notice], None]) -> Sink:
-        """Call `callback` with each notice, from a thread of its own."""
-        return self._notices.subscribe(callback, capacity=64, name="notices")
-
-    def subscribe_playing(self, callback: Callable[[bool], None]) -> Sink:
-        """Call `callback` with `playing`, now and whenever it changes, from a thread of its own."""
-        sink = self._states.subscribe(callback, capacity=64, name="playing")
-        sink.put(self._playing)
-        return sink
-
-    def unsubscribe(self, sink: Sink) -> None:
-        """Close a sink and forget it."""
-        for publisher in (self._frames, self._notices, self._states):
-            publisher.unsubscribe(sink)
-
-    def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
-        """Send a notice to everyone."""
-        self._notices.publish(Notice(level, text))
 
     # --- commands, from any thread ----------------------------------------------------------------------------------
 
@@ -132,11 +95,6 @@ class Session:
     def pause(self) -> None:
         """Hold time; parameters still act on the plan."""
         self._post(lambda: self._set_playing(False))
-
-    def _set_playing(self, playing: bool) -> None:
-        if playing != self._playing:
-            self._playing = playing
-            self._states.publish(playing)
 
     def step(self, count: int = 1) -> Future[Any]:
         """Pause and go `count` ticks on, or back when negative."""
@@ -315,9 +273,7 @@ class Session:
         while not self._commands.empty():
             if (item := self._commands.get()) is not None:
                 item[1].cancel()
-        self._frames.close()
-        self._notices.close()
-        self._states.close()
+        self.close_sinks()
         self._engine.close()
 
 

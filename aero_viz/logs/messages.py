@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from aero_planner import VehicleState
+from aero_planner.onboard.messages import PLAN, PLAN_DEFINITION
 from aero_viz.frame import Frame
 from aero_viz.recordings.rotations import matrices
 
 __all__ = [
     "BODY",
+    "PLAN",
+    "PLAN_DEFINITION",
     "WORLD",
     "Encoded",
     "body_rates",
@@ -28,22 +31,6 @@ __all__ = [
 
 WORLD, BODY = "world", "body"
 """Names of the frames: the fixed one, and the drone's, which is the LiDAR's too."""
-
-PLAN = "aero_viz_msgs/msg/Plan"
-PLAN_DEFINITION = """\
-# What one tick of the planner decided. Arrays have one entry per instance of the ensemble, M in all.
-std_msgs/Header header
-string[] kinds            # "anchor", "previous", "brake"
-int32 best                # the instance that is flown
-int32 status              # 0 safe, 1 no safe candidate: braking, 2 the cloud is stale: braking
-float32[] stage2_cost     # S2 = J_goal + J_col + options
-float32[] goal_cost       # J_goal
-float32[] collision_cost  # J_col
-float32[] clearance       # smallest distance to the cloud over the horizon [m]
-float32[4] command        # first control flown: thrust [N], body rates [rad/s]
-float32 plan_ms           # time that planning took [ms]
-uint32 config_version     # attachment config_<version>.yaml
-"""
 
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _TF = "tf2_msgs/msg/TFMessage"
