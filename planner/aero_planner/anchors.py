@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.dynamics import quat_from_heading, quat_inverse_rotate, quat_rotate
-from aero_planner.guides import heading
+from aero_planner.dynamics import heading, quat_from_heading, quat_inverse_rotate, quat_rotate
 from aero_planner.params import Params
 from aero_planner.partition import cell_of_direction, safest_fine_cell
 
-__all__ = ["lookahead", "place_anchors", "refine_anchors"]
+__all__ = ["lookahead", "place_anchors", "safe_anchor"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -86,11 +85,13 @@ def place_anchors(
     initial_endpoint[b, m] = p + length * d
 
 
-@wp.kernel
-def refine_anchors(
-    position: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    params: wp.array(dtype=Params),
+@wp.func
+def safe_anchor(
+    b: int,
+    m: int,
+    position: wp.vec3,
+    quaternion: wp.vec4,
+    refine: int,
     fine_range: wp.array2d(dtype=float),
     directions: wp.array2d(dtype=wp.vec3),
     reach: wp.array(dtype=float),
@@ -98,12 +99,10 @@ def refine_anchors(
     pool: int,
     coarse_rows: int,
     coarse_columns: int,
-    anchor: wp.array2d(dtype=wp.vec3),
-):
-    """Refined endpoints p0 + l d, with d the safe direction of the coarse cell. Launched over [B, M_h M_v]."""
-    b, m = wp.tid()
+) -> wp.vec3:
+    """Refined endpoint p0 + l d, with d the safe direction of the coarse cell."""
     d = initial_direction[b, m]
-    if params[b].refine != 0:
+    if refine != 0:
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
         _r, d = safest_fine_cell(fine_range, directions, b, row, column, pool, initial_direction[b, m])
-    anchor[b, m] = position[b] + reach[b] * quat_rotate(quaternion[b], d)
+    return position + reach[b] * quat_rotate(quaternion, d)

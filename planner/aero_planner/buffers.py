@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from aero_planner.clearance import GRID, block_type
+from aero_planner.blocks import block_type, widths
+from aero_planner.clearance import GRID
 from aero_planner.config import PlannerConfig
 from aero_planner.guides import BRAKES
 from aero_planner.mppi import NOISE_ROWS, PROBES, fill_noise
 from aero_planner.partition import fill_directions
 
 __all__ = [
-    "CPU",
-    "CUDA",
     "Block",
-    "Widths",
+    "as_values",
     "as_vectors",
     "fine_shape",
     "input_block",
     "list_capacity",
     "output_block",
     "padded_samples",
-    "widths",
     "work_arrays",
 ]
 
@@ -104,7 +102,7 @@ def input_block(batch: int, device: wp.Device) -> Block:
     return Block(spec, device)
 
 
-def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> Block:
+def output_block(config: PlannerConfig, batch: int, device: wp.Device) -> Block:
     """Everything that a Plan shows; after the M instances come the ways to brake, which it doesn't."""
     M, N = len(config.kinds), config.sampling.steps
     coarse = config.partition.coarse_rows * config.partition.coarse_columns
@@ -132,7 +130,7 @@ def output_block(config: PlannerConfig, batch: int, lanes: int, device: wp.Devic
         "best": (integer, (batch,)),
         "status": (integer, (batch,)),
         "braked": (integer, (batch,)),
-        "dropped": (integer, (lanes, batch)),
+        "dropped": (integer, (batch,)),
     }
     return Block(spec, device)
 
@@ -143,35 +141,10 @@ def fine_shape(config: PlannerConfig) -> tuple[int, int]:
     return part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
 
 
-class Widths(NamedTuple):
-    """How much one thread does at once, and how many threads share one task."""
-
-    cloud: int
-    """Points of the cloud whose cells a thread finds."""
-    samples: int
-    """Samples that a thread rolls out."""
-    points: int
-    """Points that a thread compares a position with at once."""
-    improve: int
-    """Threads that weigh the samples of one instance."""
-    team: int
-    """Threads that look at one position of Stage II, where few drones leave threads to spare."""
-
-
-CPU = Widths(cloud=64, samples=32, points=16, improve=1, team=1)
-"""What LLVM turns into vector instructions."""
-CUDA = Widths(cloud=1, samples=1, points=4, improve=128, team=32)
-"""A thread for each, and wide loads of points."""
-
-
-def widths(device: wp.Device) -> Widths:
-    """Return the widths of a device."""
-    return CPU if device.is_cpu else CUDA
-
-
 def padded_samples(config: PlannerConfig, device: wp.Device) -> int:
     """Return K filled up to whole vectors; the samples past K are rolled out and not used."""
-    width = widths(device).samples
+    of = widths(device)
+    width = max(of.samples, of.sums)
     return -(-config.sampling.samples // width) * width
 
 
@@ -180,6 +153,12 @@ def as_vectors(array: wp.array, width: int) -> wp.array:
     shape = (*array.shape[:-1], array.shape[-1] // width)
     dtype = wp.types.vector(length=width, dtype=wp.float32)
     return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
+
+
+def as_values(array: wp.array) -> wp.array:
+    """Return a view of a contiguous array of vectors as floats, with its last axis and that of the vectors as one."""
+    shape = (*array.shape[:-1], array.shape[-1] * array.dtype._length_)
+    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=array.device)
 
 
 def list_capacity(config: PlannerConfig, lanes: int, device: wp.Device) -> int:
@@ -211,10 +190,10 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
             sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
             sample_clearance_cost=wp.zeros((batch * M, rows, K), dtype=wp.float32),
-            weight=wp.zeros((batch * M, K), dtype=wp.float32),
-            terms=wp.zeros((batch, M + BRAKES, rows + N), dtype=wp.vec4),
-            flown=wp.zeros(batch, dtype=wp.int32),
-            nearest=wp.zeros((batch, M + BRAKES), dtype=wp.float32),
+            weight=wp.zeros((batch * M, padded), dtype=wp.float32),
+            terms=wp.zeros((batch, M + BRAKES, rows + N + 1), dtype=wp.vec4),
+            dropped=wp.zeros((lanes, batch), dtype=wp.int32),
+            scores=wp.zeros((batch, M + BRAKES), dtype=wp.vec2),
             noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
             seed=wp.zeros(batch, dtype=wp.int32),
             tick=wp.zeros(batch, dtype=wp.int32),

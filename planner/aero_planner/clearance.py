@@ -13,7 +13,7 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.blocks import least_of_block
+from aero_planner.blocks import Widths, block_type, least_of, read_block, take
 from aero_planner.costs import collision_cost
 from aero_planner.params import Params
 
@@ -22,12 +22,10 @@ __all__ = [
     "GRID",
     "above_floor",
     "allocate_rows",
-    "block_type",
     "cell_size",
     "clearance_at",
     "count_points",
     "fill_rows",
-    "keep_loops",
     "query_clearance",
     "row_limit",
 ]
@@ -37,17 +35,10 @@ wp.set_module_options({"enable_backward": False})
 GRID = wp.constant(44)
 """Cells along each side of the grid; the outermost hold no points, so that every point has 27 cells around it."""
 
+Row: Any = wp.types.matrix(shape=(44 // 4, 4), dtype=wp.int32)
+
 FAR = wp.constant(1.0e18)
 """Coordinate of what fills up the last block."""
-
-
-def block_type(width: int) -> Any:
-    """Return the type of `width` points side by side: rows x, y, z [m].
-
-    A CPU compares a position with a whole block at once. A row of cells begins and ends anywhere in a block: what else
-    the block holds are points of the cloud, too.
-    """
-    return wp.types.matrix(shape=(3, width), dtype=wp.float32)
 
 
 @wp.func
@@ -100,30 +91,35 @@ def count_points(
 def allocate_rows(
     lane: int,
     lanes: int,
+    rows: int,
     capacity: int,
     total: wp.array2d(dtype=int),
     counts: wp.array2d(dtype=wp.vec4i),
-    end: wp.array2d(dtype=int),
 ):
-    """Give each row of cells a piece of this lane's `capacity` points; `end` becomes where each cell begins.
+    """Give each row of cells a piece of this lane's `capacity` points; counts become where each cell begins.
 
-    `counts` is the same memory by fours, since most rows are empty and have to be read only. Launched over [B, rows of
-    the lane].
+    `counts` is `end` by fours. Launched over [B, rows of the lane, filled up to whole warps].
+
     Which piece a row gets depends on the order of the threads; the nearest distance does not.
     """
     b, i = wp.tid()
+    row = Row()
+    length = int(0)
     first = ((i // GRID) * lanes + lane) * GRID * GRID + (i % GRID) * GRID
-    four = wp.vec4i(0, 0, 0, 0)
-    for x in range(GRID // 4):
-        four += counts[b, first // 4 + x]
-    length = four[0] + four[1] + four[2] + four[3]
+    if i < rows:
+        # Read at once, so that a GPU waits for memory once.
+        for x in range(GRID // 4):
+            row[x] = counts[b, first // 4 + x]
+        for x in range(GRID // 4):
+            length += row[x, 0] + row[x, 1] + row[x, 2] + row[x, 3]
+    cursor = lane * capacity + take(total, lane, b, length)
     if length == 0:
         return
-    cursor = lane * capacity + wp.atomic_add(total, lane, b, length)
-    for x in range(GRID):
-        count = end[b, first + x]
-        end[b, first + x] = cursor
-        cursor += count
+    for x in range(GRID // 4):
+        begin = wp.vec4i(cursor, cursor + row[x, 0], cursor + row[x, 0] + row[x, 1], 0)
+        begin[3] = begin[2] + row[x, 2]
+        counts[b, first // 4 + x] = begin
+        cursor = begin[3] + row[x, 3]
 
 
 @wp.kernel
@@ -165,21 +161,14 @@ def fill_rows(
                 coordinates[b, block, 2, j] = point[2]
 
 
-def keep_loops(kernel: wp.Kernel, width: int) -> wp.Kernel:
-    """Let loops over wide blocks stay loops, which LLVM turns into vector instructions; unrolled ones it does not."""
-    if width > 12:
-        kernel.module.options["max_unroll"] = 2
-    return kernel
-
-
 @functools.cache
 def clearance_at(width: int, threads: int) -> wp.Function:
-    """Return the function that finds the nearest point in blocks of `width` points, with a thread block of `threads`.
+    """Return the function that finds the nearest point in blocks of `width` points, with `threads` that share them.
 
-    All threads of a block ask for the same position, and share the points.
+    Those are neighbours in a warp and ask for the same position.
     """
     THREADS = wp.constant(threads)
-    block_min = least_of_block(threads)
+    least_of_all, read = least_of(threads), read_block(width)
     WIDTH, HALF, QUARTER = wp.constant(width), wp.constant(width // 2), wp.constant(width // 4)
     REST = wp.constant(max(QUARTER, 1))
     Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
@@ -199,21 +188,20 @@ def clearance_at(width: int, threads: int) -> wp.Function:
     ) -> float:
         """Distance from x to the nearest point [m], or `limit`, which must not exceed `size`, where that is farther."""
         c = grid_coordinates(x, center, size)
-        cx = int(wp.floor(c[0]))
-        cy = int(wp.floor(c[1]))
-        cz = int(wp.floor(c[2]))
-        if wp.min(cx, wp.min(cy, cz)) < 0 or wp.max(cx, wp.max(cy, cz)) >= GRID:
+        if wp.min(c) < 0.0 or wp.max(c) >= float(GRID):
             return limit
+        # In cells, a little more than the limit, whatever the rounding.
+        reach = limit / size + 1.0e-4
+        side = wp.where(beside == 0, reach, 0.0)
         best = Reals(limit * limit)
-        side = 1 - beside
-        for y in range(wp.max(cy - side, 0), wp.min(cy + side, GRID - 1) + 1):
-            row = (cz * GRID + y) * GRID
+        for y in range(int(wp.max(c[1] - side, 0.0)), int(wp.min(c[1] + side, float(GRID - 1))) + 1):
+            row = (int(c[2]) * GRID + y) * GRID
             # The first cell of a row is empty, so that the row begins where that one ends.
-            first = end[b, row + wp.max(cx - 2, 0)]
-            last = end[b, row + wp.min(cx + 1, GRID - 1)]
+            first = end[b, row + int(wp.max(c[0] - reach - 1.0, 0.0))]
+            last = end[b, row + int(wp.min(c[0] + reach, float(GRID - 1)))]
             if first < last:
                 for k in range(first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, THREADS):
-                    block = blocks[b, k]
+                    block = read(blocks, b, k)
                     for j in range(WIDTH):
                         dx = block[0, j] - x[0]
                         dy = block[1, j] - x[1]
@@ -228,7 +216,7 @@ def clearance_at(width: int, threads: int) -> wp.Function:
         least = best[0]
         for j in range(1, REST):
             least = wp.where(best[j] < least, best[j], least)
-        least = block_min(least)
+        least = least_of_all(least)
         return wp.where(least < limit * limit, wp.sqrt(least), limit)
 
     return clearance_at
@@ -249,10 +237,11 @@ def row_limit(t: int, steps: int, params: Params) -> float:
 
 
 @functools.cache
-def query_clearance(width: int) -> wp.Kernel:
-    """Return the kernel for blocks of `width` points."""
-    clearance = clearance_at(width, 1)
-    Block: Any = block_type(width)
+def query_clearance(of: Widths) -> wp.Kernel:
+    """Return the kernel with a team of `of.query` threads for each position."""
+    THREADS = wp.constant(of.query)
+    clearance = clearance_at(of.points, of.query)
+    Block: Any = block_type(of.points)
 
     @wp.kernel(module="unique", enable_backward=False)
     def query_clearance(
@@ -271,9 +260,11 @@ def query_clearance(width: int) -> wp.Kernel:
         """What the clearance of every position costs, shape [B M, N + probes, 3, K].
 
         Rows past `steps` probe the way to the goal: 1 where it is blocked, else 0. Launched over [instances of this
-        chunk, N + probes, stride]; a thread takes every `stride`-th of the K positions.
+        chunk, N + probes, stride of.query]; a team takes every `stride`-th of the K positions.
         """
-        offset, t, lane = wp.tid()
+        offset, t, place = wp.tid()
+        lane = place // THREADS
+        thread = place % THREADS
         i = first + offset
         b = i // instances
         c = params[b]
@@ -283,10 +274,8 @@ def query_clearance(width: int) -> wp.Kernel:
         size = cell_size(c)
         for k in range(lane, cost.shape[2], stride):
             x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-            d = above_floor(clearance(x, limit, b, 0, center[b], size, beside, end, blocks), x, c)
-            if t < steps:
-                cost[i, t, k] = collision_cost(d, c)
-            else:
-                cost[i, t, k] = wp.where(d < c.blocked_radius, 1.0, 0.0)
+            d = above_floor(clearance(x, limit, b, thread, center[b], size, beside, end, blocks), x, c)
+            if thread == 0:
+                cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), wp.where(d < c.blocked_radius, 1.0, 0.0))
 
-    return keep_loops(query_clearance, width)
+    return of.tune(query_clearance, keep_loops=True)

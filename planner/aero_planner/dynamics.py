@@ -12,6 +12,7 @@ from aero_planner.params import Params
 
 __all__ = [
     "clamp_control",
+    "heading",
     "near_atan2",
     "quat_from_heading",
     "quat_inverse_rotate",
@@ -84,6 +85,12 @@ def quat_from_heading(heading: float) -> wp.vec4:
 
 
 @wp.func
+def heading(q: wp.vec4) -> float:
+    """Yaw of an attitude [rad]."""
+    return wp.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
+
+
+@wp.func
 def thrust_axis(q: wp.vec4) -> wp.vec3:
     """R(q) e_3: the body's z axis in the world."""
     return wp.vec3(
@@ -111,32 +118,48 @@ def _rate(q: wp.vec4, omega: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
-    """q after dt at constant body rates: the quaternion part of `rk4_step`."""
-    # dq is linear in q and its matrix A satisfies A^2 = -|omega|^2 / 4, so the four RK4 stages sum to this polynomial.
+def _turn(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec2:
+    """Factors of q and of dq in the unit quaternion after dt at constant body rates.
+
+    dq is linear in q, and its matrix A satisfies A^2 = -|omega|^2 / 4, so that the four RK4 stages sum to a q + b A q.
+    A turns q by a right angle, so that |a q + b A q| follows from s = |omega dt|^2 / 4 and |q|: the new q waits for no
+    root. What rounding has made of |q| = 1 is corrected by the first terms of 1 / |q|.
+    """
     s = 0.25 * dt * dt * wp.dot(omega, omega)
-    turned = (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)) * q + (dt * (1.0 - s * (1.0 / 6.0))) * _rate(q, omega)
-    # Not wp.normalize: its branch for zero length would keep a CPU from turning many at once.
-    return (1.0 / wp.length(turned)) * turned
+    unit = 1.0 / wp.sqrt(1.0 - s * s * s * (1.0 / 72.0) + s * s * s * s * (1.0 / 576.0))
+    unit = unit * (1.5 - 0.5 * wp.dot(q, q))
+    return wp.vec2(
+        unit * (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)),
+        unit * (dt * (1.0 - s * (1.0 / 6.0))),
+    )
+
+
+@wp.func
+def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
+    """Unit q after dt at constant body rates: the quaternion part of `rk4_step`."""
+    turn = _turn(q, omega, dt)
+    return turn[0] * q + turn[1] * _rate(q, omega)
 
 
 @wp.func
 def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, gravity: float, dt: float):
-    """One RK4 step at constant control; returns p, v, q with q renormalised."""
+    """One RK4 step at constant control from a unit q; returns p, v, q with q renormalised."""
     omega = wp.vec3(u[1], u[2], u[3])
-    specific_thrust = u[0] / mass
+    thrust = u[0] / mass
     g = wp.vec3(0.0, 0.0, -gravity)
-    k1 = _rate(q, omega)
-    q2 = q + (0.5 * dt) * k1
-    k2 = _rate(q2, omega)
-    q3 = q + (0.5 * dt) * k2
-    k3 = _rate(q3, omega)
-    q4 = q + dt * k3
-    a1 = specific_thrust * thrust_axis(q) + g
-    a2 = specific_thrust * thrust_axis(q2) + g
-    a3 = specific_thrust * thrust_axis(q3) + g
-    a4 = specific_thrust * thrust_axis(q4) + g
+    # The stages q + dt/2 dq(q), q + dt/2 dq(q2) and q + dt dq(q3), by the algebra of `_turn` without waiting for each
+    # other.
+    dq = _rate(q, omega)
+    s = 0.25 * dt * dt * wp.dot(omega, omega)
+    half = (0.5 * dt) * dq
+    q2 = q + half
+    q3 = (1.0 - 0.25 * s) * q + half
+    q4 = (1.0 - 0.5 * s) * q + (dt * (1.0 - 0.25 * s)) * dq
+    a1 = thrust_axis(q)
+    a23 = thrust_axis(q2) + thrust_axis(q3)
+    a4 = thrust_axis(q4)
     # dp = v makes the position's stages combinations of a1, a2, a3.
-    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (a1 + a2 + a3)
-    v_next = v + (dt * (1.0 / 6.0)) * (a1 + 2.0 * (a2 + a3) + a4)
-    return p_next, v_next, rotate_by_rates(q, omega, dt)
+    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (thrust * (a1 + a23) + 3.0 * g)
+    v_next = v + (dt * (1.0 / 6.0)) * (thrust * (a1 + 2.0 * a23 + a4) + 6.0 * g)
+    turn = _turn(q, omega, dt)
+    return p_next, v_next, turn[0] * q + turn[1] * dq

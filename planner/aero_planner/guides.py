@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import warp as wp
 
+from aero_planner.anchors import safe_anchor
+from aero_planner.blocks import Widths
 from aero_planner.dynamics import (
     clamp_control,
+    heading,
     near_atan2,
     quat_from_heading,
     quat_inverse_rotate,
@@ -15,15 +20,9 @@ from aero_planner.dynamics import (
 )
 from aero_planner.params import Params
 
-__all__ = ["BRAKES", "Quintic", "heading", "make_guides", "quintic", "wrap_angle", "write_nominal"]
+__all__ = ["BRAKES", "Quintic", "make_guides", "quintic", "wrap_angle", "write_nominal"]
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def heading(q: wp.vec4) -> float:
-    """Yaw of an attitude [rad]."""
-    return wp.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
 
 
 @wp.func
@@ -75,16 +74,24 @@ def guide_acceleration(c: Quintic, s: float) -> wp.vec3:
 
 @wp.func
 def write_guide(
-    b: int, m: int, c: Quintic, dt: float, coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3)
+    b: int,
+    m: int,
+    lane: int,
+    lanes: int,
+    c: Quintic,
+    dt: float,
+    coefficient: wp.array3d(dtype=wp.vec3),
+    guide: wp.array3d(dtype=wp.vec3),
 ):
     """Write the guide's coefficients and its samples at t = 0, dt, .., T."""
-    coefficient[b, m, 0] = c.a0
-    coefficient[b, m, 1] = c.a1
-    coefficient[b, m, 2] = c.a2
-    coefficient[b, m, 3] = c.a3
-    coefficient[b, m, 4] = c.a4
-    coefficient[b, m, 5] = c.a5
-    for t in range(guide.shape[2]):
+    if lane == 0:
+        coefficient[b, m, 0] = c.a0
+        coefficient[b, m, 1] = c.a1
+        coefficient[b, m, 2] = c.a2
+        coefficient[b, m, 3] = c.a3
+        coefficient[b, m, 4] = c.a4
+        coefficient[b, m, 5] = c.a5
+    for t in range(lane, guide.shape[2], lanes):
         guide[b, m, t] = guide_position(c, float(t) * dt)
 
 
@@ -101,18 +108,22 @@ def write_nominal(
     dt = params.dt
     steps = nominal.shape[2]
     turn = wrap_angle(heading_goal - heading(q0)) / (float(steps) * dt)
+    up = wp.vec3(0.0, 0.0, params.gravity)
     q = q0
+    f_ahead = guide_acceleration(c, 0.5 * dt) + up
+    z_ahead = wp.normalize(guide_acceleration(c, dt) + up)
     for t in range(steps):
-        u = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
-        if params.nominal == 0:
-            up = wp.vec3(0.0, 0.0, params.gravity)
-            f = params.mass * (guide_acceleration(c, (float(t) + 0.5) * dt) + up)
-            z_wanted = wp.normalize(guide_acceleration(c, float(t + 1) * dt) + up)
-            z_body = quat_inverse_rotate(q, z_wanted)
-            # Shortest rotation from the body's z axis: about e_3 x z_body, by the angle between them.
-            sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
-            gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
-            u = wp.vec4(wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], turn)
+        f = f_ahead
+        z_body = quat_inverse_rotate(q, z_ahead)
+        # What does not need the attitude is computed ahead, so that only what does waits for it.
+        f_ahead = guide_acceleration(c, (float(t) + 1.5) * dt) + up
+        z_ahead = wp.normalize(guide_acceleration(c, float(t + 2) * dt) + up)
+        # Shortest rotation from the body's z axis: about e_3 x z_body, by the angle between them.
+        sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
+        gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
+        u = wp.vec4(params.mass * wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], turn)
+        if params.nominal != 0:
+            u = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
         u = clamp_control(u, params)
         nominal[b, m, t] = u
         q = rotate_by_rates(q, wp.vec3(u[1], u[2], u[3]), dt)
@@ -122,6 +133,8 @@ def write_nominal(
 def write_previous(
     b: int,
     m: int,
+    lane: int,
+    lanes: int,
     elapsed: float,
     params: Params,
     previous: wp.array2d(dtype=wp.vec4),
@@ -131,7 +144,7 @@ def write_previous(
     steps = nominal.shape[2]
     hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
     shift = elapsed / params.dt
-    for t in range(steps):
+    for t in range(lane, steps, lanes):
         s = float(t) + shift
         i = int(s)
         u0 = hover
@@ -154,70 +167,98 @@ def brake_direction(way: int, params: Params) -> float:
     return side * float((way + 1) // 2) * wp.radians(params.brake_fan)
 
 
-@wp.kernel
-def make_guides(
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    acceleration: wp.array(dtype=wp.vec3),
-    time: wp.array(dtype=wp.float64),
-    goal_position: wp.array(dtype=wp.vec3),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
-    params: wp.array(dtype=Params),
-    instances: int,
-    anchor_count: int,
-    previous_index: int,
-    reach: wp.array(dtype=float),
-    previous_controls: wp.array2d(dtype=wp.vec4),
-    previous_end: wp.array(dtype=wp.vec3),
-    previous_time: wp.array(dtype=wp.float64),
-    initial_endpoint: wp.array2d(dtype=wp.vec3),
-    anchor: wp.array2d(dtype=wp.vec3),
-    coefficient: wp.array3d(dtype=wp.vec3),
-    guide: wp.array3d(dtype=wp.vec3),
-    nominal: wp.array3d(dtype=wp.vec4),
-):
-    """Guide and nominal controls of the M instances, and then of the ways to brake. Launched over [B, M + BRAKES].
+@functools.cache
+def make_guides(of: Widths) -> wp.Kernel:
+    """Return the kernel with `of.steps` threads for an instance."""
+    LANES = wp.constant(of.steps)
 
-    Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a `time` of NaN means
-    one replan_period later.
-    """
-    b, m = wp.tid()
-    c = params[b]
-    p0 = position[b]
-    q0 = quaternion[b]
-    T = float(nominal.shape[2]) * c.dt
-    to_goal = goal_position[b] - p0
-    goal_distance = wp.length(to_goal)
-    turn = brake_direction(wp.max(m - instances, 0), c)
-    ahead = quat_rotate(quat_from_heading(turn), velocity[b])
-    p1 = p0 + (c.brake_reach * T) * ahead
-    v1 = wp.vec3(0.0, 0.0, 0.0)
-    heading_goal = heading(goal_quaternion[b])
-    elapsed = float(-1.0)
-    if m < anchor_count:
-        p1 = anchor[b, m]
-        v1 = c.arrival_speed * wp.normalize(p1 - p0)
-        if reach[b] >= goal_distance:
-            v1 = goal_velocity[b]
-    elif m == previous_index:
-        # Compared in float64, since stamps may count from 1970.
-        elapsed = float(time[b] - previous_time[b])
-        if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):
-            elapsed = c.replan_period
-        p1 = previous_end[b]
-        if not (elapsed >= 0.0 and elapsed < T):
-            elapsed = float(-1.0)
-            p1 = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
-    else:
-        heading_goal = heading(q0)
-    if m >= anchor_count:
-        anchor[b, m] = p1
-        initial_endpoint[b, m] = p1
-    curve = quintic(p0, velocity[b], acceleration[b], p1, v1, T)
-    write_guide(b, m, curve, c.dt, coefficient, guide)
-    if elapsed >= 0.0:
-        write_previous(b, m, elapsed, c, previous_controls, nominal)
-    else:
-        write_nominal(b, m, curve, q0, heading_goal, c, nominal)
+    @wp.kernel(module="unique", enable_backward=False)
+    def make_guides(
+        position: wp.array(dtype=wp.vec3),
+        velocity: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
+        acceleration: wp.array(dtype=wp.vec3),
+        time: wp.array(dtype=wp.float64),
+        goal_position: wp.array(dtype=wp.vec3),
+        goal_velocity: wp.array(dtype=wp.vec3),
+        goal_quaternion: wp.array(dtype=wp.vec4),
+        params: wp.array(dtype=Params),
+        instances: int,
+        anchor_count: int,
+        previous_index: int,
+        fine_range: wp.array2d(dtype=float),
+        directions: wp.array2d(dtype=wp.vec3),
+        initial_direction: wp.array2d(dtype=wp.vec3),
+        pool: int,
+        coarse_rows: int,
+        coarse_columns: int,
+        reach: wp.array(dtype=float),
+        previous_controls: wp.array2d(dtype=wp.vec4),
+        previous_end: wp.array(dtype=wp.vec3),
+        previous_time: wp.array(dtype=wp.float64),
+        initial_endpoint: wp.array2d(dtype=wp.vec3),
+        anchor: wp.array2d(dtype=wp.vec3),
+        coefficient: wp.array3d(dtype=wp.vec3),
+        guide: wp.array3d(dtype=wp.vec3),
+        nominal: wp.array3d(dtype=wp.vec4),
+    ):
+        """Endpoint, guide and nominal controls of the M instances, and then of the ways to brake. Launched over [B, M +
+        BRAKES, of.steps], which share the steps.
+
+        Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a `time` of NaN
+        means one replan_period later.
+        """
+        b, m, lane = wp.tid()
+        c = params[b]
+        p0 = position[b]
+        q0 = quaternion[b]
+        T = float(nominal.shape[2]) * c.dt
+        to_goal = goal_position[b] - p0
+        goal_distance = wp.length(to_goal)
+        turn = brake_direction(wp.max(m - instances, 0), c)
+        ahead = quat_rotate(quat_from_heading(turn), velocity[b])
+        p1 = p0 + (c.brake_reach * T) * ahead
+        v1 = wp.vec3(0.0, 0.0, 0.0)
+        heading_goal = heading(goal_quaternion[b])
+        elapsed = float(-1.0)
+        if m < anchor_count:
+            p1 = safe_anchor(
+                b,
+                m,
+                p0,
+                q0,
+                c.refine,
+                fine_range,
+                directions,
+                reach,
+                initial_direction,
+                pool,
+                coarse_rows,
+                coarse_columns,
+            )
+            v1 = c.arrival_speed * wp.normalize(p1 - p0)
+            if reach[b] >= goal_distance:
+                v1 = goal_velocity[b]
+        elif m == previous_index:
+            # Compared in float64, since stamps may count from 1970.
+            elapsed = float(time[b] - previous_time[b])
+            if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):
+                elapsed = c.replan_period
+            p1 = previous_end[b]
+            if not (elapsed >= 0.0 and elapsed < T):
+                elapsed = float(-1.0)
+                p1 = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
+        else:
+            heading_goal = heading(q0)
+        if lane == 0:
+            anchor[b, m] = p1
+            if m >= anchor_count:
+                initial_endpoint[b, m] = p1
+        curve = quintic(p0, velocity[b], acceleration[b], p1, v1, T)
+        write_guide(b, m, lane, LANES, curve, c.dt, coefficient, guide)
+        if elapsed >= 0.0:
+            write_previous(b, m, lane, LANES, elapsed, c, previous_controls, nominal)
+        elif lane == 0:
+            write_nominal(b, m, curve, q0, heading_goal, c, nominal)
+
+    return of.tune(make_guides)

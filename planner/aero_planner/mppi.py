@@ -4,14 +4,14 @@ Instance i = b M + m is instance m of drone b. Samples k are the last axis of sa
 samples touch neighbouring memory, be it in the threads of a GPU or in the vectors of a CPU.
 """
 
-from __future__ import annotations
+# No postponed annotations: those of kernels that `width` shapes name local types.
 
 import functools
 from typing import Any
 
 import warp as wp
 
-from aero_planner.blocks import least_of_block, sum_of_block
+from aero_planner.blocks import Widths, least_of, read_group, sum_of
 from aero_planner.costs import (
     control_cost,
     control_rate_cost,
@@ -42,6 +42,11 @@ of each other, and equal noise meets again at random after thousands of plans on
 
 NOISE_STEP = wp.constant(64)
 """The random sequence to begin with is a multiple of this, for which `width` divides it."""
+
+AT_ONCE = wp.constant(5)
+"""Costs, and values of controls, that are read at a time, so that a GPU waits for memory less often."""
+
+Some: Any = wp.types.vector(length=5, dtype=wp.float32)
 
 PROBES = wp.constant(10)
 """Positions on the line from the last state toward the goal, at which the cost-to-go looks for obstacles."""
@@ -79,12 +84,13 @@ def blocked_cost(p: wp.vec3, goal: wp.vec3, blocked: int, params: Params) -> flo
 
 
 @functools.cache
-def sample_rollouts(width: int) -> wp.Kernel:
-    """Return the kernel that rolls out `width` samples in each thread: on a CPU, many with the same instructions."""
-    WIDTH = wp.constant(width)
-    Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
-    Controls: Any = wp.types.matrix(shape=(4, width), dtype=wp.float32)
-    States: Any = wp.types.matrix(shape=(10, width), dtype=wp.float32)
+def sample_rollouts(of: Widths) -> wp.Kernel:
+    """Return the kernel that rolls out `of.samples` samples in each thread: on a CPU, many with the same
+    instructions."""
+    WIDTH = wp.constant(of.samples)
+    Reals: Any = wp.types.vector(length=of.samples, dtype=wp.float32)
+    Controls: Any = wp.types.matrix(shape=(4, of.samples), dtype=wp.float32)
+    States: Any = wp.types.matrix(shape=(10, of.samples), dtype=wp.float32)
 
     @wp.kernel(module="unique", enable_backward=False)
     def sample_rollouts(
@@ -109,8 +115,8 @@ def sample_rollouts(width: int) -> wp.Kernel:
     ):
         """Stage I rollouts of noisy, clamped controls, and S1 without the terms that need the clearance.
 
-        `controls` and `positions` have shapes [B M, N, 4, K] and [B M, N + PROBES, 3, K], in vectors of `width`
-        samples, as has `noise_table`, [N, 4, NOISE_ROWS]. Launched over [instances of this chunk, K / width].
+        `controls` and `positions` have shapes [B M, N, 4, K] and [B M, N + PROBES, 3, K], in vectors of `of.samples`
+        samples, as has `noise_table`, [N, 4, NOISE_ROWS]. Launched over [instances of this chunk, K / of.samples].
         """
         offset, group = wp.tid()
         i = first + offset
@@ -212,14 +218,18 @@ def sample_rollouts(width: int) -> wp.Kernel:
                 for axis in range(3):
                     positions[i, steps + piece, axis, group] = u[axis]
 
-    return sample_rollouts
+    return of.tune(sample_rollouts)
 
 
 @functools.cache
-def improve(threads: int) -> wp.Kernel:
-    """Return the kernel for `threads` threads in a block, of which a CPU has one."""
-    THREADS = wp.constant(threads)
-    block_min, block_sum = least_of_block(threads), sum_of_block(threads)
+def improve(of: Widths) -> wp.Kernel:
+    """Return the kernel for blocks of `of.improve` threads, which add `of.sums` samples at a time."""
+    team = min(of.improve, 32)
+    THREADS, WIDTH, TEAM = wp.constant(of.improve), wp.constant(of.sums), wp.constant(team)
+    least_of_all, sum_of_all, sum_of_team = least_of(of.improve), sum_of(of.improve), sum_of(team)
+    Reals: Any = wp.types.vector(length=of.sums, dtype=wp.float32)
+    Sums: Any = wp.types.matrix(shape=(AT_ONCE, of.sums), dtype=wp.float32)
+    read = read_group(of.sums)
 
     @wp.kernel(module="unique", enable_backward=False)
     def improve(
@@ -227,60 +237,76 @@ def improve(threads: int) -> wp.Kernel:
         instances: int,
         goal_position: wp.array(dtype=wp.vec3),
         params: wp.array(dtype=Params),
-        nominal: wp.array3d(dtype=wp.vec4),
-        sample_controls: wp.array4d(dtype=float),
+        nominal: wp.array3d(dtype=float),
+        sample_controls: wp.array3d(dtype=Reals),
         positions: wp.array4d(dtype=float),
         clearance_cost: wp.array3d(dtype=float),
         cost: wp.array2d(dtype=float),
         weight: wp.array2d(dtype=float),
-        controls: wp.array3d(dtype=wp.vec4),
+        weights: wp.array2d(dtype=Reals),
+        controls: wp.array3d(dtype=float),
     ):
         """Complete S1 by the terms that need the clearance, and update the nominal by the softmin of the samples.
 
         w_k = exp(-(S_k - min S) / lambda) / sum; controls = nominal + sum_k w_k (u_k - nominal): the noise as it acted,
-        after the clamp. Launched over [instances of this chunk, threads], a block for each instance.
+        after the clamp. `nominal`, `controls` and `sample_controls` have steps and components in one axis; `weights` is
+        `weight` in vectors, and 0 past the last sample.
+
+        Launched over [instances of this chunk, of.improve], a block for each instance.
         """
         offset, lane = wp.tid()
         i = first + offset
         b = i // instances
         m = i % instances
-        samples = weight.shape[1]
-        steps = controls.shape[2]
+        samples = clearance_cost.shape[2]
+        values = sample_controls.shape[1]
+        steps = values // 4
+        rows = wp.where(params[b].q_blocked > 0.0, clearance_cost.shape[1], steps)
         least = float(wp.INF)
         for k in range(lane, samples, THREADS):
+            S = cost[i, k]
+            last = wp.vec3(positions[i, steps - 1, 0, k], positions[i, steps - 1, 1, k], positions[i, steps - 1, 2, k])
             J_col = float(0.0)
-            for t in range(steps):
-                J_col += clearance_cost[i, t, k]
-            S = cost[i, k] + J_col
+            blocked = float(0.0)
+            for t in range(0, rows, AT_ONCE):
+                for j in range(AT_ONCE):
+                    term = wp.where(t + j < rows, clearance_cost[i, wp.min(t + j, rows - 1), k], 0.0)
+                    if t + j < steps:
+                        J_col += term
+                    else:
+                        blocked += term
+            S += J_col
             if params[b].q_blocked > 0.0:
-                blocked = float(0.0)
-                for j in range(PROBES):
-                    blocked += clearance_cost[i, steps + j, k]
-                t = steps - 1
-                last = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
                 S += blocked_cost(last, goal_position[b], int(blocked), params[b])
             cost[i, k] = S
             least = wp.min(least, S)
-        least = block_min(least)
+        least = least_of_all(least)
         total = float(0.0)
         for k in range(lane, samples, THREADS):
             w = wp.exp((least - cost[i, k]) / params[b].temperature)
             weight[i, k] = w
             total += w
-        total = block_sum(total)
-        for t in range(lane, steps, THREADS):
-            u = nominal[b, m, t]
-            du = wp.vec4(0.0, 0.0, 0.0, 0.0)
-            for k in range(samples):
-                w = weight[i, k]
-                if w > 0.0:
-                    sample = wp.vec4(
-                        sample_controls[i, t, 0, k],
-                        sample_controls[i, t, 1, k],
-                        sample_controls[i, t, 2, k],
-                        sample_controls[i, t, 3, k],
-                    )
-                    du += w * (sample - u)
-            controls[b, m, t] = u + du / total
+        # The reduction also makes every thread wait for all weights.
+        total = sum_of_all(total)
+        # A team of threads for some values, whose neighbours read neighbouring samples.
+        thread = lane % TEAM
+        for first_value in range(lane // TEAM * AT_ONCE, values, THREADS // TEAM * AT_ONCE):
+            u = Some()
+            du = Sums()
+            for j in range(AT_ONCE):
+                u[j] = nominal[b, m, wp.min(first_value + j, values - 1)]
+            for group in range(thread, weights.shape[1], TEAM):
+                w_group = weights[i, group]
+                for j in range(AT_ONCE):
+                    u_group = read(sample_controls, i, wp.min(first_value + j, values - 1), group)
+                    for k in range(WIDTH):
+                        du[j, k] += w_group[k] * (u_group[k] - u[j])
+            for j in range(AT_ONCE):
+                change = float(0.0)
+                for k in range(WIDTH):
+                    change += du[j, k]
+                change = sum_of_team(change)
+                if thread == 0 and first_value + j < values:
+                    controls[b, m, first_value + j] = u[j] + change / total
 
-    return improve
+    return of.tune(improve)

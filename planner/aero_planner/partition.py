@@ -11,6 +11,7 @@ import functools
 
 import warp as wp
 
+from aero_planner.blocks import Widths
 from aero_planner.dynamics import near_atan2, quat_rotate
 from aero_planner.params import Params
 
@@ -58,15 +59,15 @@ NOT_FINITE = wp.constant(-3)
 
 
 @functools.cache
-def scatter_points(width: int) -> wp.Kernel:
-    """Return the kernel that finds r_ij, for `width` points in each thread.
+def scatter_points(of: Widths) -> wp.Kernel:
+    """Return the kernel that finds r_ij.
 
     A CPU computes the cells of many points at once, with the same instructions, if they are in one thread; a GPU has a
     thread for each.
     """
-    WIDTH = wp.constant(width)
-    Reals = wp.types.vector(length=width, dtype=wp.float32)
-    Integers = wp.types.vector(length=width, dtype=wp.int32)
+    WIDTH = wp.constant(of.cloud)
+    Reals = wp.types.vector(length=of.cloud, dtype=wp.float32)
+    Integers = wp.types.vector(length=of.cloud, dtype=wp.int32)
 
     @wp.kernel(module="unique", enable_backward=False)
     def scatter_points(
@@ -85,7 +86,7 @@ def scatter_points(width: int) -> wp.Kernel:
         """r_ij as a minimum over packed keys: range above, the point's index below, so that equal ranges take the
         first point.
 
-        Launched over [B, points of this lane / width]; lanes run at the same time on keys of their own.
+        Launched over [B, points of this lane / of.cloud]; lanes run at the same time on keys of their own.
         """
         b, group = wp.tid()
         start = first + group * WIDTH
@@ -93,7 +94,7 @@ def scatter_points(width: int) -> wp.Kernel:
         if count <= 0:
             return
         origin = position[b]
-        q = quaternion[b]
+        q = wp.normalize(quaternion[b])
         forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
         left = quat_rotate(q, wp.vec3(0.0, 1.0, 0.0))
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
@@ -145,15 +146,23 @@ def scatter_points(width: int) -> wp.Kernel:
 @wp.kernel
 def finish_fine(
     keys: wp.array3d(dtype=wp.uint64),
+    dropped_of_lane: wp.array2d(dtype=int),
     points: wp.array2d(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     fine_range: wp.array2d(dtype=float),
     occupied: wp.array2d(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
+    dropped: wp.array(dtype=int),
 ):
-    """Ranges and filtered cloud from the keys of all lanes, which are emptied for the next plan. Launched over [B,
-    cells]."""
+    """Ranges, filtered cloud and number of dropped points from the keys and counters of all lanes, which are emptied
+    for the next plan. Launched over [B, cells]."""
     b, cell = wp.tid()
+    if cell == 0:
+        count = int(0)
+        for lane in range(keys.shape[0]):
+            count += dropped_of_lane[lane, b]
+            dropped_of_lane[lane, b] = 0
+        dropped[b] = count
     key = EMPTY
     for lane in range(keys.shape[0]):
         key = wp.min(key, keys[lane, b, cell])
@@ -174,6 +183,12 @@ def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
     directions[row, column] = cell_direction(row, column, directions.shape[0], directions.shape[1])
 
 
+SIDE = wp.constant(6)
+"""Fine cells that are read at a time."""
+
+Side = wp.types.vector(length=6, dtype=wp.float32)
+
+
 @wp.func
 def safest_fine_cell(
     fine_range: wp.array2d(dtype=float),
@@ -189,18 +204,24 @@ def safest_fine_cell(
     best_range = float(-1.0)
     best_cosine = float(-2.0)
     best_direction = wp.vec3(1.0, 0.0, 0.0)
+    r = Side()
+    cosine = Side()
     for i in range(pool):
-        for j in range(pool):
-            row = coarse_row * pool + i
-            column = coarse_column * pool + j
-            r = fine_range[b, row * columns + column]
-            d = directions[row, column]
-            cosine = wp.dot(d, toward)
-            # The margin lets the first of several equally near cells win, whatever the rounding.
-            if r > best_range or (r == best_range and cosine > best_cosine + 1.0e-6):
-                best_range = r
-                best_cosine = cosine
-                best_direction = d
+        row = coarse_row * pool + i
+        # Some at a time are read, so that a GPU waits for memory once; the last one again changes nothing.
+        for j in range(0, pool, SIDE):
+            first = coarse_column * pool + j
+            last = (coarse_column + 1) * pool - 1
+            for k in range(SIDE):
+                column = wp.min(first + k, last)
+                r[k] = fine_range[b, row * columns + column]
+                cosine[k] = wp.dot(directions[row, column], toward)
+            for k in range(SIDE):
+                # The margin lets the first of several equally near cells win, whatever the rounding.
+                if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + 1.0e-6):
+                    best_range = r[k]
+                    best_cosine = cosine[k]
+                    best_direction = directions[row, wp.min(first + k, last)]
     return best_range, best_direction
 
 

@@ -17,18 +17,21 @@ from typing import Any
 import warp as wp
 
 from aero_planner import anchors, clearance, guides, mppi, partition, stage2
+from aero_planner.blocks import Widths, widths
 from aero_planner.buffers import (
-    Widths,
+    as_values,
     as_vectors,
     fine_shape,
     list_capacity,
     padded_samples,
-    widths,
 )
 from aero_planner.config import PlannerConfig
 
 __all__ = ["Pipeline", "made_kernels"]
 
+
+_FEW = 2
+"""Drones that leave a GPU threads to spare."""
 
 Chunk = list[tuple[str, Callable[[], Any]]]
 """Launches in order, each with the name under which its time is counted."""
@@ -36,14 +39,19 @@ Chunk = list[tuple[str, Callable[[], Any]]]
 
 def made_kernels(of: Widths) -> list[tuple[wp.Kernel, int]]:
     """Return the kernels made for the widths `of` a device, and the size of the blocks that they are launched in."""
+    crowd = of.crowded()
     return [
-        (partition.scatter_points(of.cloud), 256),
-        (mppi.sample_rollouts(of.samples), 32),
-        (clearance.query_clearance(of.points), 128),
-        (mppi.improve(of.improve), of.improve),
-        (stage2.evaluate(of.points, of.team), 32),
-        (stage2.evaluate(of.points, 1), 32),
-        (stage2.select(of.points), 256),
+        (partition.scatter_points(of), 256),
+        (guides.make_guides(of), 32),
+        (mppi.sample_rollouts(of), 32),
+        (clearance.query_clearance(of), 128),
+        (clearance.query_clearance(crowd), 128),
+        (mppi.improve(of), of.improve),
+        (mppi.improve(crowd), crowd.improve),
+        (stage2.roll_out_best(of), 32),
+        (stage2.evaluate(of), 32),
+        (stage2.evaluate(crowd), 32),
+        (stage2.score(of), 32),
     ]
 
 
@@ -81,7 +89,6 @@ class Pipeline:
         self._graph: Any = None
         self._scatter: list[Any] = []
         self.stage_ms: dict[str, float] = {}
-        self._resets = [work.end, work.total, outputs.dropped]
         self._stages = self._record(config, inputs, outputs, work, params)
 
     def _record(
@@ -102,7 +109,8 @@ class Pipeline:
         state = [i.position, i.velocity, w.quaternion]
         goal = [i.goal_position, w.goal_velocity, w.goal_quaternion]
         rolled_out = M + guides.BRAKES
-        width, beside = self._widths.points, 1 if self._device.is_cpu else 0
+        of, beside = self._widths, 1 if self._device.is_cpu else 0
+        some = of.crowded() if B > _FEW else of
         cloud = [beside, w.end, w.blocks]
 
         def launch(kernel: Any, dim: Any, *arguments: Any, block_dim: int = 256) -> Callable[[], Any]:
@@ -114,21 +122,26 @@ class Pipeline:
         def serial(name: str, *launches: Callable[[], Any]) -> list[Chunk]:
             return [[(name, one) for one in launches]]
 
+        # On CUDA what does not need the cloud runs beside the first look at it.
         directions = serial(
             "anchors",
+            self._fork,
+            w.end.zero_,
+            w.total.zero_,
             launch(
                 anchors.place_anchors, (B, anchor_count), i.position, i.velocity, i.quaternion, i.goal_position,
                 i.goal_velocity, i.goal_quaternion, params, config.anchors.columns, config.anchors.rows, N,
                 w.quaternion, w.goal_velocity, w.goal_quaternion, w.reach, w.initial_direction, o.initial_endpoint,
             ),
+            self._return,
         )  # fmt: skip
         scatter: list[Chunk] = []
-        share = -(-self._points.shape[1] // (self._widths.cloud * self._lanes))
+        share = -(-self._points.shape[1] // (of.cloud * self._lanes))
         for lane in range(self._lanes):
             command: Any = wp.launch(
-                partition.scatter_points(self._widths.cloud), (B, share), device=self._device, record_cmd=True, inputs=[
-                    lane * share * self._widths.cloud, lane, self._points, i.point_count, i.position, w.quaternion,
-                    params, rows, columns, w.keys, o.dropped,
+                partition.scatter_points(of), (B, share), device=self._device, record_cmd=True, inputs=[
+                    lane * share * of.cloud, lane, self._points, i.point_count, i.position, i.quaternion,
+                    params, rows, columns, w.keys, w.dropped,
                 ],
             )  # fmt: skip
             scatter.append([("partition", command.launch)])
@@ -136,18 +149,13 @@ class Pipeline:
         fine_cells = serial(
             "partition",
             launch(
-                partition.finish_fine, (B, fine), w.keys, self._points, params, o.fine_range, o.occupied, o.filtered,
+                partition.finish_fine, (B, fine), w.keys, w.dropped, self._points, params, o.fine_range, o.occupied,
+                o.filtered, o.dropped,
             ),
+            self._join,
         )  # fmt: skip
         # From here to the first look at the clearance, CUDA works on the grid and on the rollouts at the same time.
-        coarse_cells = serial(
-            "partition",
-            self._fork,
-            launch(
-                partition.pool_coarse, (B, coarse), o.fine_range, w.directions, w.initial_direction, anchor_count,
-                part.fine_cells, part.coarse_rows, part.coarse_columns, o.safe_range, o.safe_direction,
-            ),
-        )  # fmt: skip
+        fork = serial("grid", self._fork)
         capacity = list_capacity(config, self._lanes, self._device)
         index: list[Chunk] = []
         for lane in range(self._lanes):
@@ -158,8 +166,10 @@ class Pipeline:
                     clearance.count_points, (B, fine), lane, self._lanes, o.occupied, o.filtered, i.position, params,
                     beside, w.end,
                 ),
-                launch(clearance.allocate_rows, (B, rows_of_lane), lane, self._lanes, capacity, w.total,
-                       w.counts, w.end),
+                launch(
+                    clearance.allocate_rows, (B, -(-rows_of_lane // 32) * 32), lane, self._lanes, rows_of_lane,
+                    capacity, w.total, w.counts, block_dim=32,
+                ),
                 launch(
                     clearance.fill_rows, (B, fine), lane, self._lanes, capacity, o.occupied, o.filtered, i.position,
                     params, w.total, beside, w.end, w.coordinates,
@@ -169,68 +179,73 @@ class Pipeline:
             "guides",
             self._return,
             launch(
-                anchors.refine_anchors, (B, anchor_count), i.position, w.quaternion, params, o.fine_range,
-                w.directions, w.reach, w.initial_direction, part.fine_cells, part.coarse_rows, part.coarse_columns,
-                o.anchor,
-            ),
-            launch(
-                guides.make_guides, (B, rolled_out), *state, i.acceleration, i.time, *goal, params, M, anchor_count,
-                previous, w.reach, w.previous_controls, w.previous_end, w.previous_time, o.initial_endpoint, o.anchor,
-                o.coefficient, o.guide, w.nominal, block_dim=32,
+                guides.make_guides(of), (B, rolled_out, of.steps), *state, i.acceleration, i.time, *goal, params, M,
+                anchor_count, previous, o.fine_range, w.directions, w.initial_direction, part.fine_cells,
+                part.coarse_rows, part.coarse_columns, w.reach, w.previous_controls, w.previous_end, w.previous_time,
+                o.initial_endpoint, o.anchor, o.coefficient, o.guide, w.nominal, block_dim=32,
             ),
         )  # fmt: skip
         optimise: list[Chunk] = []
         # More chunks than threads, since instances amid obstacles take longer than those in the open.
         chunks = min(instances, 4 * self._lanes) if self._lanes > 1 else 1
-        stride, lanes_k, threads = 1 if self._device.is_cpu else K, self._widths.samples, self._widths.improve
-        groups = padded_samples(config, self._device) // lanes_k
+        stride = 1 if self._device.is_cpu else K
+        sample_controls = as_vectors(w.sample_controls, of.sums).reshape((B * M, N * 4, -1))
+        groups = padded_samples(config, self._device) // of.samples
         for chunk in range(chunks):
             first = instances * chunk // chunks
             n = instances * (chunk + 1) // chunks - first
             optimise.append([
                 ("rollouts", launch(
-                    mppi.sample_rollouts(lanes_k), (n, groups), first, M, previous, *state, *goal, params, w.seed,
-                    w.tick, as_vectors(w.noise, lanes_k), o.guide, w.nominal, as_vectors(w.sample_controls, lanes_k),
-                    as_vectors(w.sample_positions, lanes_k), as_vectors(o.cost, lanes_k), block_dim=32,
+                    mppi.sample_rollouts(of), (n, groups), first, M, previous, *state, *goal, params, w.seed,
+                    w.tick, as_vectors(w.noise, of.samples), o.guide, w.nominal,
+                    as_vectors(w.sample_controls, of.samples), as_vectors(w.sample_positions, of.samples),
+                    as_vectors(o.cost, of.samples), block_dim=32,
                 )),
                 ("clearance", self._join),
                 ("clearance", launch(
-                    clearance.query_clearance(width), (n, N + mppi.PROBES, stride), first, M, N, stride,
+                    clearance.query_clearance(some), (n, N + mppi.PROBES, stride * some.query), first, M, N, stride,
                     w.sample_positions, i.position, params, *cloud, w.sample_clearance_cost, block_dim=128,
                 )),
                 ("update", launch(
-                    mppi.improve(threads), (n, threads), first, M, i.goal_position, params, w.nominal,
-                    w.sample_controls, w.sample_positions, w.sample_clearance_cost, o.cost, w.weight,
-                    o.controls, block_dim=threads,
+                    mppi.improve(some), (n, some.improve), first, M, i.goal_position, params, as_values(w.nominal),
+                    sample_controls, w.sample_positions, w.sample_clearance_cost, o.cost, w.weight,
+                    as_vectors(w.weight, of.sums), as_values(o.controls), block_dim=some.improve,
                 )),
             ])  # fmt: skip
-        # The few positions of Stage II leave a GPU threads to spare, unless there are many drones.
-        team = 1 if B > 8 else self._widths.team
+        # Nothing waits for the coarse cells, which are shown only: CUDA pools them beside Stage II.
+        coarse_cells = serial(
+            "partition",
+            self._fork,
+            launch(
+                partition.pool_coarse, (B, coarse), o.fine_range, w.directions, w.initial_direction, anchor_count,
+                part.fine_cells, part.coarse_rows, part.coarse_columns, o.safe_range, o.safe_direction,
+                block_dim=32,
+            ),
+            self._return,
+        )  # fmt: skip
         choose = serial(
             "stage2",
             launch(
-                stage2.roll_out_best, (B, rolled_out), M, *state, params, w.nominal, o.controls, o.positions,
-                o.velocities, o.quaternions, block_dim=32,
+                stage2.roll_out_best(of), (B, rolled_out, of.steps), M, *state, params, w.nominal, o.controls,
+                o.positions, o.velocities, o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.evaluate(width, team), (B, rolled_out, 2 * N + mppi.PROBES, team), i.position, *goal, params,
+                stage2.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position, *goal, params,
                 *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
-                stage2.score, (B, rolled_out), i.goal_position, params, o.positions, w.terms, o.J_goal, o.J_col, o.S2,
-                w.nearest, block_dim=32,
+                stage2.score(of), (B, rolled_out, of.steps), i.goal_position, params, o.positions, w.terms, o.J_goal,
+                o.J_col, o.S2, w.scores, block_dim=32,
             ),
             launch(
-                stage2.select(width), B, M, brake, i.position, params, i.cloud_age, *cloud, o.S2, w.nearest, w.flown,
-                o.best, o.status, o.braked,
+                stage2.conclude, (B, N + 1), M, brake, i.time, params, i.cloud_age, w.terms, w.scores, o.anchor,
+                o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions, o.J_goal, o.J_col, o.S2,
+                o.clearance, o.best, o.status, o.braked, w.tick, w.previous_controls, w.previous_end, w.previous_time,
+                block_dim=32,
             ),
-            launch(
-                stage2.conclude, (B, N + 1), i.time, params, w.flown, o.best, o.braked, o.anchor, o.coefficient,
-                o.guide, o.controls, o.positions, o.velocities, o.quaternions, o.J_goal, o.J_col, o.S2,
-                o.clearance, w.tick, w.previous_controls, w.previous_end, w.previous_time,
-            ),
+            self._join,
         )  # fmt: skip
-        return [directions, scatter, fine_cells, coarse_cells, index, guide, optimise, choose]
+        return [directions, scatter, fine_cells, fork, index, guide, optimise, coarse_cells, choose]
 
     def _fork(self) -> None:
         """On CUDA, let the following launches run on a stream of their own."""
@@ -277,8 +292,6 @@ class Pipeline:
     def _run_eagerly(self) -> None:
         if self._side is not None:
             self._main = self._device.stream
-        for array in self._resets:
-            array.zero_()
         self.stage_ms = {}
         for stage in self._stages:
             chunks = deque(stage)

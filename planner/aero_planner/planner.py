@@ -90,7 +90,7 @@ class Planner:
         self._inputs.upload()
 
     def _build(self) -> None:
-        self._outputs = output_block(self._config, self._batch, self._lanes, self._device)
+        self._outputs = output_block(self._config, self._batch, self._device)
         self._work = work_arrays(self._config, self._batch, self._lanes, self._device)
         seeds = (self._seed % 2**32 + np.arange(self._batch, dtype=np.int64)).astype(np.int32)  # of any size
         self._work.seed.assign(seeds)
@@ -331,7 +331,7 @@ class Planner:
         coarse = (B, part.coarse_rows, part.coarse_columns)
         fine = (B, *fine_shape(config))
         filtered = [raw["filtered"][b][raw["occupied"][b] != 0] for b in range(B)]
-        dropped = raw["dropped"].sum(axis=0, dtype=np.int32)
+        dropped = raw["dropped"]
         kinds = list(config.kinds)
         if not self._batched and raw["braked"][0] >= 0:
             kinds[raw["braked"][0]] = "brake"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.buffers import CUDA
+from aero_planner.blocks import CUDA
 from aero_planner.config import PlannerConfig
 from aero_planner.pipeline import made_kernels
 from aero_planner.plan import Goal, VehicleState
