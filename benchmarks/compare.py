@@ -62,7 +62,7 @@ def compare(
     cases = {}
     for instances, count in (((5, 3), samples), ((1, 1), 15 * samples)):
         case = f"{instances[0] * instances[1]} x {count}"
-        problem = make_problem(problem_config(instances, count), points)
+        problem = make_problem(problem_config(instances, count), points, device)
         runners = {"aero-planner": planner_runner(problem, device, points)}
         for name, module in list(modules.items()):
             try:

@@ -18,6 +18,7 @@ import numpy as np
 from aero_planner import Planner, PlannerConfig
 from aero_planner.buffers import fine_shape
 from aero_planner.config_file import config_from_name
+from aero_planner.guides import BRAKES
 from aero_planner.mppi import PROBES
 from benchmarks.common import elapsed_ms, machine, positive, run_command, situation
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
@@ -101,10 +102,10 @@ def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, b
         "rollouts": Floor(M * K * sampled.operations, M * N * 28 + M * K * 4, sampled.cycles),
         "clearance": Floor(M * K * rows * position, 12 * kept + M * K * 4, look_up),
         "update": Floor(M * K * (4 + 12 * N), M * K * 4 + M * N * 32, 3 * tree + 2 * latency.special),
-        # The plain brake as well, and positions half way between two steps.
+        # The ways to brake as well, and positions half way between two steps.
         "stage2": Floor(
-            (M + 1) * (final.operations + (rows + N * config.candidates.between_steps) * position),
-            (M + 1) * N * (16 + 40), final.cycles + look_up,
+            (M + BRAKES) * (final.operations + (rows + N * config.candidates.between_steps) * position),
+            (M + BRAKES) * N * (16 + 40), final.cycles + look_up,
         ),
     }  # fmt: skip
     return {
@@ -133,6 +134,8 @@ def _measure(
             launches.append(milliseconds)
             for name, value in plan.stage_ms.items():
                 stages.setdefault(name, []).append(value)
+    if device != "cpu":
+        stages = planner._pipeline.time_stages(repeat)
     planner.close()
     least: dict[str, float] = {}
     for name, values in stages.items():

@@ -9,9 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import warp as wp
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+
+
+def _devices() -> list[str]:
+    wp.config.log_level = wp.LOG_WARNING
+    present = [str(device) for device in wp.get_devices()]
+    return [name for name in ("cpu", "cuda:0") if name in present]
+
 
 DATASETS = Path(__file__).resolve().parents[2] / "shared" / "datasets"
 
@@ -25,6 +33,12 @@ def shared_datasets() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return DATASETS
+
+
+@pytest.fixture(scope="session", params=_devices())
+def device(request: pytest.FixtureRequest) -> str:
+    """Every device that can be computed on here."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -56,12 +56,12 @@ def problem_config(instances: tuple[int, int], samples: int) -> PlannerConfig:
     )
 
 
-def make_problem(config: PlannerConfig, points: int) -> Problem:
-    """Let the planner partition the cloud of `situation` and place the guides."""
+def make_problem(config: PlannerConfig, points: int, device: str = "cpu") -> Problem:
+    """Let the planner, on a device, partition the cloud of `situation` and place the guides."""
     quiet: dict[str, Any] = {"sampling.samples": 1, "candidates.safe_clearance": 0.0}
     quiet |= {f"sampling.variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
     state, goal, cloud = situation(points)
-    planner = Planner(config.replace(quiet), threads=1)
+    planner = Planner(config.replace(quiet), device=device)
     plan = planner.plan(state, goal, cloud)
     planner.close()
     assert isinstance(plan.filtered_points, np.ndarray)

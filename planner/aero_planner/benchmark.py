@@ -22,6 +22,7 @@ from aero_planner.planner import Planner
 __all__ = ["forest_cloud", "main", "measure"]
 
 _WARM_UP = 3
+_SWEEP = 20_000
 _MIB = 2.0**20
 
 
@@ -62,7 +63,9 @@ def measure(
     Returns:
         "plan": {"median_ms", "p99_ms"} of `Planner.plan` with the cloud in host memory and all results copied back;
         "launch": the same of `Planner.launch`, everything staying on the device;
-        "stages": the same of each stage of `Planner.plan`; "plans_per_second" and "launches_per_second", over the
+        "stages": the same of each stage, on CUDA one after another, with an event of a microsecond between them;
+        "upload" and "launch_with_upload", on CUDA: of a new sweep of 20 000 points per drone, alone, and of a launch
+        beside which the next one is copied; "plans_per_second" and "launches_per_second", over the
         batch; "points_kept" per drone; "memory_mib": growth of the resident set on the CPU, device memory on CUDA;
         and the arguments.
 
@@ -91,6 +94,11 @@ def measure(
                 stages.setdefault(name, []).append(milliseconds)
         kept = sum(len(one) for one in plan.filtered_points) / batch
     launches = [_time_launch(planner, warp_device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
+    extra: dict[str, Any] = {}
+    if warp_device.is_cuda:
+        sweep = np.repeat(cloud[None, : min(_SWEEP, points)], batch, axis=0)
+        extra = {name: _summary(times) for name, times in _time_uploads(planner, warp_device, sweep, repeat).items()}
+        stages |= planner._pipeline.time_stages(repeat)
     planner.close()
 
     if warp_device.is_cuda and wp.is_mempool_enabled(warp_device):
@@ -113,6 +121,7 @@ def measure(
         "stages": {name: _summary(times) for name, times in stages.items()},
         "plan": _summary(total),
         "launch": _summary(launches),
+        **extra,
         "plans_per_second": 1e3 * batch / float(np.median(total)),
         "launches_per_second": 1e3 * batch / float(np.median(launches)),
         "points_kept": kept,
@@ -134,6 +143,29 @@ def _time_launch(planner: Planner, device: wp.Device) -> float:
         return float(wp.get_event_elapsed_time(begin, end))
 
 
+def _time_uploads(
+    planner: Planner, device: wp.Device, sweep: NDArray[np.float32], repeat: int
+) -> dict[str, list[float]]:
+    """Times of the copy of a sweep, from the call on, and of launches beside which the next sweep is copied [ms]."""
+    alone = []
+    for _ in range(repeat + _WARM_UP):
+        started = time.perf_counter()
+        planner.upload(sweep)
+        wp.synchronize_device(device)
+        alone.append(1e3 * (time.perf_counter() - started))
+    marks = []
+    with wp.ScopedDevice(device):
+        for _ in range(repeat + _WARM_UP):
+            begin, end = wp.Event(device, enable_timing=True), wp.Event(device, enable_timing=True)
+            wp.record_event(begin)
+            planner.launch()
+            wp.record_event(end)
+            planner.upload(sweep)
+            marks.append((begin, end))
+        beside = [float(wp.get_event_elapsed_time(begin, end)) for begin, end in marks]
+    return {"upload": alone[_WARM_UP:], "launch_with_upload": beside[_WARM_UP:]}
+
+
 def _summary(times: Sequence[float]) -> dict[str, float]:
     return {"median_ms": float(np.median(times)), "p99_ms": float(np.quantile(times, 0.99))}
 
@@ -145,14 +177,15 @@ def _resident_bytes() -> int:
 
 
 def _report(result: dict[str, Any], preset: str) -> str:
+    uploads = {name.replace("_", " "): result[name] for name in ("upload", "launch_with_upload") if name in result}
     lines = [
         f"{result['device']} ({result['device_name']}), preset {preset}, batch {result['batch']}, "
         f"{result['points']} points, {result['instances']} instances x {result['samples']} samples x "
         f"{result['steps']} steps, {result['repeat']} plans",
-        f"{'':12}{'median ms':>12}{'p99 ms':>12}",
+        f"{'':20}{'median ms':>12}{'p99 ms':>12}",
     ]
-    rows = {**result["stages"], "plan": result["plan"], "launch": result["launch"]}
-    lines += [f"{name:12}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
+    rows = {**result["stages"], "plan": result["plan"], "launch": result["launch"], **uploads}
+    lines += [f"{name:20}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
     lines += [
         f"plans per second: {result['plans_per_second']:.1f} with host copies, "
         f"{result['launches_per_second']:.1f} on the device alone",

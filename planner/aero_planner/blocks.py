@@ -21,6 +21,7 @@ __all__ = [
     "read_group",
     "sum_of",
     "take",
+    "wait_for_block",
     "widths",
 ]
 
@@ -92,12 +93,6 @@ def tile_least(x: float) -> float:
     return wp.tile_extract(wp.tile_min(wp.tile(x)), 0)
 
 
-@wp.func
-def tile_total(x: float) -> float:
-    """The sum of what the threads of the block have."""
-    return wp.tile_extract(wp.tile_sum(wp.tile(x)), 0)
-
-
 # A butterfly takes the values in the same order in every thread, so that all get the same bits.
 _BUTTERFLY = """
     float a = x;
@@ -132,6 +127,16 @@ def sum_of_neighbours(x: float, threads: int) -> float:
 """)
 def of_thread(x: float, thread: int) -> float:
     """What a thread of the warp has; all threads must ask. On a CPU there is one."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def wait_for_block():
+    """Wait until all threads of the block are here and what they wrote can be read."""
     ...
 
 
@@ -246,11 +251,12 @@ def least_of(threads: int) -> wp.Function:
 
 @functools.cache
 def sum_of(threads: int) -> wp.Function:
-    """Return the function that gives every thread the sum of all values; `threads` as for `least_of`."""
+    """Return the function that gives every thread the sum of all values; `threads` is 1 or a power of two within a
+    warp, so that the order of the sum does not depend on the size of a block."""
     THREADS = wp.constant(threads)
 
     @wp.func
     def sum_of_warp(x: float) -> float:
         return sum_of_neighbours(x, THREADS)
 
-    return only if threads == 1 else sum_of_warp if threads <= _WARP else tile_total
+    return only if threads == 1 else sum_of_warp

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.blocks import Widths, least_of, read_group, sum_of
+from aero_planner.blocks import Widths, least_of, read_group, sum_of, wait_for_block
 from aero_planner.costs import (
     control_cost,
     control_rate_cost,
@@ -226,7 +226,7 @@ def improve(of: Widths) -> wp.Kernel:
     """Return the kernel for blocks of `of.improve` threads, which add `of.sums` samples at a time."""
     team = min(of.improve, 32)
     THREADS, WIDTH, TEAM = wp.constant(of.improve), wp.constant(of.sums), wp.constant(team)
-    least_of_all, sum_of_all, sum_of_team = least_of(of.improve), sum_of(of.improve), sum_of(team)
+    least_of_all, sum_of_team = least_of(of.improve), sum_of(team)
     Reals: Any = wp.types.vector(length=of.sums, dtype=wp.float32)
     Sums: Any = wp.types.matrix(shape=(AT_ONCE, of.sums), dtype=wp.float32)
     read = read_group(of.sums)
@@ -281,15 +281,17 @@ def improve(of: Widths) -> wp.Kernel:
             cost[i, k] = S
             least = wp.min(least, S)
         least = least_of_all(least)
-        total = float(0.0)
         for k in range(lane, samples, THREADS):
-            w = wp.exp((least - cost[i, k]) / params[b].temperature)
-            weight[i, k] = w
-            total += w
-        # The reduction also makes every thread wait for all weights.
-        total = sum_of_all(total)
+            weight[i, k] = wp.exp((least - cost[i, k]) / params[b].temperature)
+        wait_for_block()
         # A team of threads for some values, whose neighbours read neighbouring samples.
         thread = lane % TEAM
+        total = float(0.0)
+        for group in range(thread, weights.shape[1], TEAM):
+            w_group = weights[i, group]
+            for k in range(WIDTH):
+                total += w_group[k]
+        total = sum_of_team(total)
         for first_value in range(lane // TEAM * AT_ONCE, values, THREADS // TEAM * AT_ONCE):
             u = Some()
             du = Sums()

@@ -7,6 +7,7 @@ everything replays as one graph.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import deque
 from collections.abc import Callable
@@ -283,6 +284,39 @@ class Pipeline:
             wp.capture_launch(self._graph)
         else:
             self._run_eagerly()
+
+    def time_stages(self, repeat: int) -> dict[str, list[float]]:
+        """Return the times of each stage in `repeat` plans on CUDA [ms].
+
+        They run one after another, with an event between them; in `run` some run side by side.
+        """
+        device, side = self._device, self._side
+        marks: list[tuple[str, wp.Event]] = []
+
+        def mark(name: str) -> None:
+            event = wp.Event(device, enable_timing=True)
+            device.stream.record_event(event, external=True)
+            marks.append((name, event))
+
+        self._side = None
+        try:
+            with wp.ScopedDevice(device), wp.ScopedCapture() as capture:
+                mark("")
+                launches = [one for stage in self._stages for chunk in stage for one in chunk]
+                for i, (name, launch) in enumerate(launches):
+                    launch()
+                    if i + 1 == len(launches) or launches[i + 1][0] != name:
+                        mark(name)
+        finally:
+            self._side = side
+        graph: Any = capture.graph
+        times: dict[str, list[float]] = {name: [0.0] * repeat for name, _ in marks[1:]}
+        for i in range(repeat):
+            wp.capture_launch(graph)
+            wp.synchronize_device(device)
+            for (_, begin), (name, end) in itertools.pairwise(marks):
+                times[name][i] += wp.get_event_elapsed_time(begin, end)
+        return times
 
     def _capture(self) -> None:
         with wp.ScopedDevice(self._device), wp.ScopedCapture() as capture:

@@ -11,17 +11,16 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.buffers import fine_shape, input_block, output_block, work_arrays
+from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
 from aero_planner.params import Params, pack
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
 
 __all__ = ["History", "Planner"]
-
-Points = NDArray[Any] | wp.array | Sequence[NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +76,7 @@ class Planner:
         self._config = config or PlannerConfig()
         self._inputs = input_block(self._batch, self._device)
         self._set_input_defaults()
-        self._points = wp.full((self._batch, 1), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
-        self._points_given: Any = None
+        self._cloud = Cloud(batch, self._device)
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
         self._build()
 
@@ -103,7 +101,7 @@ class Planner:
             self._pipeline.close()
         self._pipeline = Pipeline(
             self._config, batch=self._batch, lanes=self._lanes, inputs=self._inputs.arrays,
-            outputs=self._outputs.arrays, work=self._work, points=self._points, params=self._params,
+            outputs=self._outputs.arrays, work=self._work, points=self._cloud.array, params=self._params,
         )  # fmt: skip
 
     def _write_params(self, records: NDArray[Any] | None = None) -> None:
@@ -137,8 +135,8 @@ class Planner:
     @property
     def points(self) -> wp.array:
         """Device array of the clouds, shape [B, P], vec3 [m], world frame; `reserve` makes room."""
-        self._points_given = None  # the caller may write to it
-        return self._points
+        self._cloud.forget()
+        return self._cloud.array
 
     @property
     def command(self) -> wp.array:
@@ -180,15 +178,25 @@ class Planner:
 
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone; the cloud is then all NaN, which means no points."""
-        self._points_given = None
-        if count != self._points.shape[1]:
-            self._points = wp.full((self._batch, max(count, 1)), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
+        if self._cloud.reserve(count):
             self._record()
-        else:
-            self._points.fill_(wp.vec3(np.nan))
         self._inputs.host()["point_count"][:] = count
         self._inputs.upload()
         self._pipeline.limit_points(count)
+
+    def upload(self, points: ArrayLike, *, first: int = 0) -> None:
+        """Start copying points, such as a new sweep, to the device beside a plan that it computes.
+
+        The next `launch`, or `plan` with `Planner.points`, takes them in, in the place of those from `first` on.
+
+        Args:
+            points: [m], shape [n, 3], a batch [B, n, 3], world frame.
+            first: place of the first in the cloud that `reserve` has made room for.
+
+        Raises:
+            ValueError: the points have another shape, or there is no room.
+        """
+        self._cloud.send(points, first)
 
     def reset(self) -> None:
         """Forget the previous plan and start the noise anew."""
@@ -217,6 +225,7 @@ class Planner:
 
         Nothing is copied to or from the host, and on CUDA the call returns before the plan is done.
         """
+        self._cloud.receive()
         self._pipeline.run()
 
     def plan(
@@ -234,7 +243,8 @@ class Planner:
             state: of the drone, world frame.
             goal: where to fly, world frame.
             points: cloud [m], shape [P, 3], world frame; NumPy or Warp array; a batch takes [B, P, 3] or B arrays.
-                Points that are not finite are dropped and counted.
+                Points that are not finite are dropped and counted. `Planner.points` is the cloud on the device, see
+                `upload`.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
             samples: also return the Stage I rollouts.
 
@@ -279,51 +289,16 @@ class Planner:
             host[name][:] = value
 
     def _write_points(self, points: Points) -> None:
-        if self._points_given is not None and self._points_given is points:
-            return  # read-only, and here already
-        clouds = self._split(points)
+        if points is self._cloud.array or self._cloud.knows(points):
+            return
+        clouds = self._cloud.split(points)
         counts = [len(cloud) for cloud in clouds]
-        capacity = self._points.shape[1]
-        if max(counts) > capacity:
+        if max(counts) > self._cloud.capacity:
             # Room to grow, so that a cloud that gains a few points each sweep does not rebuild the graph each time.
             self.reserve(max(counts) * 5 // 4)
-        for b, cloud in enumerate(clouds):
-            row: Any = self._points[b]
-            if isinstance(cloud, wp.array):
-                wp.copy(row, cloud, count=counts[b])
-            elif self._device.is_cpu:
-                self._points.numpy()[b, : counts[b]] = cloud
-            else:
-                source = wp.array(
-                    np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False
-                )
-                wp.copy(row, source, count=counts[b])
+        self._cloud.write(clouds, points)
         self._inputs.host()["point_count"][:] = counts
         self._pipeline.limit_points(max(counts))
-        is_constant = isinstance(points, np.ndarray) and points.base is None and not points.flags.writeable
-        self._points_given = points if is_constant else None
-
-    def _split(self, points: Points) -> list[Any]:
-        if isinstance(points, wp.array):
-            if points.dtype is not wp.vec3:
-                raise ValueError(f"points has dtype {points.dtype}; a Warp array must have dtype wp.vec3.")
-            expected = 2 if self._batched else 1
-            if points.ndim != expected:
-                raise ValueError(f"points has {points.ndim} dimensions of wp.vec3; it must have {expected}.")
-            clouds = [points[b] for b in range(points.shape[0])] if self._batched else [points]
-        else:
-            try:
-                clouds = [np.asarray(cloud) for cloud in points] if self._batched else [np.asarray(points)]
-            except (TypeError, ValueError) as error:
-                raise ValueError(f"points can't be read as clouds of shape (P, 3): {error}.") from error
-            for cloud in clouds:
-                if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind not in "fiu":
-                    raise ValueError(
-                        f"points has shape {cloud.shape} and type {cloud.dtype}; it must be (P, 3) numbers [m]."
-                    )
-        if len(clouds) != self._batch:
-            raise ValueError(f"points holds {len(clouds)} clouds; the batch has {self._batch} drones.")
-        return clouds
 
     def _to_plan(self, raw: dict[str, NDArray[Any]], stage_ms: dict[str, float], samples: bool) -> Plan:
         B, config = self._batch, self._config

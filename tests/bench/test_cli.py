@@ -46,7 +46,7 @@ def test_fly_export_score_and_include(capsys, tmp_path):
     assert "double_wall_trap" in text and "EGO" in text and str(folder / "report.md") in text
     code, text, _ = run(capsys, *wanted, "--resume", "--json")
     summary = json.loads(text)["summary"]
-    assert code == 0 and [line["planner"] for line in summary] == ["AERO-Viz"] * 4 + ["EGO"]
+    assert code == 0 and [line["planner"] for line in summary] == ["AERO-Viz"] * 8 + ["EGO"]
     code, _, error = run(capsys, *wanted)
     assert code == 2 and "--resume" in error and error.count("\n") == 1
 
@@ -55,7 +55,7 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(tmp_path):
     """The real program, a real SIGINT while it flies: what was over stays, and the whole is as if never interrupted."""
 
     def command(folder, *more):
-        return [sys.executable, "-m", "aero_viz.cli", "bench", "rooms", "--flights", "2", "--output", str(folder),
+        return [sys.executable, "-m", "aero_viz.cli", "bench", "rooms", "--flights", "1", "--output", str(folder),
                 "--drone.drag", "0.2", *SMALL, *more]  # fmt: skip
 
     cut, whole = tmp_path / "cut", tmp_path / "whole"

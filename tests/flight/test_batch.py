@@ -55,9 +55,9 @@ def test_flight_through_a_sparse_forest_arrives_and_reports(sparse, tmp_path):
     assert smoothness == pytest.approx(result.smoothness, rel=1e-2)
 
 
-def test_same_seed_same_flight_bit_for_bit(sparse, tmp_path):
+def test_same_seed_same_flight_bit_for_bit(sparse, tmp_path, device):
     results = [
-        fly(sparse, config=CONFIG, seed=seed, lidar=LIDAR, rules=SHORT, trajectory=tmp_path / f"{i}.csv")
+        fly(sparse, config=CONFIG, device=device, seed=seed, lidar=LIDAR, rules=SHORT, trajectory=tmp_path / f"{i}.csv")
         for i, seed in enumerate((7, 7, 8))
     ]
     first, again, other = (dataclasses.replace(result, plan_ms_median=None) for result in results)
@@ -66,16 +66,24 @@ def test_same_seed_same_flight_bit_for_bit(sparse, tmp_path):
     assert (tmp_path / "0.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()
 
 
-def test_batch_flies_as_one_by_one():
+def panels() -> World:
+    """Tilted triangles on the way from start to goal."""
+    rng = np.random.default_rng(4)
+    corners = rng.uniform((4.0, -4.0, 0.0), (40.0, 4.0, 4.0), (25, 1, 3)) + rng.uniform(-1.0, 1.0, (25, 3, 3))
+    return World("panels", np.array([0.0, 0, 2]), np.array([45.0, 0, 2]), triangles=corners.reshape(25, 9))
+
+
+def test_batch_flies_as_one_by_one(device):
     worlds = [
+        panels(),
         scene("forest", seed=1, count=30),
         scene("inclines", seed=2, count=60),
         scene("verticals", seed=3, count=60),
     ]
-    together = FlightBatch(worlds, config=CONFIG, seed=10, lidar=LIDAR, rules=SHORT)
+    together = FlightBatch(worlds, config=CONFIG, device=device, seed=10, lidar=LIDAR, rules=SHORT)
     results = together.run()
     for b, world in enumerate(worlds):
-        alone = FlightBatch([world], config=CONFIG, seed=10 + b, lidar=LIDAR, rules=SHORT)
+        alone = FlightBatch([world], config=CONFIG, device=device, seed=10 + b, lidar=LIDAR, rules=SHORT)
         result = alone.run()[0]
         # Float32 on one device in the same order: equal to the last bit.
         np.testing.assert_array_equal(
@@ -91,12 +99,12 @@ REAL = {
 }
 
 
-def test_batch_with_everything_that_disturbs_flies_as_one_by_one(sparse):
+def test_batch_with_everything_that_disturbs_flies_as_one_by_one(sparse, device):
     worlds = [sparse, scene("inclines", seed=2, count=60)]
-    together = FlightBatch(worlds, config=CONFIG, seed=3, lidar=LIDAR, **REAL)
+    together = FlightBatch(worlds, config=CONFIG, device=device, seed=3, lidar=LIDAR, **REAL)
     together.run()
     for b, world in enumerate(worlds):
-        alone = FlightBatch([world], config=CONFIG, seed=3 + b, lidar=LIDAR, **REAL)
+        alone = FlightBatch([world], config=CONFIG, device=device, seed=3 + b, lidar=LIDAR, **REAL)
         alone.run()
         for holder in ("vehicle", "estimate"):
             a, t = (getattr(batch.simulator, holder).position.numpy() for batch in (alone, together))
