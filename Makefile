@@ -1,10 +1,10 @@
 # `make demo` and `make test` are all that a newcomer needs; each sets up .venv first.
-.PHONY: help demo test check format bench rig setup setup-dev clean
+.PHONY: help demo test test-lowest check format bench rig setup setup-dev clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 
 help:            ## show this help
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
 
 setup:           ## install what the product needs into .venv
 	@scripts/setup run
@@ -17,6 +17,10 @@ demo: setup      ## fly the forest in the browser
 
 test: setup-dev check  ## all checks and tests
 	$(PYTHON_BIN) -m pytest $(ARGS)
+	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest)
+
+test-lowest: setup-dev  ## the planner's tests with the lowest versions that its wheel allows
+	@$(PYTHON_BIN) scripts/lowest.py $(ARGS)
 
 check: setup-dev  ## style and types
 	.venv/bin/ruff check .
@@ -36,5 +40,5 @@ rig: setup-dev    ## tests that fly the onboard stack over sockets, in real time
 	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)
 
 clean:           ## remove .venv and caches
-	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-lowest build dist .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

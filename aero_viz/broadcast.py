@@ -1,27 +1,31 @@
-"""What a session tells, whatever it shows: frames, notices, and whether time goes on."""
+"""A session as the dashboard sees it, whatever it shows: what it tells, and what it can be told."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Literal
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import Any, Literal
 
+from aero_planner import PlannerConfig
 from aero_viz.frame import Frame, Notice
 from aero_viz.sinks import Publisher, Sink
+from aero_viz.source import Source
 
-__all__ = ["Broadcast"]
+__all__ = ["Broadcast", "Steerable"]
 
 
-class Broadcast:
-    """Delivers to any number of listeners, each in a thread of its own."""
+class Broadcast(ABC):
+    """Delivers frames, notices and whether time goes on to any number of listeners, each in a thread of its own."""
 
     def __init__(self) -> None:
         self._frames, self._notices, self._states = Publisher(), Publisher(), Publisher()
         self._playing = False
 
     @property
+    @abstractmethod
     def frame(self) -> Frame | None:
         """The frame to be shown."""
-        raise NotImplementedError
 
     @property
     def playing(self) -> bool:
@@ -64,3 +68,66 @@ class Broadcast:
         """Deliver nothing more."""
         for publisher in (self._frames, self._notices, self._states):
             publisher.close()
+
+
+class Steerable(Broadcast):
+    """.. and takes what the page asks for, from any thread. Who can't do something says so in a notice or an error."""
+
+    @property
+    @abstractmethod
+    def config(self) -> PlannerConfig:
+        """The planner's configuration."""
+
+    @property
+    @abstractmethod
+    def speed(self) -> float:
+        """Shown time per wall time."""
+
+    @property
+    @abstractmethod
+    def time_range(self) -> tuple[float, float]:
+        """First and last time that `seek` can reach [s]."""
+
+    @abstractmethod
+    def play(self) -> None:
+        """Let time go on."""
+
+    @abstractmethod
+    def pause(self) -> None:
+        """Hold time."""
+
+    @abstractmethod
+    def step(self, count: int = 1) -> Future[Any]:
+        """Pause and go `count` frames on, or back when negative."""
+
+    @abstractmethod
+    def seek(self, time: float) -> Future[Any]:
+        """Go to the frame at or before `time` [s]."""
+
+    @abstractmethod
+    def set_speed(self, speed: float) -> None:
+        """Set shown time per wall time."""
+
+    @abstractmethod
+    def set_goal(self, position: Any, *, quiet: bool = False) -> Future[Any]:
+        """Move the goal [m], shape [3], world frame; with `quiet` a refusal stands in the future only."""
+
+    @abstractmethod
+    def set_source(self, source: Source) -> Future[Any]:
+        """Show another source from its start."""
+
+    @abstractmethod
+    def set_samples(self, wanted: bool) -> Future[Any]:
+        """Let frames carry the Stage I samples or not."""
+
+    @abstractmethod
+    def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+        """Use another configuration, or the present one with some parameters changed."""
+
+    @abstractmethod
+    def undo(self) -> PlannerConfig:
+        """Return to the configuration before the present one."""
+
+    @abstractmethod
+    def redo(self) -> PlannerConfig:
+        """Return to the configuration that `undo` left."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 import signal
 import threading
 import webbrowser
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import Annotated
 
 import tyro
 
 from aero_viz.cli_config import Inline
 from aero_viz.cli_page import PageFlags
-
-if TYPE_CHECKING:
-    from aero_viz.session import Session
 
 __all__ = ["connect"]
 
@@ -42,7 +39,7 @@ def connect(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopped.set())
     try:
-        dashboard = Dashboard(cast("Session", session), host=page.host, port=page.port)
+        dashboard = Dashboard(session, host=page.host, port=page.port)
         try:
             print(f"AERO-Viz shows {drone} at {dashboard.url} (Ctrl-C ends it)", flush=True)
             if page.open:

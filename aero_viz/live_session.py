@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from aero_planner import PlannerConfig
-from aero_viz.broadcast import Broadcast
+from aero_viz.broadcast import Steerable
 from aero_viz.connect import READ_ONLY, LiveSource, NodeClient
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame, Notice
@@ -29,7 +29,7 @@ _RETRY = 1.0
 """Time between two attempts to connect again [s]."""
 
 
-class LiveSession(Broadcast):
+class LiveSession(Steerable):
     """A drone in the place of `aero_viz.session.Session`, for the dashboard: looks on, and can hold still and go back.
 
     Args:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from aero_planner import PlannerConfig
-from aero_viz.broadcast import Broadcast
+from aero_viz.broadcast import Steerable
 from aero_viz.clock import Clock
 from aero_viz.config_history import ConfigHistory
 from aero_viz.engine import Engine
@@ -28,7 +28,7 @@ _CATCH_UP = 0.1
 """A flight that is late by up to this makes up for it by and by [s of wall time]: other work comes in bursts."""
 
 
-class Session(Broadcast):
+class Session(Steerable):
     """Owns a source, a planner and the clock.
 
     Either call `tick` yourself, as fast as you like, or `start` a thread that keeps time and control it from any thread

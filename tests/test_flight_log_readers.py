@@ -21,10 +21,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from aero_planner import PlannerConfig
 from aero_planner.config_file import load_config
+from aero_planner.onboard.messages import PLAN, PLAN_DEFINITION
 from aero_viz.cli import main
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.logs import fly_and_log
-from aero_viz.logs.messages import PLAN, PLAN_DEFINITION
 from aero_viz.recordings import inspect
 from aero_viz.scenes import World, scene
 from aero_viz.score import load_trajectory, score

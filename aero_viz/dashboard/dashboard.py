@@ -10,13 +10,14 @@ from collections.abc import Callable, Sequence
 
 import viser
 
+from aero_viz.broadcast import Steerable
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.pace import Pace
 from aero_viz.dashboard.panels import Page
 from aero_viz.dashboard.panels.layout import build
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
-from aero_viz.session import Frame, Notice, Session
+from aero_viz.frame import Frame, Notice
 from aero_viz.sinks import Sink
 from aero_viz.source import Source
 
@@ -41,7 +42,7 @@ class Dashboard:
 
     def __init__(
         self,
-        session: Session,
+        session: Steerable,
         *,
         host: str = "127.0.0.1",
         port: int = 8080,

@@ -9,7 +9,7 @@ from aero_viz.errors import UserError
 from aero_viz.flight.simulator import FlightRules
 from aero_viz.scenes.world import World
 
-__all__ = ["explain", "refuse_impossible"]
+__all__ = ["explain", "goal_problem", "refuse_impossible"]
 
 
 def explain(
@@ -57,6 +57,19 @@ def explain(
     return f"It ends after {time:.2f} s, {left:.1f} m before the goal, at {_point(place)}."
 
 
+def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
+    """Return why nobody can fly to a goal [m], shape [3], such as "The goal (9, 0, -2) lies 2.00 m below the ground of
+    the world 'forest'"; None when nothing is in the way."""
+    where = _outside(world, goal)
+    if where is None:
+        depth, (distance, solid) = _below_ground(world, goal), world.nearest(goal)
+        if depth > 0.0:
+            where = f"{depth:.2f} m below the ground of the world {world.name!r}"
+        elif distance < 0.0:
+            where = f"inside an obstacle of the world {world.name!r}, {-distance:.2f} m deep in {solid}"
+    return where and f"The goal {_point(goal)} lies {where}"
+
+
 def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -> None:
     """Refuse a world in which no flight can arrive, whoever flies. A start in an obstacle is not refused: it collides.
 
@@ -68,18 +81,10 @@ def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -
     Raises:
         UserError: the goal lies in an obstacle or too far to be reached in time, or an end lies outside the bounds.
     """
-    for name, place in (("start", world.start), ("goal", world.goal)):
-        if not ((place >= world.bounds[0]) & (place <= world.bounds[1])).all():
-            raise UserError(
-                f"The {name} {_point(place)} lies outside the bounds of the world {world.name!r}, "
-                f"{_box(world.bounds)}; move it inside, or widen the world's bounds."
-            )
-    distance, solid = world.nearest(world.goal)
-    if distance < 0.0:
-        raise UserError(
-            f"The goal {_point(world.goal)} lies inside an obstacle of the world {world.name!r}, "
-            f"{-distance:.2f} m deep in {solid}; give another goal."
-        )
+    if where := _outside(world, world.start):
+        raise UserError(f"The start {_point(world.start)} lies {where}; give another start.")
+    if problem := goal_problem(world, world.goal):
+        raise UserError(f"{problem}; give another goal.")
     way = float(np.linalg.norm(world.goal - world.start)) - rules.arrival_radius
     time_limit = max(rules.time_limit, FlightRules().time_limit)  # who sets a shorter one wants a piece of the flight
     if way > speed_limit * time_limit:
@@ -92,6 +97,22 @@ def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -
 
 def _point(place: NDArray[np.float64]) -> str:
     return "(" + ", ".join(f"{round(float(value), 2) + 0.0:g}" for value in place) + ")"
+
+
+def _outside(world: World, place: NDArray[np.float64]) -> str | None:
+    lower, upper = world.bounds
+    inside = bool(((place >= lower) & (place <= upper)).all())
+    return None if inside else f"outside the bounds of the world {world.name!r}, {_box(world.bounds)}"
+
+
+def _below_ground(world: World, place: NDArray[np.float64]) -> float:
+    """Return how far the top of the ground is above a place that lies over or under it [m]; negative above."""
+    depth = -np.inf
+    for x, y, z, length, width, height, yaw in world.boxes[world.ground]:
+        c, s, along, across = np.cos(yaw), np.sin(yaw), place[0] - x, place[1] - y
+        if abs(c * along + s * across) <= 0.5 * length and abs(c * across - s * along) <= 0.5 * width:
+            depth = max(depth, z + 0.5 * height - place[2])
+    return float(depth)
 
 
 def _box(corners: NDArray[np.float64]) -> str:

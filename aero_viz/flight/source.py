@@ -14,7 +14,7 @@ from aero_planner import Goal, Plan, PlannerConfig, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS
 from aero_viz.flight.estimate import StateNoise
-from aero_viz.flight.explanation import explain
+from aero_viz.flight.explanation import explain, goal_problem
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.vehicle import VehicleModel
@@ -214,26 +214,12 @@ class FlightSource:
         goal = np.array(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise UserError(f"The goal {np.asarray(position).tolist()} is no position; give three finite numbers.")
-        self._refuse_unreachable(goal)
+        if problem := goal_problem(self._world, goal):
+            raise UserError(f"{problem}; the goal before stays: give a free place.")
         goal.flags.writeable = False
         self._goal = goal
         self._simulator.set_goal(goal[None])
         self._read_state()
-
-    def _refuse_unreachable(self, goal: NDArray[np.float64]) -> None:
-        place = "(" + ", ".join(f"{value:.4g}" for value in goal) + ")"
-        lower, upper = self._world.bounds
-        if (goal < lower).any() or (goal > upper).any():
-            sides = zip("xyz", lower, upper, strict=True)
-            box = ", ".join(f"{axis} {low:g} to {high:g}" for axis, low, high in sides)
-            raise UserError(f"The goal {place} lies outside the world, {box}; the goal before stays: give one inside.")
-        depth = _below_ground(self._world, goal)
-        where = f"{depth:.2f} m below the ground"
-        if depth <= 0.0:
-            depth = -float(self._world.distance(goal)[0])
-            where = f"inside an obstacle, {depth:.2f} m deep"
-        if depth > 0.0:
-            raise UserError(f"The goal {place} lies {where}; the goal before stays: give a free place.")
 
     def result(self) -> FlightResult:
         """Return the metrics of the flight so far."""
@@ -324,16 +310,6 @@ class FlightSource:
             assert oldest.points is not None
             self._kept_bytes -= oldest.points.nbytes
             oldest.points = None
-
-
-def _below_ground(world: World, place: NDArray[np.float64]) -> float:
-    """Return how far the top of the ground is above a place that lies over or under it [m]; negative above."""
-    depth = -np.inf
-    for x, y, z, length, width, height, yaw in world.boxes[world.ground]:
-        c, s, along, across = np.cos(yaw), np.sin(yaw), place[0] - x, place[1] - y
-        if abs(c * along + s * across) <= 0.5 * length and abs(c * across - s * along) <= 0.5 * width:
-            depth = max(depth, z + 0.5 * height - place[2])
-    return float(depth)
 
 
 def _returns(parts: list[Cloud]) -> Cloud:

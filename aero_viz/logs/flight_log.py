@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.config_file import format_config
+from aero_planner.onboard.messages import DEFINITIONS, Encoded, pose_messages
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightInterrupted, FlightResult, FlightRules, FlightSource, StateNoise, VehicleModel
 from aero_viz.flight.batch import Way
@@ -26,15 +27,7 @@ from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.progress import share_of_way
 from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.frame import Frame
-from aero_viz.logs.messages import (
-    Encoded,
-    body_rates,
-    definition,
-    encode_plan,
-    encode_pose,
-    encode_sweep,
-    true_state,
-)
+from aero_viz.logs.messages import body_rates, encode_plan, encode_sweep, true_state
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
@@ -49,7 +42,7 @@ _SWEEP_STEP = 1000  # between the sweeps of a cloud that is logged whole [ns]
 
 
 class FlightLog:
-    """Writes frames to an MCAP file with the messages of `messages`, and each configuration as an attachment.
+    """Writes frames to an MCAP file with the messages of the drone's own log, and each configuration as an attachment.
 
     Time in the file starts at the wall time of opening and runs on where the source's jumps back. A sweep is written
     once, when it is new; of the cloud at the start (and after a jump) all sweeps are. Use it from one thread.
@@ -122,7 +115,7 @@ class FlightLog:
                 return
             rates = body_rates(self._pose[2], state, at - self._pose[1])
         self._pose = (epoch, at, state)
-        for message in encode_pose(state, stamp, rates=rates):
+        for message in pose_messages(state, stamp, rates=rates):
             self._add(message, stamp)
 
     def close(self, *, dropped: int = 0) -> None:
@@ -156,7 +149,7 @@ class FlightLog:
 
     def _add(self, message: Encoded, stamp: int) -> None:
         if message.topic not in self._channels:
-            schema = self._writer.register_schema(message.kind, "ros2msg", definition(message.kind).encode())
+            schema = self._writer.register_schema(message.kind, "ros2msg", DEFINITIONS[message.kind].encode())
             self._channels[message.topic] = self._writer.register_channel(message.topic, "cdr", schema)
         self._writer.add_message(self._channels[message.topic], stamp, message.data, stamp)
 

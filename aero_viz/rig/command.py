@@ -18,10 +18,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: an argument is out of range, or pymavlink is missing; one sentence.
     """
+    from aero_planner.quiet import start_warp
     from aero_viz.errors import UserError
 
+    options = _parser().parse_args(arguments)
+    start_warp()
     try:
-        return _fly(_parser().parse_args(arguments))
+        return _fly(options)
     except (UserError, ImportError) as error:
         raise ValueError(str(error)) from error
 

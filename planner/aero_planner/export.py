@@ -40,7 +40,7 @@ from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner, _find_device
 from aero_planner.warmup import compile_ahead
 
-__all__ = ["export", "pack", "parse_architecture", "save_graph", "write_manifest"]
+__all__ = ["export", "makes_graphs", "pack", "parse_architecture", "save_graph", "write_manifest"]
 
 _KEPT = (".cubin", ".ptx", ".o", ".meta")
 """What Warp loads; sources stay behind."""
@@ -110,6 +110,12 @@ def parse_architecture(text: str) -> int:
     return int(match[1])
 
 
+def makes_graphs() -> bool:
+    """Return whether a bundle for this machine's CPU has a graph for the C++ host."""
+    version = tuple(int(part) for part in re.findall(r"\d+", wp.config.version)[:2])
+    return sys.platform == "linux" and version >= _GRAPHS_SINCE
+
+
 def save_graph(config: PlannerConfig, points: int, path: Path) -> Path:
     """Capture a plan on one thread of the CPU as a sequence of launches, and save it for the C++ host.
 
@@ -168,8 +174,7 @@ def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> N
 
     planner, onboard = load_flight_config(folder / CONFIG)
     compile_ahead(work / "compiled", architectures=architectures, config=planner)
-    version = tuple(int(part) for part in re.findall(r"\d+", wp.config.version)[:2])
-    if cpu and sys.platform == "linux" and version >= _GRAPHS_SINCE:
+    if cpu and makes_graphs():
         (folder / GRAPH).mkdir()
         save_graph(planner, onboard.lidar.points_max, folder / GRAPH / "planner.wrp")
         about = f"{wp.config.version}\n{_cpu_features()}\n{len(planner.kinds)}\n"

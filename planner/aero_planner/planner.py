@@ -19,6 +19,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.params import Params, pack
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
+from aero_planner.quiet import quieten
 
 __all__ = ["History", "Planner"]
 
@@ -363,9 +364,7 @@ class Planner:
 
 
 def _find_device(name: str) -> wp.Device:
-    # Warp reports the modules it loads on stdout, which would mix with the caller's own output.
-    if getattr(wp.config, "log_level", None) == getattr(wp, "LOG_INFO", 20):
-        wp.config.log_level = wp.LOG_WARNING
+    quieten()  # what Warp reports on stdout would mix with the caller's own output
     try:
         return wp.get_device(name)
     except Exception as error:

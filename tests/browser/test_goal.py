@@ -62,7 +62,7 @@ def test_a_goal_dragged_into_the_ground_is_refused_and_the_arrows_return(near):
     near.wait_for(lambda: near.session.frame.index == index + 1, "the flight to go on")
 
 
-@pytest.mark.parametrize(("value", "words"), [("1e30", "lies outside the world"), ("-900", "lies outside the world")])
+@pytest.mark.parametrize(("value", "words"), [("1e30", "lies outside the bounds"), ("-900", "lies outside the bounds")])
 def test_a_goal_beyond_the_world_is_refused_and_the_numbers_return(near, value, words):
     before = goal_of(near)
     ahead = near.control("Goal").locator("input").first

@@ -162,10 +162,10 @@ def test_impossible_goals_are_refused(source, goal):
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        ([10.0, 5.0, 3.0], r"\(10, 5, 3\) lies inside an obstacle, 0\.\d+ m deep; the goal before stays"),
+        ([10.0, 5.0, 3.0], r"\(10, 5, 3\) lies inside an obstacle .* 0\.\d+ m deep in .*; the goal before stays"),
         ([10.0, 5.0, -0.4], r"lies 0\.40 m below the ground"),
         ([10.0, 5.0, -4.0], r"lies 4\.00 m below the ground"),
-        ([1e30, 0.0, 2.0], r"\(1e\+30, 0, 2\) lies outside the world, x -?\d+ to \d+"),
+        ([1e30, 0.0, 2.0], r"\(1e\+30, 0, 2\) lies outside the bounds .* x -?\d+ to \d+"),
     ],
 )
 def test_a_goal_that_cannot_be_reached_is_refused_and_the_one_before_stays(source, planner, goal, words):

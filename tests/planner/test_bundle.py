@@ -95,7 +95,7 @@ def test_tuned_parameters_are_fine_but_another_structure_is_not(folder: Path):
 @pytest.mark.parametrize(
     ("fields", "problem"),
     [
-        ({"warp": "1.14.0"}, r"is for another Warp \(1.14.0; here is "),
+        ({"warp": "1.13.0"}, r"is for another Warp \(1.13.0; here is "),
         ({"planner": "0" * 64}, r"is for another state of aero-planner \(000000000000; here is "),
         ({"structure": structure_of(PlannerConfig()) | {"sampling.new": 1}}, r"is for sampling.new = 1, .* says None"),
         ({"structure": {}}, r"is for anchors.columns = None, the configuration says 5"),

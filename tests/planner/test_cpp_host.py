@@ -13,7 +13,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
-from aero_planner.export import export
+from aero_planner.export import export, makes_graphs
+
+pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
 
 SOURCES = Path(__file__).parents[2] / "planner" / "cpp"
 POINTS = 3000
@@ -130,7 +132,7 @@ def cut(graph: Path) -> None:
         (edit_target(3, "100"), "the graph is none of a planner for one drone"),
         (lambda graph: (graph / "planner.wrp").unlink(), "planner.wrp can't be loaded"),
         (cut, "planner.wrp can't be loaded"),
-        (lambda graph: next(graph.glob("planner_modules/*select*.o")).unlink(), "is missing: copy the whole bundle"),
+        (lambda graph: next(graph.glob("planner_modules/*.o")).unlink(), "is missing: copy the whole bundle"),
     ],
 )
 def test_what_does_not_fit_is_told(

@@ -15,7 +15,7 @@ import pytest
 import warp as wp
 
 from aero_planner.cli import main
-from aero_planner.export import export, parse_architecture
+from aero_planner.export import export, makes_graphs, parse_architecture
 
 CONFIG = """# tuned in the forest
 costs:
@@ -64,14 +64,15 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("config") / "tuned.yaml"
     path.write_text(CONFIG.format(lidar=free_port(), autopilot=free_port()))
     return path
 
 
-@pytest.fixture(scope="module")
+# Not of the module, which pytest leaves and enters again to run the tests of each device together.
+@pytest.fixture(scope="session")
 def bundle(config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle for an Orin and for this machine's CPU, a folder as the command line makes it."""
     path = tmp_path_factory.mktemp("export") / "orin"
@@ -164,7 +165,8 @@ def test_a_tar_file_replaces_the_older_one(tmp_path: Path, config: Path):
     out = tmp_path / "drone.tar"
     out.write_text("older")
     manifest = export(out, config=config, cpu=True)
-    assert out.stat().st_size > 100_000 and manifest["graph"] == "graph/planner.wrp"
+    assert out.stat().st_size > 100_000
+    assert manifest["graph"] == ("graph/planner.wrp" if makes_graphs() else None)
     assert os.listdir(tmp_path) == ["drone.tar"]
     assert plan("cpu", out)[1] == "0"
 

@@ -17,7 +17,7 @@ import importlib, sys
 warmup = importlib.import_module("aero_planner.warmup")
 warmup._BLOCK_DIMS = (256,)  # each takes as long as all of this
 warmup.compile_ahead(sys.argv[1], architectures=[87])
-from aero_planner.buffers import CUDA
+from aero_planner.blocks import CUDA
 from aero_planner.pipeline import made_kernels
 print(*(kernel.module.name for kernel, _ in made_kernels(CUDA)), file=open(sys.argv[1] + "/made", "w"))
 """

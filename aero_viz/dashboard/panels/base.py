@@ -9,10 +9,11 @@ from typing import Any
 
 import viser
 
+from aero_viz.broadcast import Steerable
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
-from aero_viz.session import Frame, Session
+from aero_viz.frame import Frame
 from aero_viz.source import Source
 
 __all__ = ["Page", "Panel"]
@@ -25,7 +26,7 @@ class Page:
     """What panels act on."""
 
     server: LocalServer
-    session: Session
+    session: Steerable
     layers: Mapping[str, Layer]
     refresh: Callable[[], None]
     """Show the newest frame again: after a change that brings no frame of its own."""

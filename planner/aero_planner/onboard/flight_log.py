@@ -37,14 +37,17 @@ _WAITING = 1000
 """Items that may wait for the disk; some ten seconds' worth."""
 _POSE_SPACING = 0.018
 """Least time between two poses [s]; `play` makes a tick of each."""
+_LINES_SPACING = 0.098
+"""Least time between two plans that are logged with guides and rollouts [s], some 30 kB each time."""
 
 
 class FlightLog(Observer):
     """Writes what the node saw and did; a thread of its own does the work.
 
     Topics: /odometry and /tf, every state up to 50 per second; /sweep, raw points in the body frame with a time each,
-    not yet moved by the flight; /plan and /plan/best of every plan; /safety, every transition. Attachments hold both
-    configurations. Times are wall time, taken from the clock at opening.
+    not yet moved by the flight; /plan and /plan/best of every plan, /plan/guides and /plan/rollouts up to ten times per
+    second; /safety, every transition. Attachments hold both configurations. Times are wall time, taken from the clock
+    at opening.
 
     Args:
         path: file to write; an older one is replaced.
@@ -83,7 +86,7 @@ class FlightLog(Observer):
         self._place = np.array([lidar.mount_x, lidar.mount_y, lidar.mount_z])
         self._channels: dict[str, int] = {}
         self._packets: list[PointPacket] = []
-        self._pose_time = -np.inf
+        self._pose_time = self._lines_time = -np.inf
         self._file = self.path.open("wb")
         self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2", library="aero-planner")
@@ -139,7 +142,7 @@ class FlightLog(Observer):
                 self._write_plan(item)
             elif isinstance(item, Change):
                 stamp = self._stamp(item.time)
-                self._add("/safety", messages.SAFETY, messages.safety_change(item, stamp), stamp)
+                self._add(messages.safety_change(item, stamp), stamp)
             elif isinstance(item, VehicleSample):
                 self._write_pose(item)
             else:
@@ -151,20 +154,20 @@ class FlightLog(Observer):
             _log.error("the flight log %s ends here: %s", self.path, error.strerror or error)
 
     def _write_plan(self, record: PlanRecord) -> None:
-        stamp, plan, best = self._stamp(record.time), record.plan, int(record.plan.best)
-        self._add("/plan", messages.PLAN, messages.plan_summary(plan, record.plan_ms, stamp), stamp)
-        route = messages.path(plan.positions[best], plan.quaternions[best], stamp)
-        self._add("/plan/best", messages.PATH, route, stamp)
+        lines = record.time - self._lines_time >= _LINES_SPACING
+        if lines:
+            self._lines_time = record.time
+        stamp = self._stamp(record.time)
+        for message in messages.plan_messages(record.plan, stamp, plan_ms=record.plan_ms, lines=lines):
+            self._add(message, stamp)
 
     def _write_pose(self, sample: VehicleSample) -> None:
         if sample.time - self._pose_time < _POSE_SPACING:
             return
         self._pose_time = sample.time
-        stamp, state = self._stamp(sample.time), sample.state
-        inverse = np.asarray(state.quaternion, dtype=np.float64) * [1.0, -1.0, -1.0, -1.0]
-        velocity = rotate(inverse, state.velocity)
-        self._add("/odometry", messages.ODOMETRY, messages.odometry(state, velocity, stamp), stamp)
-        self._add("/tf", messages.TRANSFORMS, messages.transform(state, stamp), stamp)
+        stamp = self._stamp(sample.time)
+        for message in messages.pose_messages(sample.state, stamp):
+            self._add(message, stamp)
 
     def _take(self, packet: PointPacket) -> None:
         """Gather points until they make up a sweep."""
@@ -182,9 +185,10 @@ class FlightLog(Observer):
         body = (rotate(self._mount, points) + self._place).astype(np.float32)
         stamp = self._stamp(first)
         after = np.rint(1e9 * (times - first)).clip(0, 2**32 - 1).astype(np.uint32)
-        self._add("/sweep", messages.CLOUD, messages.sweep(body, after, stamp), stamp)
+        self._add(messages.sweep(body, stamp, times=after), stamp)
 
-    def _add(self, topic: str, kind: str, data: bytes, stamp: int) -> None:
+    def _add(self, message: messages.Encoded, stamp: int) -> None:
+        topic, kind, data = message
         if topic not in self._channels:
             schema = self._writer.register_schema(kind, "ros2msg", messages.DEFINITIONS[kind].encode())
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)

@@ -1,20 +1,22 @@
-"""ROS 2 messages of the flight log: CDR bytes, and the definitions that a reader needs, without ROS.
+"""ROS 2 messages of flight logs, the drone's and the desk's: topics, CDR bytes and definitions, without ROS.
 
-Only what the log holds. Types are ROS 2's own, so that every tool reads them, save two that are defined here.
+Only what logs hold. Types are ROS 2's own, so that every tool reads them, save two that are defined here.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.safety import Change
 from aero_planner.plan import Plan, VehicleState
 
-__all__ = ["BODY", "DEFINITIONS", "WORLD", "odometry", "path", "plan_summary", "safety_change", "sweep", "transform"]
+__all__ = ["BODY", "DEFINITIONS", "WORLD", "Encoded", "plan_messages", "pose_messages", "safety_change", "sweep"]
 
 WORLD, BODY = "world", "body"
 """Names of the frames: the fixed one, and the drone's, in which points are logged."""
@@ -23,10 +25,18 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 PATH = "nav_msgs/msg/Path"
+MARKERS = "visualization_msgs/msg/MarkerArray"
 PLAN = "aero_viz_msgs/msg/Plan"
 SAFETY = "aero_planner_msgs/msg/Safety"
 
 _FLOAT32, _UINT32 = 7, 6
+_ADD, _LINE_STRIP = 0, 4
+_GUIDE_COLOR = (0.95, 0.75, 0.2, 0.8)
+_ROLLOUT_COLOR = (0.3, 0.6, 1.0, 0.8)
+_BEST_COLOR = (0.2, 0.9, 0.4, 1.0)
+"""Red, green, blue, opacity."""
+_WIDTH, _BEST_WIDTH = 0.02, 0.05
+"""Of lines [m]."""
 
 PLAN_DEFINITION = """\
 # What one tick of the planner decided. Arrays have one entry per instance of the ensemble, M in all.
@@ -58,6 +68,18 @@ _PARTS = {
     "geometry_msgs/TransformStamped": (
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
     ),
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
+    "visualization_msgs/Marker": (
+        "std_msgs/Header header\nstring ns\nint32 id\nint32 type\nint32 action\ngeometry_msgs/Pose pose\n"
+        "geometry_msgs/Vector3 scale\nstd_msgs/ColorRGBA color\nbuiltin_interfaces/Duration lifetime\n"
+        "bool frame_locked\ngeometry_msgs/Point[] points\nstd_msgs/ColorRGBA[] colors\nstring texture_resource\n"
+        "sensor_msgs/CompressedImage texture\nvisualization_msgs/UVCoordinate[] uv_coordinates\nstring text\n"
+        "string mesh_resource\nvisualization_msgs/MeshFile mesh_file\nbool mesh_use_embedded_materials\n"
+    ),
     "sensor_msgs/PointField": "string name\nuint32 offset\nuint8 datatype\nuint32 count\n",
 }
 _MESSAGES = {
@@ -71,6 +93,7 @@ _MESSAGES = {
         "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
     ),
     PATH: "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
+    MARKERS: "visualization_msgs/Marker[] markers\n",
     PLAN: PLAN_DEFINITION,
     SAFETY: (
         "# The node's safety state changed.\n"
@@ -141,90 +164,147 @@ class _Writer:
         self._data += bytes(-(len(self._data) - 4) % size)
 
 
-def odometry(state: VehicleState, velocity_body: ArrayLike, stamp: int) -> bytes:
-    """Return a nav_msgs/Odometry; the velocity [m/s], shape [3], is in the body frame, as ROS has it."""
+class Encoded(NamedTuple):
+    """One message, ready to be written."""
+
+    topic: str
+    kind: str
+    data: bytes
+
+
+def pose_messages(state: VehicleState, stamp: int, *, rates: ArrayLike = (0.0, 0.0, 0.0)) -> Iterator[Encoded]:
+    """Yield /odometry and /tf: where the drone is. The twist is in the body frame, as ROS has it.
+
+    Args:
+        state: of the drone.
+        stamp: [ns].
+        rates: body rates [rad/s], shape [3].
+    """
+    inverse = np.asarray(state.quaternion, dtype=np.float64) * [1.0, -1.0, -1.0, -1.0]
     writer = _Writer()
     writer.header(stamp, WORLD)
     writer.text(BODY)
     writer.pose(state.position, state.quaternion)
     writer.array(np.zeros(36), "<f8", counted=False)
-    writer.pack("d", *np.asarray(velocity_body, dtype=np.float64), 0.0, 0.0, 0.0)
+    writer.pack("d", *rotate(inverse, state.velocity), *np.asarray(rates, dtype=np.float64))
     writer.array(np.zeros(36), "<f8", counted=False)
-    return writer.done()
-
-
-def transform(state: VehicleState, stamp: int) -> bytes:
-    """Return a tf2_msgs/TFMessage from the world to the body."""
+    yield Encoded("/odometry", ODOMETRY, writer.done())
     writer = _Writer()
     writer.pack("I", 1)
     writer.header(stamp, WORLD)
     writer.text(BODY)
     writer.pose(state.position, state.quaternion)
-    return writer.done()
+    yield Encoded("/tf", TRANSFORMS, writer.done())
 
 
-def sweep(points: NDArray[np.float32], times: NDArray[np.uint32], stamp: int) -> bytes:
-    """Return a sensor_msgs/PointCloud2.
+def sweep(points: NDArray[np.float32], stamp: int, *, times: NDArray[np.uint32] | None = None) -> Encoded:
+    """Return /sweep.
 
     Args:
         points: [m], shape [n, 3], body frame.
-        times: after the stamp [ns], shape [n].
         stamp: [ns].
+        times: after the stamp [ns], shape [n]; None for points that are where they were seen from at the stamp.
     """
-    rows = np.empty(len(points), dtype=[("xyz", "<f4", 3), ("t", "<u4")])
-    rows["xyz"], rows["t"] = points, times
+    fields: list[tuple[str, Any]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+    rows = np.empty(len(points), dtype=fields if times is None else [*fields, ("t", "<u4")])
+    for axis, (name, _) in enumerate(fields):
+        rows[name] = points[:, axis]
+    if times is not None:
+        rows["t"] = times
+    names: tuple[str, ...] = rows.dtype.names or ()
     writer = _Writer()
     writer.header(stamp, BODY)
-    writer.pack("I", 1, len(rows), 4)
-    for offset, (name, kind) in enumerate((("x", _FLOAT32), ("y", _FLOAT32), ("z", _FLOAT32), ("t", _UINT32))):
+    writer.pack("I", 1, len(rows), len(names))
+    for index, name in enumerate(names):
         writer.text(name)
-        writer.pack("I", 4 * offset)
-        writer.pack("B", kind)
+        writer.pack("I", 4 * index)
+        writer.pack("B", _UINT32 if name == "t" else _FLOAT32)
         writer.pack("I", 1)
     writer.pack("B", 0)
     writer.pack("I", rows.itemsize, rows.nbytes)
     writer.array(np.frombuffer(rows.tobytes(), np.uint8), "|u1", counted=True)
     writer.pack("B", 1)
-    return writer.done()
+    return Encoded("/sweep", CLOUD, writer.done())
 
 
-def path(positions: ArrayLike, quaternions: ArrayLike, stamp: int) -> bytes:
-    """Return a nav_msgs/Path of n poses: [m], shape [n, 3]; w x y z, shape [n, 4]; world frame."""
-    poses = list(zip(np.asarray(positions), np.asarray(quaternions), strict=True))
+def plan_messages(
+    plan: Plan, stamp: int, *, plan_ms: float, config_version: int = 0, lines: bool = True
+) -> Iterator[Encoded]:
+    """Yield what was planned: /plan (costs), /plan/best (the path flown), /plan/guides and /plan/rollouts.
+
+    Args:
+        plan: of one drone.
+        stamp: [ns].
+        plan_ms: time that planning took [ms].
+        config_version: attachment config_<version>.yaml.
+        lines: whether to yield guides and rollouts, ten times the size of the rest.
+    """
+    yield Encoded("/plan", PLAN, _summary(plan, stamp, plan_ms, config_version))
+    best = int(plan.best)
+    yield Encoded("/plan/best", PATH, _path(plan.positions[best], plan.quaternions[best], stamp))
+    if lines:
+        yield Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
+        rollouts = _lines("rollouts", plan.positions, stamp, color=_ROLLOUT_COLOR, best=best)
+        yield Encoded("/plan/rollouts", MARKERS, rollouts)
+
+
+def safety_change(change: Change, stamp: int) -> Encoded:
+    """Return /safety: a transition, at `stamp` [ns]."""
     writer = _Writer()
     writer.header(stamp, WORLD)
-    writer.pack("I", len(poses))
-    for position, quaternion in poses:
-        writer.header(stamp, WORLD)
-        writer.pose(position, quaternion)
-    return writer.done()
+    for text in (change.source.name, change.target.name, change.cause.value):
+        writer.text(text)
+    return Encoded("/safety", SAFETY, writer.done())
 
 
-def plan_summary(plan: Plan, plan_ms: float, stamp: int) -> bytes:
-    """Return an aero_viz_msgs/Plan."""
+def _summary(plan: Plan, stamp: int, plan_ms: float, config_version: int) -> bytes:
     writer = _Writer()
     writer.header(stamp, WORLD)
-    _texts(writer, plan.kinds)
+    writer.pack("I", len(plan.kinds))
+    for kind in plan.kinds:
+        writer.text(kind)
     writer.pack("i", int(plan.best), int(plan.status))  # type: ignore[arg-type]
     for values in (plan.stage2_cost, plan.goal_cost, plan.collision_cost, plan.clearance.min(axis=1)):
         writer.array(values, "<f4", counted=True)
     writer.array(plan.command[0], "<f4", counted=False)
     writer.pack("f", plan_ms)
-    writer.pack("I", 0)
+    writer.pack("I", config_version)
     return writer.done()
 
 
-def safety_change(change: Change, stamp: int) -> bytes:
-    """Return an aero_planner_msgs/Safety."""
+def _path(positions: NDArray[Any], quaternions: NDArray[Any], stamp: int) -> bytes:
+    """Return n poses: [m], shape [n, 3]; w x y z, shape [n, 4]; world frame."""
     writer = _Writer()
     writer.header(stamp, WORLD)
-    for text in (change.source.name, change.target.name, change.cause.value):
-        writer.text(text)
+    writer.pack("I", len(positions))
+    for position, quaternion in zip(positions, quaternions, strict=True):
+        writer.header(stamp, WORLD)
+        writer.pose(position, quaternion)
     return writer.done()
 
 
-def _texts(writer: _Writer, values: Iterable[str]) -> None:
-    texts = list(values)
-    writer.pack("I", len(texts))
-    for text in texts:
-        writer.text(text)
+def _lines(name: str, lines: NDArray[Any], stamp: int, *, color: tuple[float, ...], best: int | None = None) -> bytes:
+    """Return one line strip per instance, [m], shape [M, n, 3], world frame; a line keeps its id from plan to plan."""
+    writer = _Writer()
+    writer.pack("I", len(lines))
+    for index, line in enumerate(lines):
+        writer.header(stamp, WORLD)
+        writer.text(name)
+        writer.pack("i", index, _LINE_STRIP, _ADD)
+        writer.pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        writer.pack("d", _BEST_WIDTH if index == best else _WIDTH, 0.0, 0.0)
+        writer.pack("f", *(_BEST_COLOR if index == best else color))
+        writer.pack("I", 0, 0)  # lifetime: until the next
+        writer.pack("B", 0)  # frame_locked
+        writer.pack("I", len(line))
+        writer.array(line, "<f8", counted=False)
+        writer.pack("I", 0)  # colors
+        writer.text("")  # texture_resource
+        writer.header(0, "")  # texture
+        writer.text("")
+        writer.pack("I", 0, 0)  # its data, uv_coordinates
+        for _ in range(3):  # text, mesh_resource, name of mesh_file
+            writer.text("")
+        writer.pack("I", 0)  # data of mesh_file
+        writer.pack("B", 0)  # mesh_use_embedded_materials
+    return writer.done()

@@ -1,0 +1,167 @@
+"""Run the planner's tests with the lowest versions that its wheel allows: scripts/lowest.py [arguments of pytest].
+
+Builds the wheel and installs it into .venv-lowest: what the wheel bounds from below at that bound, all else as in
+constraints.txt. Nothing is installed again while it stays the same. PYTHON=python3.13 takes another interpreter.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from importlib.metadata import PathDistribution
+from pathlib import Path
+from zipfile import Path as ZipPath
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ROOT / "planner"
+CONSTRAINTS = ROOT / "constraints.txt"
+HOME = ROOT / ".venv-lowest"
+INTERPRETER = HOME / "bin" / "python"
+PINS = HOME / "constraints.txt"
+"""What is installed there; tests/planner/test_distribution.py compares."""
+EXTRAS = ("log", "mavlink", "test")
+"""Of the wheel: what its tests need."""
+
+
+class InstallError(Exception):
+    """Something could not be installed; says what, and what pip says about it."""
+
+
+class UnreachableError(InstallError):
+    """.. because the package registry did not answer."""
+
+
+def main() -> int:
+    """Return pytest's exit code, or 2 when nothing could be installed, for want of a registry in CI only."""
+    try:
+        install()
+    except InstallError as error:
+        print(f"THE LOWEST VERSIONS WERE NOT TESTED: {error}", file=sys.stderr)
+        return 0 if isinstance(error, UnreachableError) and not os.environ.get("CI") else 2
+    command = [INTERPRETER, "-m", "pytest", "-o", "testpaths=tests/planner", *sys.argv[1:]]
+    return subprocess.call(command, cwd=ROOT, env={**os.environ, "AERO_PLANNER_PINS": str(PINS)})
+
+
+def install() -> None:
+    """Bring .venv-lowest up to date.
+
+    Raises:
+        InstallError: pip failed.
+    """
+    python = os.environ.get("PYTHON") or sys.executable
+    environment = digest([SOURCES / "pyproject.toml", CONSTRAINTS, Path(__file__)], python)
+    content = digest(sorted((SOURCES / "aero_planner").rglob("*.py")), environment)
+    if stamp("content") == content:
+        return
+    if stamp("environment") != environment:
+        say("Creating .venv-lowest ...")
+        run(python, "-m", "venv", "--clear", HOME)
+        pip("install", "-c", CONSTRAINTS, "setuptools")
+        wheel = build_wheel()
+        pins = lowest_versions(wheel)
+        bounded = {canonicalize_name(pin.split("==")[0]) for pin in pins}
+        others = [line for line in CONSTRAINTS.read_text().splitlines() if "==" in line]
+        others = [line for line in others if canonicalize_name(line.split("==")[0]) not in bounded]
+        PINS.write_text("\n".join([*pins, *others, ""]))
+        pip("install", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]")
+        say(f"The planner's wheel is tested with {', '.join(pins)}.")
+        (HOME / "environment").write_text(environment)
+    else:
+        pip("install", "--no-deps", "--force-reinstall", build_wheel())
+    (HOME / "content").write_text(content)
+
+
+def build_wheel() -> Path:
+    """Build the planner's wheel from a copy, as setuptools leaves its traces beside what it builds."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "planner"
+        shutil.copytree(SOURCES, copy, ignore=shutil.ignore_patterns("build", "*.egg-info", "__pycache__"))
+        shutil.rmtree(HOME / "wheel", ignore_errors=True)
+        pip("wheel", "--no-deps", "--no-build-isolation", "-w", HOME / "wheel", copy)
+    (wheel,) = (HOME / "wheel").glob("*.whl")
+    return wheel
+
+
+def lowest_versions(wheel: Path) -> list[str]:
+    """Install what the wheel bounds from below at the lowest version with a binary for this Python; return the pins."""
+    (folder,) = (one for one in ZipPath(wheel).iterdir() if one.name.endswith(".dist-info"))
+    pins = []
+    for text in PathDistribution(folder).requires or []:  # type: ignore[arg-type]  # a path of a zip file is one, too
+        requirement = Requirement(text)
+        wanted = requirement.marker is None or any(requirement.marker.evaluate({"extra": one}) for one in EXTRAS)
+        if wanted and any(part.operator == ">=" for part in requirement.specifier):
+            pins.append(install_lowest(requirement))
+    return pins
+
+
+def install_lowest(requirement: Requirement) -> str:
+    """Install the lowest version that a requirement allows and that has a binary; return the pin."""
+    listed = re.search(r"Available versions: (.+)", pip("index", "versions", requirement.name))
+    assert listed is not None
+    for version in sorted(requirement.specifier.filter(map(Version, listed[1].split(", ")))):
+        pin = f"{requirement.name}=={version}"
+        try:
+            pip("install", "--no-deps", "--only-binary", ":all:", pin)
+        except UnreachableError:
+            raise
+        except InstallError:
+            continue  # no binary for this Python
+        return pin
+    raise InstallError(f"no version of {requirement} has a binary for this Python.")
+
+
+def pip(*arguments: str | Path) -> str:
+    """Run the environment's pip; return what it prints."""
+    return run(INTERPRETER, "-m", "pip", "--disable-pip-version-check", *arguments)
+
+
+def run(*command: str | Path) -> str:
+    """Run a command and return what it prints.
+
+    Raises:
+        InstallError: it failed.
+    """
+    words = " ".join(map(str, command))
+    try:
+        done = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        raise InstallError(f"{words}: {error.strerror or error}") from error
+    if "connection broken by" in done.stderr and done.returncode:
+        raise UnreachableError("the package registry can't be reached; connect to it or name another to pip.")
+    if done.returncode:
+        lines = done.stderr.strip().splitlines()
+        problem = next((line for line in lines if line.startswith("ERROR:")), lines[-1] if lines else "it failed")
+        raise InstallError(f"{words}: {problem}")
+    return done.stdout
+
+
+def digest(files: list[Path], more: str) -> str:
+    """Return a hash of the files' names and content."""
+    value = hashlib.sha256(more.encode())
+    for file in files:
+        value.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes())
+    return value.hexdigest()
+
+
+def stamp(name: str) -> str | None:
+    """Return what stands in a file of the environment."""
+    file = HOME / name
+    return file.read_text() if file.exists() else None
+
+
+def say(text: str) -> None:
+    """Tell on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
