@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -84,10 +84,10 @@ def fly(
         flight: the flight.
         flags: the planner's configuration.
     """
-    config = flags.load()
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory belong to a headless flight; leave out --no-headless.")
+        config = flags.load(place.ground(world, seed=seed))
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
         opener = flight_opener(world, place, flight, config, lidar=lidar, seed=seed, device=device)
         return serve(world, opener, config, page, seed=seed, device=device, log=log)
@@ -97,6 +97,7 @@ def fly(
     from aero_viz.flight import fly as fly_once
 
     loaded = place.load(world, seed=seed)
+    config = flags.load(loaded.ground_height)
     bar = ProgressBar(loaded.name)
     options: dict[str, Any] = {
         "config": config,
@@ -153,7 +154,7 @@ def snapshot(
     from aero_viz.snapshot import snapshot as take
 
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
-    config = flags.load()
+    config = flags.load(WorldFlags().ground(source, seed=seed))
     take(opened, time=time, config=config, camera=camera, size=size, path=output, seed=seed, device=device)
     print(output)
 
@@ -196,35 +197,14 @@ def _print_result(result: FlightResult, *, as_json: bool) -> None:
         print(result.format_table())
 
 
-@contextlib.contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Keep what native code writes to stderr off the terminal."""
-    sys.stderr.flush()
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
-
-
-def _start_warp() -> None:
-    """Start Warp without its banner: stdout belongs to the results, and a missing GPU is no news to a CPU user."""
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
-    with _quiet_stderr():
-        wp.init()
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; exits with 0 when done, 2 for a user's mistake or unreadable input."""
     try:
         wanted = sys.argv[1:] if arguments is None else arguments
         verb = parse(_VERBS, wanted, prog="aero-viz", description=_DESCRIPTION)
-        _start_warp()
+        from aero_planner.quiet import start_warp
+
+        start_warp()
         verb()
         sys.stdout.flush()
     except (UserError, ValueError) as error:

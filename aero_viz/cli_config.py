@@ -17,7 +17,7 @@ from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.vehicle import PLANNED
 from aero_viz.parameters import parameters_of
-from aero_viz.scenes import World
+from aero_viz.scenes import SCENES, World
 from aero_viz.sensors import LidarModel, lidar_model
 
 __all__ = [
@@ -102,8 +102,13 @@ class ConfigFlags:
     """Preset (default, paper, ..) or YAML file."""
     planner: Inline[PlannerFlags] = dataclasses.field(default_factory=PlannerFlags)
 
-    def load(self) -> PlannerConfig:
+    def load(self, ground: float | None = None) -> PlannerConfig:
         """Return the configuration that the flags describe.
+
+        Args:
+            ground: height of the flat ground that the drone took off from [m]. Presets but the paper's are told of it
+                by costs.floor, unless that is given: a Mid-360 does not see what is below it, and a slow drone that
+                seeks free space sinks.
 
         Raises:
             UserError: a name, file or value is wrong.
@@ -113,6 +118,8 @@ class ConfigFlags:
             for section, flags in vars(self.planner).items()
             for name, value in _given(flags).items()
         }
+        if ground is not None and self.config in PlannerConfig.presets() and self.config != "paper":
+            changes = {"costs.floor": ground} | changes
         try:
             return config_from_name(self.config).replace(changes)
         except (ValueError, OSError) as error:
@@ -177,6 +184,14 @@ class WorldFlags:
     """Goal x y z [m]; the world's own when left out, on a map of points a free place up to 45 m away."""
     voxel: float | None = None
     """Edge of the voxels that a map of points is made of [m], about the spacing of its points."""
+
+    def ground(self, spec: str, *, seed: int) -> float | None:
+        """Return the height of a world's flat ground [m]; None where it has none, as a map of points or a recording.
+
+        Raises:
+            UserError: as `load`.
+        """
+        return self.load(spec, seed=seed).ground_height if spec in SCENES or spec.endswith(".json") else None
 
     def load(self, spec: str, *, seed: int) -> World:
         """Return the world of a scene's name, a JSON file or a map of points, with its start and goal.

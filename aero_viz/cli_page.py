@@ -68,7 +68,7 @@ def demo(
         flight: the flight.
         flags: the planner's configuration.
     """
-    config = flags.load()
+    config = flags.load(world.ground(scene, seed=seed))
     serve(
         scene,
         flight_opener(scene, world, flight, config, lidar=lidar, seed=seed, device=device),

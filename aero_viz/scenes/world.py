@@ -231,6 +231,12 @@ class World:
             above &= np.all(np.abs(local[:, :2]) <= half[:, :2], axis=1) & (local[:, 2] >= half[:, 2])
         return above
 
+    @property
+    def ground_height(self) -> float | None:
+        """Height of the flat ground below start and goal [m]; None where there is none."""
+        boxes = self.boxes[self.ground]
+        return float((boxes[:, 2] + 0.5 * boxes[:, 5]).max()) if len(boxes) else None
+
     @cached_property
     def _tree(self) -> TriangleTree:
         from aero_viz.scenes.triangles import TriangleTree
