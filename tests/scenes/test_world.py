@@ -164,3 +164,11 @@ def test_mesh_faces_point_outward(world):
         mesh = world.to_meshes()[kind]
         a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(float) for i in range(3))
         assert 0.6 * volume < np.sum(np.cross(a, b) * c) / 6.0 < volume
+
+
+def test_the_height_of_the_ground():
+    ends = np.array([0.0, 0, 2]), np.array([10.0, 0, 2])
+    assert World("none", *ends).ground_height is None
+    assert World("aside", *ends, boxes=np.array([[5.0, 0, 0.5, 1, 1, 1, 0]])).ground_height is None
+    below = np.array([[5.0, 0, -1, 40, 40, 1, 0], [5.0, 0, -3, 40, 40, 2, 0]])
+    assert World("below", *ends, boxes=below).ground_height == -0.5
