@@ -8,6 +8,7 @@ import math
 import socket
 import struct
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,6 +132,7 @@ class SimulatedAutopilot:
         self.up = Channel(self._deliver, seed=seed + 1)
         self.down = Channel(self._receive, seed=seed + 2)
         self._now = self._arrival = 0.0
+        self._arrived: deque[tuple[float, bytes]] = deque()  # when, and what
         self._began: float | None = None  # host time of the simulation's start, CLOCK_REALTIME [s]
 
     @property
@@ -205,11 +207,15 @@ class SimulatedAutopilot:
                 data, notes, _, _ = self._socket.recvmsg(2048, 64)
             except OSError:
                 break
-            self._arrival = self._now
+            arrival = self._now
             for level, kind, content in notes:
                 if self._began is not None and (level, kind) == (socket.SOL_SOCKET, _KERNEL_TIME):
                     seconds, nanoseconds = struct.unpack("@ll", content)
-                    self._arrival = seconds - self._began + 1e-9 * nanoseconds
+                    arrival = seconds - self._began + 1e-9 * nanoseconds
+            self._arrived.append((arrival, data))
+        # A simulation that is late must not obey a command before it was sent: the rest is for later steps.
+        while self._arrived and self._arrived[0][0] <= self._now:
+            self._arrival, data = self._arrived.popleft()
             self.down.put(data, self._now)
         self._arrival = self._now
         self.down.flush(self._now)

@@ -38,6 +38,9 @@ _log = logging.getLogger("aero_planner")
 _PATIENCE = 3.0
 """Beyond the time in which the drone must have come to rest [s]."""
 
+_GUARD_TIME = 30.0
+"""For the guard to start, which has had the time of the planner's start already [s]."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0 when done, 2 for a user's mistake or a failed check, 130 after Ctrl-C."""
@@ -234,19 +237,23 @@ def _run(options: argparse.Namespace) -> int:
 
 def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> int:
     from aero_planner.onboard.assemble import open_lidar, open_link
+    from aero_planner.onboard.guard import Guard
     from aero_planner.onboard.node import Node
+    from aero_planner.onboard.settings import above_fence
     from aero_planner.planner import Planner
 
     planner_config, onboard = _load(options)
     if bundle is not None:
         bundle.fit(planner_config, options.device)
+    planner_config = above_fence(planner_config, onboard)
     planner = Planner(planner_config, device=options.device, seed=options.seed, threads=options.threads)
     opened: list[Any] = []
     try:
         link = _opened(opened, lambda: open_link(onboard, planner_config.vehicle))
         lidar = _opened(opened, lambda: open_lidar(onboard))
         observers = _observers(options, planner_config, onboard, opened)
-        node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers)
+        guard = _opened(opened, lambda: Guard(onboard, planner_config.vehicle, lambda: link.partner))
+        node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers, guard=guard)
         try:
             took = node.warm_up()
         except RuntimeError as error:
@@ -254,6 +261,7 @@ def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> int:
         _log.info("a plan takes %.1f ms on %s", 1e3 * took, planner.device)
         if bundle is not None and bundle.compiled():
             _log.warning("kernels were compiled that the bundle lacks; export it again")
+        guard.wait(_GUARD_TIME)
         opened.clear()
         code = _fly(node, onboard)
     finally:

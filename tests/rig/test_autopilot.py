@@ -130,6 +130,19 @@ def test_offboard_ends_half_a_second_after_the_stream(make):
     assert c.autopilot.mode is Mode.HOLD
 
 
+def test_a_late_simulation_obeys_no_command_before_it_was_sent(make):
+    c = make()
+    c.run(0.1, every=None)
+    c.autopilot.start()
+    c.autopilot._began -= 5.0  # as if five seconds had passed since, of which the simulation has flown none
+    c.command()
+    c.run(4.5, every=None)
+    assert c.autopilot.setpoints == []
+    c.run(60.0, every=None)
+    (setpoint,) = c.autopilot.setpoints
+    assert setpoint.time > 5.0
+
+
 def test_before_offboard_commands_do_nothing(make):
     c = make()
     c.run(2.0, thrust=0.9, rates=(1.0, 1.0, 1.0))

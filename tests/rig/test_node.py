@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
+from aero_planner.onboard.guard import takeover_time
 from aero_planner.onboard.livox import CARTESIAN_CM
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig import Fault, RigResult, fly_rig
@@ -48,6 +49,12 @@ def obeyed_after(result: RigResult, time: float) -> list[float]:
     return [c.time - began for c in result.commands if c.mode is Mode.OFFBOARD and c.time - began > time]
 
 
+def all_after(result: RigResult, time: float) -> list[float]:
+    """Return when setpoints came later than `time` after the engagement, obeyed or not [s]."""
+    began = next(c.time for c in result.commands if c.mode is Mode.OFFBOARD)
+    return [c.time - began for c in result.commands if c.time - began > time]
+
+
 def test_it_flies_between_posts_to_the_goal(world):
     result = fly(world)
     assert result.arrived, (result, result.log)
@@ -75,19 +82,51 @@ def test_without_states_it_stops_by_dead_reckoning_and_hands_back(world):
     assert not obeyed_after(result, 1.5 + limits.state_age + limits.blind_time + 0.5)
 
 
-def test_restarted_in_the_air_it_stays_silent(world):
-    result = fly(world, Fault("restart-node", 1.5))
+def longest_gap(result: RigResult, begin: float, end: float) -> float:
+    """Return the longest time between two setpoints obeyed from `begin` to `end` after the engagement [s]."""
+    times = [time for time in obeyed_after(result, begin) if time <= end]
+    return float(np.diff([begin, *times, end]).max())
+
+
+def speed_at(result: RigResult, time: float) -> float:
+    return float(result.trajectory.speeds()[np.searchsorted(result.trajectory.times, time)])
+
+
+def test_killed_in_the_air_its_guard_brakes_and_started_again_it_stays_silent(world):
+    killed, blind_time = 1.5, ONBOARD.limits.blind_time
+    result = fly(world, Fault("restart-node", killed))
     assert result.reason == "held", (result, result.log)
-    assert not obeyed_after(result, 1.6)
-    began = next(c.time for c in result.commands if c.mode is Mode.OFFBOARD)
-    # For ten seconds, in which it starts again, nothing comes from it.
+    # The guard is told at once and goes on until the drone hovers.
+    assert longest_gap(result, killed, killed + blind_time) < ONBOARD.limits.deadline, result.log
+    before, after = speed_at(result, killed), speed_at(result, killed + blind_time)
+    assert before > 1.5 and after < 0.4
+    obeyed = [c for c in result.commands if c.mode is Mode.OFFBOARD]
+    assert obeyed[-1].rates == (0.0, 0.0, 0.0)
+    assert obeyed[-1].thrust == pytest.approx(CONFIG.vehicle.mass * CONFIG.vehicle.gravity, rel=1e-3)
+    # For ten seconds, in which the node starts again, nothing else comes.
     assert result.flight_time_s > 11.0
-    assert max(c.time for c in result.commands) < began + 1.6
+    assert not [time for time in all_after(result, killed) if time > killed + blind_time + 0.2]
+    assert any("armed already when the node started" in line for line in result.log)
 
 
-def test_paused_it_does_not_go_on_with_what_it_was_doing(world):
-    result = fly(world, Fault("pause-node", 1.5, 0.4))
-    silent = [b - a for a, b in zip(obeyed_after(result, 1.0), obeyed_after(result, 1.0)[1:], strict=False)]
-    assert max(silent) > 0.35
-    # Half a second is the autopilot's patience: it either kept the vehicle with the node or took it.
-    assert result.reason in ("arrived", "held"), (result, result.log)
+def test_paused_its_guard_brakes_until_it_is_back_and_flies_on(world):
+    paused, duration = 1.5, 0.5
+    result = fly(world, Fault("pause-node", paused, duration))
+    # The autopilot sees a stream all the time: its COM_OF_LOSS_T must be longer than this.
+    period = 1.0 / ONBOARD.rates.control
+    assert longest_gap(result, paused, paused + duration + 1.0) < takeover_time(ONBOARD) + 2.0 * period, result.log
+    assert speed_at(result, paused + duration) < 0.6 * speed_at(result, paused)
+    assert sum("the guard brakes" in line for line in result.log) == 1
+    assert sum("FLYING -> BRAKING: the control loop stood still" in line for line in result.log) == 1
+    assert result.arrived and result.trajectory.offboard.all(), (result, result.log)
+
+
+def test_paused_for_too_long_it_stays_silent_when_it_is_back(world):
+    paused, limits = 1.5, ONBOARD.limits
+    end = paused + takeover_time(ONBOARD) + limits.blind_time
+    result = fly(world, Fault("pause-node", paused, 4.0))
+    assert result.reason == "held", (result, result.log)
+    assert longest_gap(result, paused, end) < takeover_time(ONBOARD) + 2.0 / ONBOARD.rates.control, result.log
+    assert speed_at(result, end) < 0.4
+    assert not [time for time in all_after(result, end + 0.2)]
+    assert any("HANDED_BACK: the control loop stood still for too long" in line for line in result.log)

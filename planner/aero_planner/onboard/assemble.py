@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
-from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink import MavlinkLink, MavlinkSender
 from aero_planner.onboard.settings import OnboardConfig
 
-__all__ = ["open_lidar", "open_link"]
+__all__ = ["make_sender", "open_lidar", "open_link"]
 
 
 def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
@@ -21,21 +23,34 @@ def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
     settings = config.mavlink
     try:
         return MavlinkLink(
-            settings.url,
-            baud=settings.baud,
-            system=settings.system,
-            component=settings.component,
-            mass=vehicle.mass,
-            gravity=vehicle.gravity,
-            hover_thrust=config.thrust.hover_thrust,
-            curve=config.thrust.curve,
-            state_rate=settings.state_rate,
+            settings.url, baud=settings.baud, state_rate=settings.state_rate, **_identity(config, vehicle)
         )
     except OSError as error:
         raise OSError(
             f"the autopilot's connection {settings.url} (mavlink.url) can't be opened: {error.strerror or error}; "
             "stop what else uses it, or correct it."
         ) from error
+
+
+def make_sender(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkSender:
+    """Return what commands as `open_link` does, and has no port yet.
+
+    Raises:
+        ImportError: pymavlink is missing; names the extra.
+    """
+    return MavlinkSender(None, **_identity(config, vehicle))
+
+
+def _identity(config: OnboardConfig, vehicle: VehicleConfig) -> dict[str, Any]:
+    """Return as whom, and for which vehicle, commands are sent."""
+    return dict(
+        system=config.mavlink.system,
+        component=config.mavlink.component,
+        mass=vehicle.mass,
+        gravity=vehicle.gravity,
+        hover_thrust=config.thrust.hover_thrust,
+        curve=config.thrust.curve,
+    )
 
 
 def open_lidar(config: OnboardConfig) -> LivoxSource:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.plan import VehicleState
 
-__all__ = ["VehicleLink", "VehicleSample"]
+__all__ = ["CommandSink", "VehicleLink", "VehicleSample"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,19 @@ class VehicleSample:
     """When the newest heartbeat arrived, host time [s]; -inf before the first."""
 
 
-class VehicleLink(Protocol):
+class CommandSink(Protocol):
+    """Where commands go."""
+
+    def send(self, command: ArrayLike) -> None:
+        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up; never blocks.
+
+        Raises:
+            ValueError: the command has another shape or is not finite; nothing was sent.
+        """
+        ...
+
+
+class VehicleLink(CommandSink, Protocol):
     """A connection to an autopilot. `send` may be called from another thread than `poll`."""
 
     @property
@@ -44,14 +56,6 @@ class VehicleLink(Protocol):
 
     def poll(self) -> None:
         """Take in what has arrived; never blocks, never raises for what the network brought."""
-        ...
-
-    def send(self, command: ArrayLike) -> None:
-        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up; never blocks.
-
-        Raises:
-            ValueError: the command has another shape or is not finite; nothing was sent.
-        """
         ...
 
     def close(self) -> None:

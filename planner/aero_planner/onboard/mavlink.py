@@ -25,11 +25,11 @@ from aero_planner.onboard.frames import (
     world_from_ned,
 )
 from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.port import open_port
+from aero_planner.onboard.port import Port, open_port
 from aero_planner.onboard.thrust import signal_from_force
 from aero_planner.plan import VehicleState
 
-__all__ = ["MavlinkLink", "load_dialect"]
+__all__ = ["MavlinkLink", "MavlinkSender", "load_dialect"]
 
 _ODOMETRY_TIMEOUT = 1.0  # [s] without ODOMETRY after which the other two messages count
 _PAIR_TIMEOUT = 0.1  # [s]; an older attitude does not go with a position
@@ -57,6 +57,71 @@ def load_dialect() -> Any:
     return common
 
 
+class MavlinkSender:
+    """Packs commands and other messages and sends them; implements `aero_planner.onboard.link.CommandSink`.
+
+    Args:
+        port: to the autopilot; None sends nothing. It may be replaced at any time.
+        system, component, mass, gravity, hover_thrust, curve, clock: as of `MavlinkLink`.
+
+    Raises:
+        ImportError: pymavlink is not installed.
+
+    Attributes:
+        sent: commands sent.
+    """
+
+    def __init__(
+        self,
+        port: Port | None,
+        *,
+        system: int,
+        component: int,
+        mass: float,
+        gravity: float,
+        hover_thrust: float,
+        curve: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.port = port
+        self.sent = 0
+        self._dialect = load_dialect()
+        self._system = system
+        self._vehicle = dict(mass=mass, gravity=gravity, hover_thrust=hover_thrust, curve=curve)
+        self._time = clock
+        self._packer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._sending = threading.Lock()
+
+    def send(self, command: ArrayLike) -> None:
+        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up; never blocks.
+
+        Raises:
+            ValueError: the command has another shape or is not finite; nothing was sent.
+        """
+        values = np.asarray(command, dtype=np.float64)
+        if values.shape != (4,) or not np.isfinite(values).all():
+            raise ValueError(f"the command is {values.tolist()}; it must be a thrust and three rates, all finite.")
+        thrust = signal_from_force(float(values[0]), **self._vehicle)
+        rates = frd_from_flu(values[1:])
+        message = self._dialect.MAVLink_set_attitude_target_message(
+            int(1e3 * self._time()) & 0xFFFFFFFF,
+            self._system,
+            self._dialect.MAV_COMP_ID_AUTOPILOT1,
+            self._dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
+            [1.0, 0.0, 0.0, 0.0],
+            *rates.tolist(),
+            thrust,
+        )
+        self.sent += self.send_message(message)
+
+    def send_message(self, message: Any) -> bool:
+        """Send one of the dialect's messages; return whether there was a port and room."""
+        with self._sending:
+            data = message.pack(self._packer)
+            self._packer.seq = (self._packer.seq + 1) % 256
+            return self.port is not None and self.port.send(bytes(data))
+
+
 class MavlinkLink:
     """A connection to an autopilot that speaks MAVLink; implements `aero_planner.onboard.link.VehicleLink`.
 
@@ -80,7 +145,6 @@ class MavlinkLink:
         received: messages understood, by name.
         bad: parts of what came that were no message: wrong checksum, garbage.
         dropped: states and goals that were not finite, in an unknown frame, or whose time did not fit.
-        sent: commands sent.
     """
 
     def __init__(
@@ -100,21 +164,39 @@ class MavlinkLink:
         self._dialect = load_dialect()
         self._port = open_port(url, baud=baud)
         self._system, self._component = system, component
-        self._vehicle = dict(mass=mass, gravity=gravity, hover_thrust=hover_thrust, curve=curve)
+        self._sender = MavlinkSender(
+            self._port,
+            system=system,
+            component=component,
+            mass=mass,
+            gravity=gravity,
+            hover_thrust=hover_thrust,
+            curve=curve,
+            clock=clock,
+        )
         self._state_rate = state_rate
         self._time = clock
         self._parser = self._new_protocol()
-        self._packer = self._new_protocol()
-        self._sending, self._polling = threading.Lock(), threading.Lock()
+        self._polling = threading.Lock()
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
         self.received: dict[str, int] = {}
-        self.bad = self.dropped = self.sent = 0
+        self.bad = self.dropped = 0
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = self._heartbeat_sent = self._requested = -np.inf
         self._odometry_count = 0
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    @property
+    def sent(self) -> int:
+        """Commands sent."""
+        return self._sender.sent
+
+    @property
+    def partner(self) -> str | None:
+        """Where commands go, see `aero_planner.onboard.port.Port`; None before the autopilot has been heard."""
+        return self._port.partner
 
     def _new_protocol(self) -> Any:
         protocol = self._dialect.MAVLink(None, srcSystem=self._system, srcComponent=self._component)
@@ -136,41 +218,17 @@ class MavlinkLink:
                 self._heartbeat_sent = now
                 kind, none = self._dialect.MAV_TYPE_ONBOARD_CONTROLLER, self._dialect.MAV_AUTOPILOT_INVALID
                 active = self._dialect.MAV_STATE_ACTIVE
-                self._send(self._dialect.MAVLink_heartbeat_message(kind, none, 0, 0, active, 3))
+                self._sender.send_message(self._dialect.MAVLink_heartbeat_message(kind, none, 0, 0, active, 3))
         finally:
             self._polling.release()
 
     def send(self, command: ArrayLike) -> None:
-        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up; never blocks.
-
-        Raises:
-            ValueError: the command has another shape or is not finite; nothing was sent.
-        """
-        values = np.asarray(command, dtype=np.float64)
-        if values.shape != (4,) or not np.isfinite(values).all():
-            raise ValueError(f"the command is {values.tolist()}; it must be a thrust and three rates, all finite.")
-        thrust = signal_from_force(float(values[0]), **self._vehicle)
-        rates = frd_from_flu(values[1:])
-        message = self._dialect.MAVLink_set_attitude_target_message(
-            int(1e3 * self._time()) & 0xFFFFFFFF,
-            self._system,
-            self._dialect.MAV_COMP_ID_AUTOPILOT1,
-            self._dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
-            [1.0, 0.0, 0.0, 0.0],
-            *rates.tolist(),
-            thrust,
-        )
-        self.sent += self._send(message)
+        """Command the vehicle, see `MavlinkSender.send`."""
+        self._sender.send(command)
 
     def close(self) -> None:
         """Release the connection."""
         self._port.close()
-
-    def _send(self, message: Any) -> bool:
-        with self._sending:
-            data = message.pack(self._packer)
-            self._packer.seq = (self._packer.seq + 1) % 256
-            return self._port.send(bytes(data))
 
     def _parse(self, data: bytes) -> list[Any]:
         messages: list[Any] = []
@@ -234,7 +292,7 @@ class MavlinkLink:
 
     def _request_odometry(self) -> None:
         interval = 1e6 / self._state_rate
-        self._send(
+        self._sender.send_message(
             self._dialect.MAVLink_command_long_message(
                 self._system,
                 self._dialect.MAV_COMP_ID_AUTOPILOT1,

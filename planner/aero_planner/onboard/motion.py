@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST_LIFT = 0.3
 """Of the weight, while braking: a drone that is to sink fast must not turn over."""
+_LEVEL_TIME = 3.0
+"""For levelling, in time constants of the attitude: of 30 deg of tilt 1.5 deg are left."""
 _REMEMBERED = 600
 """Commands: more than blind_time at the fastest control rate needs."""
 
@@ -131,15 +133,19 @@ class StopController:
         """The command of a level drone at rest, shape [4]."""
         return np.array([self._vehicle.mass * self._vehicle.gravity, 0.0, 0.0, 0.0])
 
-    def command(self, motion: Motion, *, hold: Array | None = None) -> Array:
+    def command(self, motion: Motion, *, hold: Array | None = None, remaining: float = math.inf) -> Array:
         """Return thrust F_t [N] and body rates omega [rad/s], shape [4], within the vehicle's bounds.
 
         Args:
             motion: state now.
             hold: where to stay [m], shape [3], world frame; None brakes only.
+            remaining: time until the last command, `hover` [s], which leaves the tilt as it is: the end of it goes into
+                levelling, whatever the speed is then.
         """
         vehicle, settings = self._vehicle, self._settings
         wanted = -motion.velocity / settings.time_constant
+        if remaining <= _LEVEL_TIME / settings.attitude_gain:
+            wanted, hold = np.zeros(3), None
         if hold is not None:
             wanted = wanted + settings.position_gain * (hold - motion.position)
         size = float(np.linalg.norm(wanted))

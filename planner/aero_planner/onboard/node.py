@@ -20,13 +20,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.deadlines import Pacer
+from aero_planner.onboard.guard import Guard
 from aero_planner.onboard.lidar import PointSource
 from aero_planner.onboard.link import VehicleLink, VehicleSample
 from aero_planner.onboard.motion import DeadReckoning, Motion, StopController
 from aero_planner.onboard.plan_track import PlanTrack
 from aero_planner.onboard.planning import Planning, Situation
 from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import COMMANDING, Change, Inputs, Reaction, Safety, State, inside_fence
+from aero_planner.onboard.safety import (
+    COMMANDING,
+    Change,
+    Inputs,
+    Reaction,
+    Safety,
+    State,
+    blind_time_left,
+    inside_fence,
+)
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.watchdog import Watchdog
 from aero_planner.plan import PlanStatus
@@ -51,6 +61,7 @@ class Node:
         goal: where to fly [m], shape [3], world frame; None waits for one over the link, which also replaces this one.
         clock: host time [s], the one that link and LiDAR use.
         observers: the flight log, the viewers' server; closed with the node.
+        guard: brakes when this whole process does not; closed with the node. None does without.
 
     Raises:
         ValueError: the planner's configuration and the node's contradict each other, or the goal is none.
@@ -66,6 +77,7 @@ class Node:
         goal: ArrayLike | None = None,
         clock: Callable[[], float] = time.monotonic,
         observers: Sequence[Observer] = (),
+        guard: Guard | None = None,
     ) -> None:
         config = config or OnboardConfig()
         check_together(planner.config, config)
@@ -82,6 +94,7 @@ class Node:
         self._sent_goal: NDArray[np.float64] | None = None
         self._clock = clock
         self._observers = tuple(observers)
+        self._guard = guard
         self._vehicle = planner.config.vehicle
         self._track = PlanTrack()
         self._planning = Planning(planner, config, self._track, clock)
@@ -89,7 +102,10 @@ class Node:
         self._reckoning = DeadReckoning(self._vehicle)
         self._stop = StopController(self._vehicle, config.brake)
         period = 1.0 / config.rates.control
-        self._watchdog = Watchdog(link, self._stop, self._vehicle, config.limits, period)
+        limits = config.limits
+        self._watchdog = Watchdog(
+            link, self._stop, self._vehicle, deadline=limits.deadline, blind_time=limits.blind_time
+        )
         self._situation: Situation | None = None
         self._sample: VehicleSample | None = None
         self._state_finite = True
@@ -137,6 +153,8 @@ class Node:
             "planner_failures": self._planning.failures,
             "control_failures": self.failures,
             "watchdog_interventions": self._watchdog.interventions,
+            "guard_interventions": self._guard.interventions if self._guard is not None else None,
+            "guard_lost": self._guard.lost if self._guard is not None else None,
             "commands_sent": self.sent,
             "lidar_packets": counters.packets,
             "lidar_lost": counters.lost,
@@ -150,17 +168,17 @@ class Node:
     def control_once(self) -> Reaction:
         """Take in what has arrived, decide, command; return the decision."""
         now = self._clock()
-        overrun = self._watchdog.overrun(now)
+        loop_age = self._watchdog.silence(now)
         self._link.poll()
         self._take_state()
-        inputs, motion = self._inputs(now, overrun)
+        inputs, motion = self._inputs(now, loop_age)
         before = self._safety.state
         reaction = self._safety.step(now, inputs)
         obeyed = inputs.armed and inputs.offboard
-        command = self._command(now, reaction, motion)
+        command = self._command(now, reaction, inputs, motion)
         if command is not None:
             self._send(command)
-        elif before in COMMANDING and self._safety.state is State.HANDED_BACK:
+        elif before in COMMANDING and self._safety.state is State.HANDED_BACK and obeyed:
             # The autopilot follows the last command until it notices the silence: let it be to hover without turning.
             self._send(self._stop.hover)
         given = command if obeyed else None
@@ -169,6 +187,8 @@ class Node:
             flying = reaction is Reaction.STREAM_PLAN
             self._situation = Situation(self._sample, motion, self._goal, given, flying)
         self._watchdog.beat(now, motion, given)
+        if self._guard is not None:
+            self._guard.beat(now, motion, given)
         # Last, so that a flood of packets delays no command.
         self._take_points()
         if self._stopping and self._safety.state not in COMMANDING:
@@ -201,7 +221,13 @@ class Node:
 
     def watch_once(self) -> bool:
         """Brake if the control loop stands still; return whether a command was sent."""
-        return self._watchdog.check(self._clock())
+        guard = self._guard
+        if guard is not None and guard.acting:
+            return False  # this process was stopped: until the control loop is back, the guard knows better
+        done = self._watchdog.check(self._clock())
+        if done is not None and guard is not None:
+            guard.beat(*done)  # this process commands: the guard need not
+        return done is not None
 
     # --- parts of a tick --------------------------------------------------------------------------------------------
 
@@ -237,7 +263,7 @@ class Node:
                 self._planning.take(packet)
                 self._tell(lambda observer, packet=packet: observer.points(packet))
 
-    def _inputs(self, now: float, overrun: bool) -> tuple[Inputs, Motion | None]:
+    def _inputs(self, now: float, loop_age: float) -> tuple[Inputs, Motion | None]:
         latest, sample = self._link.state, self._sample
         plan = self._track.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
@@ -253,14 +279,16 @@ class Node:
             state_finite=self._state_finite and (motion is None or motion.finite),
             plan_finite=self._planning.finite,
             inside_fence=inside_fence(position, self.config.limits),
-            overrun=overrun,
+            loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
             goal_distance=math.inf if self._goal is None else float(np.linalg.norm(self._goal - position)),
             stopping=self._stopping,
         )
         return inputs, motion
 
-    def _command(self, now: float, reaction: Reaction, motion: Motion | None) -> NDArray[np.float64] | None:
+    def _command(
+        self, now: float, reaction: Reaction, inputs: Inputs, motion: Motion | None
+    ) -> NDArray[np.float64] | None:
         """Return thrust [N] and body rates [rad/s], shape [4]; None for silence."""
         if reaction is not Reaction.HOLD:
             self._hold = None
@@ -272,7 +300,7 @@ class Node:
                 return planned
         if reaction is Reaction.HOLD and self._hold is None and motion.speed <= self.config.limits.speed_stopped:
             self._hold = motion.position
-        return self._stop.command(motion, hold=self._hold)
+        return self._stop.command(motion, hold=self._hold, remaining=blind_time_left(inputs, self.config.limits))
 
     def _send(self, command: NDArray[np.float64]) -> None:
         vehicle = self._vehicle
@@ -321,6 +349,8 @@ class Node:
 
     def close(self) -> None:
         """Be silent at once, and release link, LiDAR and observers. A planner that hangs is left behind."""
+        if self._guard is not None:
+            self._guard.close()  # first: to it, this silence is none to fill
         self._stopped.set()
         for thread in self._threads:
             thread.join(timeout=2.0)

@@ -18,6 +18,11 @@ class Port(Protocol):
     datagrams: bool
     """True when what one `receive` returns holds whole messages; False for a stream of bytes."""
 
+    @property
+    def partner(self) -> str | None:
+        """Where `send` goes, as `open_port` takes it, so that another process can; None while there is nobody."""
+        ...
+
     def receive(self) -> bytes | None:
         """Return what has arrived, oldest first, a part at a time; None when there is nothing more."""
         ...
@@ -35,8 +40,13 @@ class Port(Protocol):
         ...
 
 
-def open_port(url: str, *, baud: int = 921_600) -> Port:
+def open_port(url: str, *, baud: int | None = 921_600) -> Port:
     """Open "udpin:ADDRESS:PORT", "udpout:ADDRESS:PORT" or a serial device such as "/dev/ttyTHS1".
+
+    Args:
+        url: what to open.
+        baud: of a serial device [bit/s]; None leaves its settings and what it holds as they are, for a device that
+            another process has open, too.
 
     Raises:
         ValueError: the URL has another form, or the baud rate is none that the system knows.
@@ -74,6 +84,10 @@ class _Udp:
             self._socket.close()
             raise
 
+    @property
+    def partner(self) -> str | None:
+        return None if self._partner is None else f"udpout:{self._partner[0]}:{self._partner[1]}"
+
     def receive(self) -> bytes | None:
         try:
             data, self._last = self._socket.recvfrom(65535)
@@ -101,16 +115,25 @@ class _Udp:
 class _Serial:
     datagrams = False
 
-    def __init__(self, device: str, baud: int) -> None:
+    def __init__(self, device: str, baud: int | None) -> None:
+        self.partner = device
+        self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        if baud is not None:
+            try:
+                self._set_up(baud)
+            except BaseException:
+                os.close(self._file)
+                raise
+
+    def _set_up(self, baud: int) -> None:
+        """Make the device pass raw bytes, 8N1, no flow control, no waiting, and forget what it holds."""
         import termios
 
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
             raise ValueError(f"the baud rate {baud} is none that this system knows; use one such as 921600.")
-        self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             attributes = termios.tcgetattr(self._file)
-            # Raw bytes, 8N1, no flow control, no waiting.
             attributes[0] = attributes[1] = attributes[3] = 0
             attributes[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
             attributes[4] = attributes[5] = speed
@@ -118,8 +141,7 @@ class _Serial:
             termios.tcsetattr(self._file, termios.TCSANOW, attributes)
             termios.tcflush(self._file, termios.TCIOFLUSH)
         except termios.error as error:
-            os.close(self._file)
-            raise OSError(f"{device} is no serial device: {error.args[-1]}") from error
+            raise OSError(f"{self.partner} is no serial device: {error.args[-1]}") from error
 
     def receive(self) -> bytes | None:
         with contextlib.suppress(OSError):

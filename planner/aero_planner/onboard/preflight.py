@@ -22,6 +22,7 @@ from aero_planner.bundle import Bundle
 from aero_planner.config import PlannerConfig
 from aero_planner.onboard.assemble import open_lidar, open_link
 from aero_planner.onboard.frames import quaternion_from_angles
+from aero_planner.onboard.guard import Guard
 from aero_planner.onboard.lidar import PointSource
 from aero_planner.onboard.link import VehicleLink, VehicleSample
 from aero_planner.onboard.safety import inside_fence
@@ -38,6 +39,7 @@ _MOST_LOST = 0.02  # of packets
 _LOG_RATE = 4e6  # [bytes/s], a Mid-360 at its full rate
 _LEAST_DISK = 2e9  # [bytes]
 _LEAST_RECEIVE_BUFFER = 1_000_000  # [bytes]
+_GUARD_TIME = 20.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ def preflight(
     checks = [_configuration(planner, onboard), *_versions(log is not None), _device(planner, onboard, device)]
     checks += _bundle(bundle)
     checks += [_thrust(planner, onboard), _clock(), *_disk(log), *_telemetry_port(onboard), *_receive_buffer()]
+    checks.append(_guard(planner, onboard))
     link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle))
     lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard))
     checks += [link_check, lidar_check]
@@ -239,6 +242,19 @@ def _receive_buffer() -> Iterator[Check]:
     advice = "Points may get lost while the computer is busy: sudo sysctl -w net.core.rmem_max=4000000"
     found = f"up to {largest} bytes"
     yield Check("receive buffer", found, largest >= _LEAST_RECEIVE_BUFFER, advice, required=False)
+
+
+def _guard(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
+    began = time.monotonic()
+    try:
+        guard = Guard(onboard, planner.vehicle, lambda: None)
+        try:
+            guard.wait(_GUARD_TIME)
+        finally:
+            guard.close()
+    except OSError as error:
+        return Check("guard", str(error), False, "The node doesn't start without what brakes when it dies.")
+    return Check("guard", f"a process of its own, which starts in {time.monotonic() - began:.1f} s")
 
 
 def _open(name: str, make: Callable[[], Any]) -> tuple[Any, Check]:

@@ -33,6 +33,7 @@ __all__ = [
     "Safety",
     "State",
     "Transition",
+    "blind_time_left",
     "holds",
     "inside_fence",
     "next_state",
@@ -92,8 +93,8 @@ class Inputs:
     plan_finite: bool
     """Whether the newest plan does."""
     inside_fence: bool
-    overrun: bool
-    """Whether the control loop stood still for longer than its deadline before this tick."""
+    loop_age: float
+    """Since the end of the tick before; 0 at the first."""
     speed: float
     """[m/s]"""
     goal_distance: float
@@ -127,6 +128,7 @@ class Cause(enum.Enum):
     STOPPING = "the node is told to end"
     STATE_GONE = "no state for too long to go on by dead reckoning"
     LINK_GONE = "no heartbeat for too long to go on"
+    LOOP_GONE = "the control loop stood still for too long to go on"
     CANNOT_STOP = "not at rest in time"
     NO_WAY = "no way to go on was found in time"
     STOPPED = "at rest"
@@ -162,6 +164,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.TAKEN_OVER: (),
     Cause.STATE_GONE: ("limits.state_age", "limits.blind_time"),
     Cause.LINK_GONE: ("limits.heartbeat_age", "limits.blind_time"),
+    Cause.LOOP_GONE: ("limits.deadline", "limits.blind_time"),
     Cause.CANNOT_STOP: ("limits.brake_time",),
     Cause.NO_WAY: ("limits.brake_time", "limits.hold_time"),
 }
@@ -184,7 +187,7 @@ _GUARDS: dict[Cause, Guard] = {
     Cause.STATE_STALE: lambda i, m: _older(i.state_age, m.state_age),
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
     Cause.FENCE: lambda i, _: not i.inside_fence,
-    Cause.OVERRUN: lambda i, _: i.overrun,
+    Cause.OVERRUN: lambda i, m: _older(i.loop_age, m.deadline),
     Cause.CLOUD_STALE: lambda i, m: _older(i.cloud_age, m.cloud_age),
     Cause.PLAN_NOT_FINITE: lambda i, _: not i.plan_finite,
     Cause.PLAN_STALE: lambda i, m: _older(i.plan_age, m.plan_age),
@@ -192,6 +195,7 @@ _GUARDS: dict[Cause, Guard] = {
     Cause.STOPPING: lambda i, _: i.stopping,
     Cause.STATE_GONE: lambda i, m: _older(i.state_age, m.state_age + m.blind_time),
     Cause.LINK_GONE: lambda i, m: _older(i.heartbeat_age, m.heartbeat_age + m.blind_time),
+    Cause.LOOP_GONE: lambda i, m: _older(i.loop_age, m.deadline + m.blind_time),
     Cause.CANNOT_STOP: lambda i, m: i.state_time > m.brake_time,
     Cause.NO_WAY: lambda i, m: i.fault_time > m.brake_time + m.hold_time,
     Cause.STOPPED: lambda i, m: _sighted(i, m) and i.speed <= m.speed_stopped,
@@ -215,6 +219,12 @@ def _sighted(inputs: Inputs, limits: LimitSettings) -> bool:
     return not any(holds(fault, inputs, limits) for fault in BLINDING)
 
 
+def blind_time_left(inputs: Inputs, limits: LimitSettings) -> float:
+    """Return the time until STATE_GONE or LINK_GONE applies [s]; infinite while states and heartbeats come in time."""
+    over = max(inputs.state_age - limits.state_age, inputs.heartbeat_age - limits.heartbeat_age)
+    return limits.blind_time - over if over > 0.0 else math.inf
+
+
 @dataclass(frozen=True)
 class Transition:
     """One row of the table: from each of `sources`, when `cause` applies, to `target`."""
@@ -230,6 +240,8 @@ COMMANDING = (_S.FLYING, _S.ARRIVED, _S.BRAKING, _S.HOLDING)
 """States in which the drone obeys."""
 
 TRANSITIONS: tuple[Transition, ...] = (
+    # Watchdog or guard have braked to the end and handed back: a mode that says otherwise may be the failsafe's.
+    Transition(COMMANDING, Cause.LOOP_GONE, _S.HANDED_BACK),
     # The pilot always wins.
     Transition(COMMANDING, Cause.TAKEN_OVER, _S.WAITING),
     Transition((_S.HANDED_BACK,), Cause.DISARMED, _S.WAITING),

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from aero_planner.config import PlannerConfig
+from aero_planner.config import PlannerConfig, find_parameter
 from aero_planner.parameter import ParameterInfo, Value, did_you_mean, live, structural, switch
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "TelemetrySettings",
     "TextInfo",
     "ThrustSettings",
+    "above_fence",
     "check_together",
     "find_setting",
     "settings",
@@ -131,7 +132,11 @@ class LimitSettings(_Section):
         0.1, "s", 0.02, 1.0, "Time for which the control loop may stand still; the watchdog then brakes in its place."
     )
     blind_time: float = live(
-        1.0, "s", 0.0, 5.0, "Time for which the drone is levelled by dead reckoning before it is handed back."
+        1.5,
+        "s",
+        0.0,
+        5.0,
+        "Time for which the drone is braked and levelled by dead reckoning before it is handed back.",
     )
     brake_time: float = live(5.0, "s", 0.5, 30.0, "Time in which the drone must have come to rest.")
     hold_time: float = live(10.0, "s", 0.0, 600.0, "Time for which the drone waits at rest for a way to go on.")
@@ -266,6 +271,16 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             f"vehicle.thrust_max is {planner.vehicle.thrust_max} N; it must exceed the weight of "
             f"{planner.vehicle.mass * planner.vehicle.gravity:.2f} N, or the drone can't fly."
         )
+
+
+def above_fence(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerConfig:
+    """Return the planner's configuration with everything below the geofence as an obstacle.
+
+    A Mid-360 does not see the ground below it, and a slow drone that seeks free space sinks. A higher costs.floor
+    stays.
+    """
+    floor = min(max(planner.costs.floor, onboard.limits.fence_height_min), find_parameter("costs.floor").high)
+    return planner.replace({"costs.floor": floor})
 
 
 def _info(section: str, setting: Any) -> ParameterInfo:

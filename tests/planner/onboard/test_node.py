@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner, PlanStatus, VehicleState
+from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.plan_track import FlyablePlan
 from aero_planner.onboard.record import Observer, PlanRecord
 from aero_planner.onboard.safety import State
@@ -189,6 +190,15 @@ def test_without_states_it_levels_blindly_and_hands_back(flight: Simulation, fau
     assert len(flight.link.sent) == count and flight.node.state is State.HANDED_BACK
 
 
+def test_however_little_time_it_has_it_hands_back_level(small_planner: Planner):
+    flight = in_flight(small_planner, changes={"limits.blind_time": 0.6})
+    flight.link.frozen = True
+    assert flight.run_until(lambda: flight.node.state is State.HANDED_BACK, 2.0)
+    np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
+    upright = rotate(flight.motion.quaternion, [0.0, 0.0, 1.0])[2]
+    assert upright > math.cos(math.radians(3.0))
+
+
 def test_a_short_gap_in_the_states_is_bridged(flight: Simulation):
     flight.link.alive = False
     flight.run(0.4)
@@ -311,6 +321,18 @@ def test_a_control_loop_that_comes_back_brakes_first_and_goes_on(flight: Simulat
     assert flight.node.state is State.BRAKING and str(flight.node.changes[-1]).endswith("the control loop stood still")
     flight.run(0.5)
     assert flight.node.state is State.FLYING
+
+
+def test_a_control_loop_that_comes_back_too_late_stays_silent(flight: Simulation):
+    flight.control_alive = False
+    flight.run(flight.node.config.limits.deadline + flight.node.config.limits.blind_time + 0.1)
+    count = len(flight.link.sent)
+    np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0])
+    flight.run(1.0)
+    assert not flight.link.offboard  # the autopilot has taken the drone
+    flight.control_alive = True
+    flight.run(3.0)
+    assert flight.node.state is State.HANDED_BACK and len(flight.link.sent) == count
 
 
 def test_the_watchdog_never_speaks_where_the_pilot_flies(small_planner: Planner):

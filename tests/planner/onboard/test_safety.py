@@ -47,7 +47,7 @@ WELL = Inputs(
     state_finite=True,
     plan_finite=True,
     inside_fence=True,
-    overrun=False,
+    loop_age=0.02,
     speed=3.0,
     goal_distance=20.0,
 )
@@ -61,7 +61,8 @@ BREAKS: dict[str, dict[str, object]] = {
     "state age unknown": {"state_age": math.nan},
     "state not finite": {"state_finite": False, "speed": math.nan, "goal_distance": math.nan},
     "fence": {"inside_fence": False},
-    "overrun": {"overrun": True},
+    "overrun": {"loop_age": LIMITS.deadline + 0.01},
+    "loop gone": {"loop_age": LIMITS.deadline + LIMITS.blind_time + 0.01},
     "cloud": {"cloud_age": math.inf},
     "cloud age unknown": {"cloud_age": math.nan},
     "plan": {"plan_age": LIMITS.plan_age + 0.01},
@@ -100,11 +101,11 @@ def is_well(inputs: Inputs) -> bool:
     """Whether nothing stands against flying a plan, said once more and otherwise than the machine says it."""
     ages = (
         (inputs.heartbeat_age, LIMITS.heartbeat_age), (inputs.state_age, LIMITS.state_age),
-        (inputs.cloud_age, LIMITS.cloud_age), (inputs.plan_age, LIMITS.plan_age),
+        (inputs.cloud_age, LIMITS.cloud_age), (inputs.plan_age, LIMITS.plan_age), (inputs.loop_age, LIMITS.deadline),
     )  # fmt: skip
     fresh = all(age <= limit for age, limit in ages)  # which NaN is not
     right = inputs.state_finite and inputs.plan_finite and inputs.inside_fence and inputs.plan_status is PlanStatus.OK
-    return fresh and right and not inputs.overrun and not inputs.stopping
+    return fresh and right and not inputs.stopping
 
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
@@ -219,7 +220,7 @@ class World:
                 state_finite="nan state" not in broken,
                 plan_finite="nan plan" not in broken,
                 inside_fence="fence" not in broken,
-                overrun="overrun" in broken,
+                loop_age=LIMITS.deadline + 0.01 if "overrun" in broken else PERIOD,
                 speed=speed,
             ),
         )

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
 from aero_planner.config_file import format_config
-from aero_planner.onboard.settings import SECTIONS, OnboardConfig, TextInfo, check_together, settings
+from aero_planner.onboard.settings import (
+    SECTIONS,
+    OnboardConfig,
+    TextInfo,
+    above_fence,
+    check_together,
+    settings,
+)
 from aero_planner.onboard.settings_file import format_onboard, load_file, load_flight_config, load_onboard
 from aero_planner.parameter import ParameterInfo
 
@@ -172,3 +179,11 @@ def test_written_files_explain_every_setting():
     for info in settings():
         assert info.help in text and f"{info.name}: " in text
     assert list(OnboardConfig().to_dict()) == list(SECTIONS)
+
+
+@pytest.mark.parametrize(
+    ("floor", "fence", "told"), [(-1000.0, 0.3, 0.3), (0.5, 0.3, 0.5), (-1000.0, -1e4, -1000.0), (0.0, 9e3, 1000.0)]
+)
+def test_below_the_fence_is_an_obstacle(floor: float, fence: float, told: float):
+    onboard = OnboardConfig().replace({"limits.fence_height_min": fence, "limits.fence_height_max": 1e4})
+    assert above_fence(PlannerConfig().replace({"costs.floor": floor}), onboard).costs.floor == told

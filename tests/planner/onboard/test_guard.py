@@ -1,0 +1,342 @@
+"""The guard as it flies: its shared memory, and the process itself with a real socket, or serial line, to talk to."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from aero_planner import Planner, PlannerConfig
+from aero_planner.onboard.frames import flu_from_frd
+from aero_planner.onboard.guard import BeatMemory, Guard, takeover_time
+from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.motion import Motion
+from aero_planner.onboard.node import Node
+from aero_planner.onboard.port import open_port
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.watchdog import Beat
+from tests.planner.onboard.simulated import GOAL
+from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
+
+mavlink = load_dialect()
+VEHICLE = PlannerConfig().vehicle
+CONFIG = OnboardConfig().replace({"limits.blind_time": 0.6})
+PERIOD = 1.0 / CONFIG.rates.control
+HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
+PATIENCE = 20.0
+"""With a busy machine [s]."""
+
+
+def forward(now: float) -> Motion:
+    """Level, north at 4 m/s."""
+    return Motion(now, np.zeros(3), np.array([4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+# --- the memory -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def file() -> Iterator[int]:
+    file = BeatMemory.new_file()
+    yield file
+    os.close(file)
+
+
+@pytest.fixture
+def memory(file: int) -> BeatMemory:
+    return BeatMemory(file)
+
+
+def test_what_is_written_is_read_by_the_other_side(memory: BeatMemory, file: int):
+    other = BeatMemory(file)
+    assert other.read() is None
+    motion = Motion(4.9, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([0.5, 0.5, -0.5, 0.5]))
+    for count in range(1, 5):
+        memory.write(Beat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count])), "udpout:10.0.0.1:14540")
+        number, beat, target = other.read() or pytest.fail("there is none")
+        assert (number, beat.time, target) == (count, 5.0 + count, "udpout:10.0.0.1:14540")
+        assert beat.motion is not None and beat.motion.time == 4.9
+        for name in ("position", "velocity", "quaternion"):
+            np.testing.assert_array_equal(getattr(beat.motion, name), getattr(motion, name))
+        np.testing.assert_array_equal(beat.command, [9.0, 0.1, 0.2, count])
+    memory.write(Beat(10.0, None, None), None)
+    assert other.read() == (5, Beat(10.0, None, None), None)
+    assert memory.reported() == (False, False, 0)
+    other.report(4, 3)
+    assert memory.reported() == (True, False, 3)
+    other.report(5, 3)
+    assert memory.reported() == (True, True, 3)
+    memory.write(Beat(11.0, None, None), None)
+    assert memory.reported() == (True, False, 3)  # it acts on a beat that is none any more
+
+
+def test_a_motion_that_is_not_finite_is_none(memory: BeatMemory):
+    memory.write(Beat(5.0, forward(math.nan), np.array([9.0, math.inf, 0.0, 0.0])), None)
+    assert memory.read() == (1, Beat(5.0, None, None), None)
+
+
+@pytest.mark.parametrize("written", [1, 2, 3, 4])
+def test_a_writer_stopped_anywhere_leaves_the_beat_before(memory: BeatMemory, written: int):
+    for count in range(1, written + 1):
+        memory.write(Beat(float(count), forward(count), HOVER + count), f"udpout:127.0.0.1:{count}")
+    before = memory._memory[:]
+    memory.write(Beat(-7.0, forward(-7.0), -HOVER), "/dev/ttyTHS1")
+    after = memory._memory[:]
+    (changed,) = np.nonzero(np.frombuffer(before, np.uint8) != np.frombuffer(after, np.uint8))
+    first, last = int(changed[0]), int(changed[-1])
+    for end in range(first, last + 1):
+        memory._memory[:] = after[:end] + before[end:]
+        found = memory.read()
+        assert found is not None and found[0] == written and found[1].time == written, end
+    # The same in any other order of bytes, such as a processor that writes the end first.
+    for begin in range(first + 1, last + 1):
+        memory._memory[:] = before[:begin] + after[begin:]
+        found = memory.read()
+        assert found is not None and found[0] == written, begin
+    memory._memory[:] = after
+    found = memory.read()
+    assert found is not None and found[0] == written + 1 and found[2] == "/dev/ttyTHS1"
+
+
+# --- the process ------------------------------------------------------------------------------------------------------
+
+
+class Autopilot:
+    """Listens to commands."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self.url = f"udpout:127.0.0.1:{self._socket.getsockname()[1]}"
+        self._parser = mavlink.MAVLink(None)
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def receive(self, timeout: float) -> tuple[float, np.ndarray] | None:
+        """Return when the next command arrived [s] and signal and body rates, forward-left-up; None when none came."""
+        if not select.select([self._socket], [], [], timeout)[0]:
+            return None
+        now = time.monotonic()
+        (message,) = self._parser.parse_buffer(self._socket.recv(2048))
+        assert message.get_type() == "SET_ATTITUDE_TARGET"
+        assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 191)
+        rates = flu_from_frd([message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate])
+        return now, np.array([message.thrust, *rates])
+
+    def receive_all(self) -> list[tuple[float, np.ndarray]]:
+        """Return commands until none has come for much longer than a period, after the first."""
+        commands, next = [], self.receive(PATIENCE)
+        while next is not None:
+            commands.append(next)
+            next = self.receive(0.5)
+        return commands
+
+
+@pytest.fixture
+def autopilot() -> Iterator[Autopilot]:
+    autopilot = Autopilot()
+    yield autopilot
+    autopilot.close()
+
+
+@pytest.fixture
+def guard(autopilot: Autopilot) -> Iterator[Guard]:
+    guard = Guard(CONFIG, VEHICLE, lambda: autopilot.url)
+    guard.wait(PATIENCE)
+    yield guard
+    guard.close()
+
+
+def fly(guard: Guard, ticks: int = 10) -> float:
+    """Be a node that is obeyed, for some ticks; return when it was last [s]."""
+    now = time.monotonic()
+    for _ in range(ticks):
+        now = time.monotonic()
+        guard.beat(now, forward(now), HOVER)
+        time.sleep(PERIOD)
+    return now
+
+
+def check_braking(commands: list[tuple[float, np.ndarray]]) -> None:
+    """Check that a drone flying north is braked and then told to hover, see `forward`."""
+    (_, first), (_, last) = commands[0], commands[-1]
+    # Nose up, in forward-left-up a negative pitch rate, with which the thrust turns backwards.
+    assert first[2] < -1.0 and abs(first[1]) < 1e-6 and first[3] == 0.0
+    np.testing.assert_allclose(last, [CONFIG.thrust.hover_thrust, 0.0, 0.0, 0.0], atol=1e-6)
+    # As long as it was to be, give and take what a busy machine adds.
+    assert CONFIG.limits.blind_time - 2 * PERIOD < commands[-1][0] - commands[0][0] < CONFIG.limits.blind_time + 1.0
+    assert len(commands) > 5
+
+
+def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: Guard, autopilot: Autopilot):
+    last = fly(guard)
+    commands = autopilot.receive_all()
+    assert takeover_time(CONFIG) < commands[0][0] - last < takeover_time(CONFIG) + 1.0
+    check_braking(commands)
+    # It stays, and guards again.
+    fly(guard)
+    check_braking(autopilot.receive_all())
+    guard.close()
+    assert guard.interventions == 2 and not guard.lost
+
+
+def test_beats_that_come_back_make_it_silent_at_once(guard: Guard, autopilot: Autopilot):
+    fly(guard, 3)
+    assert not guard.acting
+    assert autopilot.receive(PATIENCE) is not None
+    while not guard.acting:  # the report follows the command
+        assert autopilot.receive(PATIENCE) is not None
+    fly(guard, 3)
+    assert not guard.acting
+    while autopilot.receive(0.0) is not None:
+        pass
+    fly(guard, 30)
+    assert autopilot.receive(0.0) is None
+
+
+def test_closed_in_flight_it_says_nothing(guard: Guard, autopilot: Autopilot):
+    fly(guard)
+    guard.close()
+    guard.close()
+    guard.beat(time.monotonic(), None, None)
+    assert autopilot.receive(2 * takeover_time(CONFIG)) is None
+    assert not guard.lost
+
+
+def test_where_the_drone_does_not_obey_it_says_nothing(guard: Guard, autopilot: Autopilot):
+    fly(guard)
+    now = time.monotonic()
+    guard.beat(now, forward(now), None)
+    assert autopilot.receive(2 * takeover_time(CONFIG)) is None
+
+
+def test_signals_to_all_do_not_end_it(guard: Guard, autopilot: Autopilot):
+    assert os.getpgid(guard._process.pid) != os.getpgid(0)  # what Ctrl-C and Ctrl-Z reach
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        guard._process.send_signal(number)
+    fly(guard)
+    check_braking(autopilot.receive_all())
+
+
+def test_a_guard_that_dies_is_told_of_once(guard: Guard, caplog: pytest.LogCaptureFixture):
+    fly(guard, 2)
+    assert not guard.lost
+    guard._process.kill()
+    guard._process.wait()
+    with caplog.at_level(logging.ERROR):
+        fly(guard, 3)
+    assert guard.lost and caplog.text.count("the guard has ended with code -9") == 1
+
+
+def test_a_guard_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    guard = Guard(CONFIG, VEHICLE, lambda: None)
+    with pytest.raises(OSError, match=r"the guard, .*, has ended with code 1"):
+        guard.wait(PATIENCE)
+    guard.close()
+    monkeypatch.setattr(sys, "executable", "/absent/python")
+    with pytest.raises(OSError, match="absent"):
+        Guard(CONFIG, VEHICLE, lambda: None)
+
+
+NODE = """
+import sys, time
+from aero_planner.onboard.guard import Guard
+from tests.planner.onboard.test_guard import CONFIG, PATIENCE, VEHICLE, fly
+
+guard = Guard(CONFIG, VEHICLE, lambda: sys.argv[1])
+guard.wait(PATIENCE)
+print("flying", flush=True)
+while True:
+    fly(guard, 1)
+"""
+
+
+@pytest.fixture
+def node(autopilot: Autopilot) -> Iterator[subprocess.Popen[str]]:
+    """A process that is obeyed, and guarded."""
+    command = [sys.executable, "-c", NODE, autopilot.url]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "flying\n"
+        time.sleep(5 * PERIOD)
+        yield process
+        process.kill()
+
+
+def test_a_process_that_is_killed_is_replaced_until_the_drone_hovers(node: subprocess.Popen[str], autopilot: Autopilot):
+    node.kill()
+    check_braking(autopilot.receive_all())
+    # The guard holds the other end of this, too: it has ended.
+    assert "the guard brakes" in node.communicate(timeout=PATIENCE)[1]
+
+
+def test_a_process_that_is_stopped_is_replaced_and_takes_over_again(node: subprocess.Popen[str], autopilot: Autopilot):
+    node.send_signal(signal.SIGSTOP)
+    check_braking(autopilot.receive_all())
+    node.send_signal(signal.SIGCONT)
+    assert autopilot.receive(2 * takeover_time(CONFIG)) is None
+    node.send_signal(signal.SIGSTOP)
+    assert autopilot.receive(PATIENCE) is not None
+
+
+def test_a_serial_line_is_shared():
+    there, device = os.openpty()
+    name = os.ttyname(device)
+    port = open_port(name, baud=115_200)
+    before = termios.tcgetattr(device)
+    assert port.partner == name and port.send(b"the node's last words")
+    guard = Guard(CONFIG, VEHICLE, lambda: port.partner)
+    try:
+        guard.wait(PATIENCE)
+        fly(guard)
+        assert select.select([there], [], [], PATIENCE)[0]
+        time.sleep(takeover_time(CONFIG) + 3 * PERIOD)
+        data = os.read(there, 4096)
+        # What the node wrote is still there, and its settings hold.
+        assert data.startswith(b"the node's last words")
+        messages = mavlink.MAVLink(None).parse_buffer(data[len(b"the node's last words") :])
+        assert messages[0].get_type() == "SET_ATTITUDE_TARGET"
+        assert termios.tcgetattr(device) == before
+    finally:
+        guard.close()
+        port.close()
+        os.close(there)
+        os.close(device)
+
+
+def test_it_and_the_nodes_own_watchdog_never_speak_both(
+    small_planner: Planner, guard: Guard, autopilot: Autopilot, caplog: pytest.LogCaptureFixture
+):
+    small_planner.reset()
+    link = StandingLink()
+    config = CONFIG.replace({"limits.plan_age": 1.0, "limits.cloud_age": 2.0, "limits.state_age": 1.0})
+    node = Node(small_planner, link, StandingLidar(), config, goal=GOAL, guard=guard)
+    node.warm_up()
+    node.start()
+    try:
+        assert link.wait_for_commands()
+        link.armed = link.offboard = True
+        assert link.wait_for_commands()
+        # The control loop fails: the watchdog, in this process, brakes to the end.
+        link.failing = True
+        with caplog.at_level(logging.ERROR):
+            assert autopilot.receive(takeover_time(config) + config.limits.blind_time + 1.0) is None
+        assert "the watchdog brakes" in caplog.text
+    finally:
+        node.close()
+    assert autopilot.receive(2 * takeover_time(config)) is None
+    statistics = node.statistics()
+    assert statistics["watchdog_interventions"] == 1
+    assert statistics["guard_interventions"] == 0 and statistics["guard_lost"] is False
