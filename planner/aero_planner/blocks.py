@@ -50,6 +50,7 @@ class Widths(NamedTuple):
     team: int = 1
     """The same for Stage II, which has fewer positions."""
     cuda: bool = False
+    """Whether the device is one of CUDA's."""
 
     def crowded(self) -> "Widths":
         """Return the widths for many drones, which leave no threads to spare."""

@@ -1,9 +1,10 @@
 """Exact distance to the nearest point of the filtered cloud, truncated where it no longer matters.
 
 The space around the drone is cut into cubic cells at least as wide as the largest distance that is asked for, so that
-all points that count for a position lie in the 27 cells around it. Points are sorted by cell, rows of cells along x one
-after another. Every point is entered in the layers below and above its own, too, and where that pays (on a CPU) also in
-the rows beside its own: the 27 cells are then one piece of the list, otherwise three. Nothing is approximated.
+all points that count for a position lie in the 27 cells around it; those out of its reach are left out. Points are
+sorted by cell, rows of cells along x one after another. Every point is entered in the layers below and above its own,
+too, and where that pays (on a CPU) also in the rows beside its own: the 27 cells are then one piece of the list,
+otherwise three. Nothing is approximated.
 """
 
 # No postponed annotations: those of kernels that `width` shapes name local types.
@@ -36,6 +37,7 @@ GRID = wp.constant(44)
 """Cells along each side of the grid; the outermost hold no points, so that every point has 27 cells around it."""
 
 Row: Any = wp.types.matrix(shape=(44 // 4, 4), dtype=wp.int32)
+"""Counts of a row of cells, by fours."""
 
 FAR = wp.constant(1.0e18)
 """Coordinate of what fills up the last block."""
@@ -98,7 +100,7 @@ def allocate_rows(
 ):
     """Give each row of cells a piece of this lane's `capacity` points; counts become where each cell begins.
 
-    `counts` is `end` by fours. Launched over [B, rows of the lane, filled up to whole warps].
+    `counts` is `end` by fours. Launched over [B, rows of the lane, filled up to whole warps of 32].
 
     Which piece a row gets depends on the order of the threads; the nearest distance does not.
     """
