@@ -25,10 +25,8 @@ import threading
 import time
 import zlib
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.assemble import make_sender
@@ -36,7 +34,7 @@ from aero_planner.onboard.mavlink import MavlinkSender
 from aero_planner.onboard.motion import Motion, StopController
 from aero_planner.onboard.port import open_port
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.watchdog import Beat, Watchdog
+from aero_planner.onboard.watchdog import AHEAD, Beat, Watchdog
 
 __all__ = ["BeatMemory", "Guard", "main", "takeover_time"]
 
@@ -64,9 +62,10 @@ class BeatMemory:
         file: descriptor of the memory, from `new_file`; it may be closed then.
     """
 
-    _SLOT = struct.Struct("<Q16d256s")  # count, time, motion, command, target
-    _REPORT = struct.Struct("<QII")  # count of the beat that is acted on, whether at work, interventions
-    _SIZE = _SLOT.size + 4  # with the checksum
+    _HEAD = struct.Struct("<Q256s")  # count, target
+    _NUMBERS = 16 + 4 * AHEAD  # time, motion, command, commands ahead; NaN for what is not there
+    _SIZE = _HEAD.size + 8 * _NUMBERS + 4  # with the checksum
+    _REPORT = struct.Struct("<QII")  # count of the beat after which the reader brakes, whether at work, interventions
 
     @classmethod
     def new_file(cls) -> int:
@@ -81,49 +80,58 @@ class BeatMemory:
 
     def write(self, beat: Beat, target: str | None) -> None:
         """Replace the newest beat; `target` is where commands go, as `open_port` takes it. One thread at a time."""
-        motion, command = beat.motion, beat.command
-        state = [math.nan] * 11
-        if motion is not None:
-            state = [motion.time, *motion.position, *motion.velocity, *motion.quaternion]
         self._count += 1
-        values = beat.time, *state, *([math.nan] * 4 if command is None else command)
-        data = self._SLOT.pack(self._count, *values, (target or "").encode())
-        self._put(self._count % 2, data + struct.pack("<I", zlib.crc32(data)))
+        numbers = np.full(self._NUMBERS, math.nan)
+        numbers[0] = beat.time
+        if beat.motion is not None:
+            motion = beat.motion
+            numbers[1:12] = motion.time, *motion.position, *motion.velocity, *motion.quaternion
+        if beat.command is not None:
+            numbers[12:16] = beat.command
+        if beat.ahead is not None:
+            ahead = beat.ahead[:AHEAD].ravel()
+            numbers[16 : 16 + len(ahead)] = ahead
+        data = self._HEAD.pack(self._count, (target or "").encode()) + numbers.tobytes()
+        start = self._count % 2 * self._SIZE
+        self._memory[start : start + self._SIZE] = data + struct.pack("<I", zlib.crc32(data))
 
     def read(self) -> tuple[int, Beat, str | None] | None:
         """Return the count of the newest whole beat, the beat and its target; None when there is none."""
-        counted = [slot for slot in map(self._get, (0, 1)) if slot is not None]
-        if not counted:
+        whole = [data for data in map(self._get, (0, 1)) if data is not None]
+        if not whole:
             return None
-        count, *values, target = max(counted)
-        time, *state = values
-        command = np.array(state[11:])
-        motion = Motion(state[0], np.array(state[1:4]), np.array(state[4:7]), np.array(state[7:11]))
-        beat = Beat(time, motion if motion.finite else None, command if np.isfinite(command).all() else None)
+        data = max(whole, key=lambda data: self._HEAD.unpack_from(data)[0])
+        count, target = self._HEAD.unpack_from(data)
+        numbers = np.frombuffer(data, np.float64, offset=self._HEAD.size)
+        motion = Motion(float(numbers[1]), numbers[2:5], numbers[5:8], numbers[8:12])
+        command, ahead = numbers[12:16], numbers[16:].reshape(-1, 4)
+        ahead = ahead[np.isfinite(ahead).all(axis=1)]
+        beat = Beat(
+            float(numbers[0]),
+            motion if motion.finite else None,
+            command if np.isfinite(command).all() else None,
+            ahead if len(ahead) else None,
+        )
         return count, beat, target.rstrip(b"\0").decode() or None
 
-    def report(self, acting_on: int = 0, interventions: int = 0) -> None:
+    def report(self, braking_since: int = 0, interventions: int = 0) -> None:
         """Say, as the reader, that it is at work.
 
         Args:
-            acting_on: count of the newest beat if the reader commands since; 0 if it does not.
+            braking_since: count of the newest beat if the reader has braked since; 0 if it has not.
             interventions: times that it began to.
         """
-        self._memory[2 * self._SIZE :] = self._REPORT.pack(acting_on, True, interventions)
+        self._memory[2 * self._SIZE :] = self._REPORT.pack(braking_since, True, interventions)
 
     def reported(self) -> tuple[bool, bool, int]:
-        """Return whether the reader is at work, whether it commands since the newest beat, and how often it began."""
-        acting_on, ready, interventions = self._REPORT.unpack(self._memory[2 * self._SIZE :])
-        return bool(ready), 0 < acting_on == self._count, interventions
+        """Return whether the reader is at work, whether it has braked since the newest beat, and how often it began."""
+        braking_since, ready, interventions = self._REPORT.unpack(self._memory[2 * self._SIZE :])
+        return bool(ready), 0 < braking_since == self._count, interventions
 
-    def _put(self, slot: int, data: bytes) -> None:
-        start = slot * self._SIZE
-        self._memory[start : start + len(data)] = data
-
-    def _get(self, slot: int) -> tuple[Any, ...] | None:
+    def _get(self, slot: int) -> bytes | None:
         whole = self._memory[slot * self._SIZE : (slot + 1) * self._SIZE]
         data, checksum = whole[:-4], struct.unpack("<I", whole[-4:])[0]
-        return self._SLOT.unpack(data) if zlib.crc32(data) == checksum else None
+        return data if zlib.crc32(data) == checksum else None
 
 
 # --- the node's side --------------------------------------------------------------------------------------------------
@@ -169,8 +177,8 @@ class Guard:
             self._process.stdin.flush()
 
     @property
-    def acting(self) -> bool:
-        """Whether it has commanded since the newest beat, so that nobody here knows what the drone was told last."""
+    def braking(self) -> bool:
+        """Whether it has braked since the newest beat, so that nobody here knows what the drone was told last."""
         return self._memory.reported()[1]
 
     def wait(self, timeout: float) -> None:
@@ -187,13 +195,13 @@ class Guard:
                 raise OSError(f"the guard, the process that brakes when this one dies, {how}; see what it wrote above.")
             time.sleep(0.01)
 
-    def beat(self, now: float, motion: Motion | None, command: NDArray[np.float64] | None) -> None:
-        """Say that this process is there; the arguments are those of a `Beat`. Never blocks; any thread may call."""
+    def beat(self, beat: Beat) -> None:
+        """Say that this process is there. Never blocks; any thread may call."""
         if not self._writing.acquire(blocking=False):
             return  # another thread says so
         try:
             if not self._closed:
-                self._memory.write(Beat(now, motion, command), self._partner())
+                self._memory.write(beat, self._partner())
                 self._look_after()
         finally:
             self._writing.release()
@@ -257,6 +265,7 @@ def main() -> None:
         sender,
         StopController(vehicle, onboard.brake),
         vehicle,
+        period=1.0 / onboard.rates.control,
         deadline=takeover_time(onboard),
         blind_time=onboard.limits.blind_time,
         name="guard",
@@ -283,14 +292,14 @@ def _watch(memory: BeatMemory, sender: MavlinkSender, watchdog: Watchdog, period
             if partner is not None and partner != target:
                 target = partner
                 _point(sender, target)
-            watchdog.beat(*beat)
+            watchdog.beat(beat)
         if alone:
             watchdog.give_up(now)
         try:
             watchdog.check(now)
         except Exception:
             _log.exception("the guard failed")
-        memory.report(seen if watchdog.acting else 0, watchdog.interventions)
+        memory.report(seen if watchdog.braking else 0, watchdog.interventions)
 
 
 def _point(sender: MavlinkSender, target: str) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.deadlines import Pacer
-from aero_planner.onboard.guard import Guard
+from aero_planner.onboard.guard import Guard, takeover_time
 from aero_planner.onboard.lidar import PointSource
 from aero_planner.onboard.link import VehicleLink, VehicleSample
 from aero_planner.onboard.motion import DeadReckoning, Motion, StopController
@@ -38,7 +38,7 @@ from aero_planner.onboard.safety import (
     inside_fence,
 )
 from aero_planner.onboard.settings import OnboardConfig, check_together
-from aero_planner.onboard.watchdog import Watchdog
+from aero_planner.onboard.watchdog import AHEAD, Beat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
 
@@ -104,7 +104,7 @@ class Node:
         period = 1.0 / config.rates.control
         limits = config.limits
         self._watchdog = Watchdog(
-            link, self._stop, self._vehicle, deadline=limits.deadline, blind_time=limits.blind_time
+            link, self._stop, self._vehicle, period=period, deadline=limits.deadline, blind_time=limits.blind_time
         )
         self._situation: Situation | None = None
         self._sample: VehicleSample | None = None
@@ -186,9 +186,10 @@ class Node:
         if self._sample is not None and motion is not None:
             flying = reaction is Reaction.STREAM_PLAN
             self._situation = Situation(self._sample, motion, self._goal, given, flying)
-        self._watchdog.beat(now, motion, given)
+        beat = Beat(now, motion, given, self._ahead(now) if reaction is Reaction.STREAM_PLAN else None)
+        self._watchdog.beat(beat)
         if self._guard is not None:
-            self._guard.beat(now, motion, given)
+            self._guard.beat(beat)
         # Last, so that a flood of packets delays no command.
         self._take_points()
         if self._stopping and self._safety.state not in COMMANDING:
@@ -220,13 +221,13 @@ class Node:
         return True
 
     def watch_once(self) -> bool:
-        """Brake if the control loop stands still; return whether a command was sent."""
+        """Speak for the control loop if it stands still; return whether a command was sent."""
         guard = self._guard
-        if guard is not None and guard.acting:
+        if guard is not None and guard.braking:
             return False  # this process was stopped: until the control loop is back, the guard knows better
         done = self._watchdog.check(self._clock())
         if done is not None and guard is not None:
-            guard.beat(*done)  # this process commands: the guard need not
+            guard.beat(done)  # this process speaks: the guard need not
         return done is not None
 
     # --- parts of a tick --------------------------------------------------------------------------------------------
@@ -302,11 +303,19 @@ class Node:
             self._hold = motion.position
         return self._stop.command(motion, hold=self._hold, remaining=blind_time_left(inputs, self.config.limits))
 
-    def _send(self, command: NDArray[np.float64]) -> None:
+    def _ahead(self, now: float) -> NDArray[np.float64]:
+        """Return what is to be flown in the periods to come if no tick follows, shape [n, 4]."""
+        period, limits = 1.0 / self.config.rates.control, self.config.limits
+        count = min(AHEAD, math.ceil(takeover_time(self.config) / period))
+        return self._bounded(self._track.ahead(now, period=period, count=count, age_max=limits.plan_age))
+
+    def _bounded(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
         vehicle = self._vehicle
         xy, z = vehicle.rate_xy_max, vehicle.rate_z_max
-        bounded = np.clip(command, (vehicle.thrust_min, -xy, -xy, -z), (vehicle.thrust_max, xy, xy, z))
-        self._link.send(bounded)
+        return np.clip(command, (vehicle.thrust_min, -xy, -xy, -z), (vehicle.thrust_max, xy, xy, z))
+
+    def _send(self, command: NDArray[np.float64]) -> None:
+        self._link.send(self._bounded(command))
         self.sent += 1
 
     def _on_change(self, change: Change) -> None:

@@ -63,3 +63,17 @@ class PlanTrack:
         """Return the control to fly at `now` [s], shape [4]; None when no plan reaches so far."""
         plan = self.at(now)
         return None if plan is None else plan.command(now)
+
+    def ahead(self, now: float, *, period: float, count: int, age_max: float) -> NDArray[np.float64]:
+        """Return the controls to fly at `now` + `period`, `now` + 2 `period`, .. [s], shape [n, 4], n <= `count`.
+
+        It ends where no plan reaches, or where the state on which it builds will be older than `age_max` [s].
+        """
+        controls = np.empty((count, 4))
+        for i in range(count):
+            time = now + (i + 1) * period
+            plan = self.at(time)
+            if plan is None or time - plan.measured > age_max:
+                return controls[:i]
+            controls[i] = plan.command(time)
+        return controls

@@ -13,9 +13,15 @@ from aero_planner.config import VehicleConfig
 from aero_planner.onboard.link import CommandSink
 from aero_planner.onboard.motion import Motion, StopController, propagate
 
-__all__ = ["Beat", "Watchdog"]
+__all__ = ["AHEAD", "Beat", "Watchdog"]
 
 _log = logging.getLogger(__name__)
+
+AHEAD = 16
+"""Commands of the plan that a beat tells ahead, at most."""
+
+_LATE = 1.5
+"""Control periods after which a tick is late."""
 
 
 class Beat(NamedTuple):
@@ -27,19 +33,23 @@ class Beat(NamedTuple):
     """Of the drone, where known."""
     command: NDArray[np.float64] | None
     """What it obeys from then on, shape [4]; None where it does not obey us."""
+    ahead: NDArray[np.float64] | None = None
+    """What the plan says for the control periods to come, shape [n, 4], n <= `AHEAD`; None where none is flown."""
 
 
 class Watchdog:
-    """Streams the braking command in the place of a control loop that stands still.
+    """Speaks in the place of a control loop that stands still.
 
-    The loop says at the end of each tick where the drone is and whether it obeys. When no tick has ended for
-    `deadline`, `check`, called by somebody else than the loop, brakes and levels from there by dead reckoning, for
-    `blind_time`. Then it says to hover without turning and falls silent: the autopilot's own failsafe takes over.
+    The loop says at the end of each tick where the drone is, whether it obeys, and what the plan says next. `check`,
+    called by somebody else than the loop, goes on with the plan when a tick is late. When no tick has ended for
+    `deadline`, it brakes and levels by dead reckoning, for `blind_time`. Then it says to hover without turning and is
+    silent: the autopilot's own failsafe takes over.
 
     Args:
         link: to the autopilot.
         stop: how to brake.
         vehicle: the model to reckon with.
+        period: of the control loop [s].
         deadline, blind_time: see `aero_planner.onboard.settings.LimitSettings` [s].
         name: what the log calls it.
     """
@@ -50,6 +60,7 @@ class Watchdog:
         stop: StopController,
         vehicle: VehicleConfig,
         *,
+        period: float,
         deadline: float,
         blind_time: float,
         name: str = "watchdog",
@@ -57,20 +68,22 @@ class Watchdog:
         self._link = link
         self._stop = stop
         self._vehicle = vehicle
+        self._period = period
         self._patience = deadline
         self._blind_time = blind_time
         self._name = name
         # Replaced whole by the loop and only read here.
         self._beat = Beat(math.nan, None, None)
-        # What was done in the loop's place since, and since which beat.
+        # What was told the drone last in the loop's place, after which beat, and after which one to brake.
         self._own = self._beat
-        self._acting_on: Beat | None = None
+        self._acted_on: Beat | None = None
+        self._braked_on: Beat | None = None
         self.interventions = 0
-        """Times that the loop had to be replaced."""
+        """Times that the loop was replaced."""
 
-    def beat(self, now: float, motion: Motion | None, command: NDArray[np.float64] | None) -> None:
-        """End a tick of the control loop at `now` [s]; the arguments are those of a `Beat`."""
-        self._beat = Beat(now, motion, None if motion is None else command)
+    def beat(self, beat: Beat) -> None:
+        """End a tick of the control loop."""
+        self._beat = beat
 
     def silence(self, now: float) -> float:
         """Return for how long the loop has been silent at `now` [s]; 0 before its first beat."""
@@ -81,42 +94,59 @@ class Watchdog:
         self._patience = min(self._patience, self.silence(now))
 
     @property
-    def acting(self) -> bool:
-        """Whether it has replaced the loop since the newest beat."""
-        return self._acting_on is self._beat
+    def braking(self) -> bool:
+        """Whether it has braked since the loop's newest beat."""
+        return self._braked_on is self._beat
 
     @property
     def needed(self) -> bool:
         """Whether the drone obeys the loop and has not been braked to the end in its place."""
-        return self._last(self._beat).command is not None
+        return _obeyed(self._last(self._beat))
 
     def check(self, now: float) -> Beat | None:
-        """Brake if the loop stands still; return what was done in its place, None for nothing."""
+        """Speak if the loop does not; return what was said, as a beat, or None."""
         beat = self._beat
         last = self._last(beat)
         silent = now - beat.time
-        remaining = self._patience + self._blind_time - silent
-        if last.motion is None or last.command is None or not silent >= self._patience:
+        if last.motion is None or last.command is None or not silent >= min(_LATE * self._period, self._patience):
             return None
-        begins = last is beat
+        motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle)
+        if silent >= self._patience:
+            return self._brake(beat, now, motion)
+        step = int(silent / self._period)
+        if beat.ahead is None or step > len(beat.ahead):
+            return None
+        return self._say(beat, Beat(now, motion, beat.ahead[step - 1], beat.ahead[step:]))
+
+    def _brake(self, beat: Beat, now: float, motion: Motion) -> Beat | None:
+        silent = now - beat.time
+        remaining = self._patience + self._blind_time - silent
+        begins = self._braked_on is not beat
+        self._braked_on = beat
         if remaining < 0.0:
-            if not begins:
-                self._link.send(self._stop.hover)
-            self._acting_on, self._own = beat, Beat(now, None, None)
+            self._acted_on, self._own = beat, Beat(now, None, None)
             if begins:
                 return None
+            self._link.send(self._stop.hover)
             _log.warning("the %s has braked for as long as it may: the autopilot has the drone", self._name)
             return self._own
-        motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle)
-        command = self._stop.command(motion, remaining=remaining)
-        self._link.send(command)
-        self._acting_on, self._own = beat, Beat(now, motion, command)
+        said = self._say(beat, Beat(now, motion, self._stop.command(motion, remaining=remaining)))
         if begins:
             # After the command: writing a log may block.
             self.interventions += 1
             _log.error("the control loop has stood still for %.0f ms: the %s brakes", 1e3 * silent, self._name)
-        return self._own
+        return said
+
+    def _say(self, beat: Beat, own: Beat) -> Beat:
+        assert own.command is not None
+        self._link.send(own.command)
+        self._acted_on, self._own = beat, own
+        return own
 
     def _last(self, beat: Beat) -> Beat:
         """Return what the drone was told last: `beat` by the loop, or something since in its place."""
-        return self._own if self._acting_on is beat else beat
+        return self._own if self._acted_on is beat else beat
+
+
+def _obeyed(beat: Beat) -> bool:
+    return beat.motion is not None and beat.command is not None

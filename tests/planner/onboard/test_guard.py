@@ -164,7 +164,7 @@ def fly(guard: Guard, ticks: int = 10) -> float:
     now = time.monotonic()
     for _ in range(ticks):
         now = time.monotonic()
-        guard.beat(now, forward(now), HOVER)
+        guard.beat(Beat(now, forward(now), HOVER))
         time.sleep(PERIOD)
     return now
 
@@ -194,12 +194,12 @@ def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: Guard, autopilot:
 
 def test_beats_that_come_back_make_it_silent_at_once(guard: Guard, autopilot: Autopilot):
     fly(guard, 3)
-    assert not guard.acting
+    assert not guard.braking
     assert autopilot.receive(PATIENCE) is not None
-    while not guard.acting:  # the report follows the command
+    while not guard.braking:  # the report follows the command
         assert autopilot.receive(PATIENCE) is not None
     fly(guard, 3)
-    assert not guard.acting
+    assert not guard.braking
     while autopilot.receive(0.0) is not None:
         pass
     fly(guard, 30)
@@ -210,7 +210,7 @@ def test_closed_in_flight_it_says_nothing(guard: Guard, autopilot: Autopilot):
     fly(guard)
     guard.close()
     guard.close()
-    guard.beat(time.monotonic(), None, None)
+    guard.beat(Beat(time.monotonic(), None, None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
     assert not guard.lost
 
@@ -218,7 +218,7 @@ def test_closed_in_flight_it_says_nothing(guard: Guard, autopilot: Autopilot):
 def test_where_the_drone_does_not_obey_it_says_nothing(guard: Guard, autopilot: Autopilot):
     fly(guard)
     now = time.monotonic()
-    guard.beat(now, forward(now), None)
+    guard.beat(Beat(now, forward(now), None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
 
 

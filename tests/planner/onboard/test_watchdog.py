@@ -12,7 +12,7 @@ from aero_planner import PlannerConfig
 from aero_planner.onboard.frames import quaternion_from_angles, rotate
 from aero_planner.onboard.motion import Motion, StopController, propagate
 from aero_planner.onboard.settings import BrakeSettings
-from aero_planner.onboard.watchdog import Watchdog
+from aero_planner.onboard.watchdog import Beat, Watchdog
 
 PERIOD, DEADLINE, BLIND_TIME = 0.02, 0.1, 1.5
 VEHICLE = PlannerConfig().vehicle
@@ -39,7 +39,7 @@ def link() -> Sent:
 @pytest.fixture
 def watchdog(link: Sent) -> Watchdog:
     stop = StopController(VEHICLE, BrakeSettings())
-    return Watchdog(link, stop, VEHICLE, deadline=DEADLINE, blind_time=BLIND_TIME)
+    return Watchdog(link, stop, VEHICLE, period=PERIOD, deadline=DEADLINE, blind_time=BLIND_TIME)
 
 
 def moving(time: float) -> Motion:
@@ -58,7 +58,7 @@ def times(begin: float, end: float) -> NDArray[np.float64]:
 
 
 def test_it_brakes_by_dead_reckoning_for_its_time_then_hovers_and_is_silent(watchdog: Watchdog, link: Sent):
-    watchdog.beat(10.0, moving(10.0), TURNING)
+    watchdog.beat(Beat(10.0, moving(10.0), TURNING))
     done = [(now, watchdog.check(now)) for now in times(10.01, 13.0)]
     acted = [(now, beat) for now, beat in done if beat is not None]
     assert DEADLINE < acted[0][0] - 10.0 <= DEADLINE + PERIOD
@@ -76,23 +76,23 @@ def test_it_brakes_by_dead_reckoning_for_its_time_then_hovers_and_is_silent(watc
     # To those who are told of it, nobody obeys from then on.
     np.testing.assert_allclose(link.commands[-1], HOVER)
     assert acted[-1][1].command is None and len(link.commands) == len(acted)
-    assert watchdog.interventions == 1 and watchdog.acting and not watchdog.needed
+    assert watchdog.interventions == 1 and watchdog.braking and not watchdog.needed
 
 
 def test_a_loop_that_goes_on_is_left_alone(watchdog: Watchdog, link: Sent):
     for now in times(10.0, 11.0):
-        watchdog.beat(now, moving(now), HOVER)
+        watchdog.beat(Beat(now, moving(now), HOVER))
         assert watchdog.check(now + 0.5 * PERIOD) is None
-    assert watchdog.needed and not watchdog.acting and not link.commands
+    assert watchdog.needed and not watchdog.braking and not link.commands
 
 
 def test_a_loop_that_comes_back_is_left_alone_and_replaced_again(watchdog: Watchdog, link: Sent):
-    watchdog.beat(10.0, moving(10.0), HOVER)
+    watchdog.beat(Beat(10.0, moving(10.0), HOVER))
     for now in times(10.0, 10.2):
         watchdog.check(now)
     count = len(link.commands)
     assert count > 0
-    watchdog.beat(10.2, moving(10.2), HOVER)
+    watchdog.beat(Beat(10.2, moving(10.2), HOVER))
     for now in times(10.2, 10.28):
         assert watchdog.check(now) is None
     assert len(link.commands) == count
@@ -104,9 +104,9 @@ def test_a_loop_that_comes_back_is_left_alone_and_replaced_again(watchdog: Watch
 @pytest.mark.parametrize("blind_time", [0.4, 0.6, 0.8])
 def test_however_short_its_time_is_it_ends_level(link: Sent, blind_time: float):
     stop = StopController(VEHICLE, BrakeSettings())
-    watchdog = Watchdog(link, stop, VEHICLE, deadline=DEADLINE, blind_time=blind_time)
+    watchdog = Watchdog(link, stop, VEHICLE, period=PERIOD, deadline=DEADLINE, blind_time=blind_time)
     tilted = Motion(10.0, np.zeros(3), np.array([4.0, 0.0, 0.0]), quaternion_from_angles(10.0, 20.0, 30.0))
-    watchdog.beat(10.0, tilted, TURNING)
+    watchdog.beat(Beat(10.0, tilted, TURNING))
     motions = [beat.motion for now in times(10.01, 11.5) if (beat := watchdog.check(now)) is not None]
     # The last command is to hover without turning: on a drone that is tilted it would not be to hover.
     assert tilt(motions[0]) > 15.0 and tilt(motions[-2]) < 2.0
@@ -115,14 +115,14 @@ def test_however_short_its_time_is_it_ends_level(link: Sent, blind_time: float):
 
 @pytest.mark.parametrize(("motion", "command"), [(None, HOVER), (moving(10.0), None), (None, None)])
 def test_where_the_drone_does_not_obey_it_is_silent(watchdog: Watchdog, link: Sent, motion, command):
-    watchdog.beat(10.0, motion, command)
+    watchdog.beat(Beat(10.0, motion, command))
     for now in times(10.0, 12.0):
         assert watchdog.check(now) is None
     assert not watchdog.needed and not link.commands
 
 
 def test_what_stood_still_for_too_long_says_nothing(watchdog: Watchdog, link: Sent):
-    watchdog.beat(10.0, moving(10.0), HOVER)
+    watchdog.beat(Beat(10.0, moving(10.0), HOVER))
     assert watchdog.check(10.01) is None
     for now in times(12.0, 12.2):
         assert watchdog.check(now) is None
@@ -130,7 +130,7 @@ def test_what_stood_still_for_too_long_says_nothing(watchdog: Watchdog, link: Se
 
 
 def test_given_up_the_loop_is_replaced_at_once(watchdog: Watchdog, link: Sent):
-    watchdog.beat(10.0, moving(10.0), HOVER)
+    watchdog.beat(Beat(10.0, moving(10.0), HOVER))
     assert watchdog.check(10.01) is None
     acted = []
     for now in times(10.012, 12.0):
@@ -142,7 +142,7 @@ def test_given_up_the_loop_is_replaced_at_once(watchdog: Watchdog, link: Sent):
 
 
 def test_given_up_while_it_is_replaced_it_is_replaced_for_the_same_time(watchdog: Watchdog):
-    watchdog.beat(10.0, moving(10.0), HOVER)
+    watchdog.beat(Beat(10.0, moving(10.0), HOVER))
     acted = []
     for now in times(10.0, 13.0):
         if now > 11.4:
