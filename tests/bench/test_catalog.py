@@ -26,13 +26,14 @@ def test_worlds_are_named_as_their_rows_say(name):
         assert scene(row.scene, count=row.count, seed=7).name.startswith(f"{row.name_prefix}-")
 
 
-def test_every_ablation_changes_the_default():
+def test_every_ablation_changes_the_first_row():
     first, *others = BENCHMARKS["ablation"].rows
-    assert first.preset is None and not first.changes
+    assert first.preset is None and first.changes == {"costs.floor": 0.0}
+    configured = PlannerConfig().replace(first.changes)
     same = {"K = 128", "N = 25"}  # the default's own place on the two curves
     for row in others:
         base = PlannerConfig() if row.preset is None else PlannerConfig.preset(row.preset)
-        assert (base.replace(row.changes) == PlannerConfig()) == (row.label in same)
+        assert (base.replace(row.changes) == configured) == (row.label in same)
 
 
 def test_acceptance_targets_are_for_the_full_sphere_on_fresh_seeds():
