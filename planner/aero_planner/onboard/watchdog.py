@@ -23,6 +23,8 @@ AHEAD = 16
 _LATE = 1.5
 """Control periods after which a tick is late."""
 
+_ROUNDING = 1e-6
+
 
 class Beat(NamedTuple):
     """What is known at the end of a tick of the control loop, or of one in its place."""
@@ -113,7 +115,7 @@ class Watchdog:
         motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle)
         if silent >= self._patience:
             return self._brake(beat, now, motion)
-        step = int(silent / self._period)
+        step = int(silent / self._period + _ROUNDING)
         if beat.ahead is None or step > len(beat.ahead):
             return None
         return self._say(beat, Beat(now, motion, beat.ahead[step - 1], beat.ahead[step:]))

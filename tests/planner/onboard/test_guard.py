@@ -25,7 +25,7 @@ from aero_planner.onboard.motion import Motion
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.port import open_port
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.watchdog import Beat
+from aero_planner.onboard.watchdog import AHEAD, Beat
 from tests.planner.onboard.simulated import GOAL
 from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
 
@@ -70,12 +70,17 @@ def test_what_is_written_is_read_by_the_other_side(memory: BeatMemory, file: int
         for name in ("position", "velocity", "quaternion"):
             np.testing.assert_array_equal(getattr(beat.motion, name), getattr(motion, name))
         np.testing.assert_array_equal(beat.command, [9.0, 0.1, 0.2, count])
+    ahead = np.arange(4.0 * (AHEAD + 3)).reshape(-1, 4)
+    for told in (ahead[:1], ahead[:5], ahead[:AHEAD], ahead):
+        memory.write(Beat(9.0, motion, HOVER, told), None)
+        _, beat, _ = other.read() or pytest.fail("there is none")
+        np.testing.assert_array_equal(beat.ahead, told[:AHEAD])
     memory.write(Beat(10.0, None, None), None)
-    assert other.read() == (5, Beat(10.0, None, None), None)
+    assert other.read() == (9, Beat(10.0, None, None), None)
     assert memory.reported() == (False, False, 0)
-    other.report(4, 3)
+    other.report(8, 3)
     assert memory.reported() == (True, False, 3)
-    other.report(5, 3)
+    other.report(9, 3)
     assert memory.reported() == (True, True, 3)
     memory.write(Beat(11.0, None, None), None)
     assert memory.reported() == (True, False, 3)  # it acts on a beat that is none any more
@@ -173,7 +178,7 @@ def check_braking(commands: list[tuple[float, np.ndarray]]) -> None:
     """Check that a drone flying north is braked and then told to hover, see `forward`."""
     (_, first), (_, last) = commands[0], commands[-1]
     # Nose up, in forward-left-up a negative pitch rate, with which the thrust turns backwards.
-    assert first[2] < -1.0 and abs(first[1]) < 1e-6 and first[3] == 0.0
+    assert first[2] < -1.0 and abs(first[1]) < 0.1 and first[3] == 0.0
     np.testing.assert_allclose(last, [CONFIG.thrust.hover_thrust, 0.0, 0.0, 0.0], atol=1e-6)
     # As long as it was to be, give and take what a busy machine adds.
     assert CONFIG.limits.blind_time - 2 * PERIOD < commands[-1][0] - commands[0][0] < CONFIG.limits.blind_time + 1.0
@@ -190,6 +195,19 @@ def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: Guard, autopilot:
     check_braking(autopilot.receive_all())
     guard.close()
     assert guard.interventions == 2 and not guard.lost
+
+
+def test_until_then_it_goes_on_with_the_plan(guard: Guard, autopilot: Autopilot):
+    now = time.monotonic()
+    ahead = np.array([[VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.01 * k] for k in range(1, 7)])
+    guard.beat(Beat(now, forward(now), HOVER, ahead))
+    commands = autopilot.receive_all()
+    planned = [values for _, values in commands if values[3] != 0.0]
+    braking = commands[len(planned) :]
+    # A yaw rate is nothing that braking asks for. How many there are depends on how busy the machine is.
+    steps = np.round(100.0 * np.array([values[3] for values in planned]))
+    assert len(planned) > 0 and (np.diff(steps) > 0).all() and set(steps) <= {1, 2, 3, 4, 5, 6}
+    check_braking(braking)
 
 
 def test_beats_that_come_back_make_it_silent_at_once(guard: Guard, autopilot: Autopilot):
@@ -331,9 +349,12 @@ def test_it_and_the_nodes_own_watchdog_never_speak_both(
         assert link.wait_for_commands()
         # The control loop fails: the watchdog, in this process, brakes to the end.
         link.failing = True
-        with caplog.at_level(logging.ERROR):
-            assert autopilot.receive(takeover_time(config) + config.limits.blind_time + 1.0) is None
-        assert "the watchdog brakes" in caplog.text
+        with caplog.at_level(logging.WARNING):
+            while "the watchdog has braked for as long as it may" not in caplog.text:
+                time.sleep(PERIOD)
+        assert "the watchdog brakes" in caplog.text and not guard.braking
+        while (command := autopilot.receive(0.0)) is not None:  # of a plan, when a tick was late
+            assert command[0] < time.monotonic()
     finally:
         node.close()
     assert autopilot.receive(2 * takeover_time(config)) is None

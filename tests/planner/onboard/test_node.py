@@ -313,6 +313,35 @@ def test_the_watchdog_brakes_when_the_control_loop_hangs(flight: Simulation, cap
     assert flight.node.statistics()["watchdog_interventions"] == 1
 
 
+def test_a_late_tick_is_bridged_with_what_is_planned(flight: Simulation):
+    track, limits = flight.node._track, flight.node.config.limits
+    flight.planning_alive = False
+    flight.run(2 * PERIOD)
+    count, began = len(flight.link.sent), flight.link.sent[-1][0]
+    flight.control_alive = False
+    flight.run(limits.deadline - PERIOD)
+    bridging = flight.link.sent[count:]
+    # The tick itself is waited for a little longer.
+    np.testing.assert_allclose([now - began for now, _ in bridging], PERIOD * np.arange(2, 2 + len(bridging)))
+    assert len(bridging) >= 2
+    for k, (_, command) in enumerate(bridging, start=2):
+        np.testing.assert_array_equal(command, track.command(began + k * PERIOD))
+    assert flight.node.statistics()["watchdog_interventions"] == 0
+    flight.control_alive = flight.planning_alive = True
+    flight.run(3 * PERIOD)
+    assert flight.node.state is State.FLYING
+
+
+def test_what_is_told_ahead_ends_where_the_plan_is_too_old(flight: Simulation):
+    track, limits = flight.node._track, flight.node.config.limits
+    newest = track.at(flight.now)
+    assert newest is not None
+    left = newest.measured + limits.plan_age - flight.now
+    ahead = track.ahead(flight.now, period=PERIOD, count=100, age_max=limits.plan_age)
+    assert len(ahead) == math.floor(left / PERIOD + 1e-9)
+    np.testing.assert_array_equal(ahead[2], track.command(flight.now + 3 * PERIOD))
+
+
 def test_a_control_loop_that_comes_back_brakes_first_and_goes_on(flight: Simulation):
     flight.control_alive = False
     flight.run(0.4)

@@ -79,6 +79,31 @@ def test_it_brakes_by_dead_reckoning_for_its_time_then_hovers_and_is_silent(watc
     assert watchdog.interventions == 1 and watchdog.braking and not watchdog.needed
 
 
+def test_until_its_deadline_it_goes_on_with_the_plan(watchdog: Watchdog, link: Sent):
+    ahead = np.array([[11.0 + k, 0.1 * k, 0.0, 0.0] for k in range(3)])
+    watchdog.beat(Beat(10.0, moving(10.0), TURNING, ahead))
+    said = [(now, watchdog.check(now)) for now in times(10.005, 10.2)]
+    # Nothing while the tick may still come; then what the plan says for that time, as far as it reaches; then to brake.
+    assert [beat is not None for _, beat in said[:2]] == [False, False]
+    np.testing.assert_allclose(link.commands[:2], ahead[1:])
+    assert said[3][1] is not None and said[4][1] is None and said[5][1] is not None
+    assert said[5][0] - 10.0 > DEADLINE and watchdog.interventions == 1
+    # The drone has obeyed the beat's command, then those, and has been told nothing else since.
+    motion = moving(10.0)
+    for command, end in ((TURNING, 10.045), (ahead[1], 10.065), (ahead[2], 10.105)):
+        motion = propagate(motion, command, end, VEHICLE)
+    assert said[5][1].motion is not None
+    np.testing.assert_allclose(said[5][1].motion.quaternion, motion.quaternion, atol=1e-9)
+
+
+def test_a_loop_that_is_given_up_is_braked_even_before_a_tick_is_late(watchdog: Watchdog, link: Sent):
+    watchdog.beat(Beat(10.0, moving(10.0), HOVER, np.tile(HOVER, (3, 1))))
+    assert watchdog.check(10.004) is None
+    watchdog.give_up(10.005)
+    assert watchdog.check(10.005) is not None
+    assert link.commands[0][2] < -1.0  # nose up
+
+
 def test_a_loop_that_goes_on_is_left_alone(watchdog: Watchdog, link: Sent):
     for now in times(10.0, 11.0):
         watchdog.beat(Beat(now, moving(now), HOVER))
