@@ -3,7 +3,7 @@
     manifest.json     what it is for, and size and SHA-256 of every other file
     config.yaml       the configuration, as it was given
     kernels/..        compiled kernels, as Warp's cache lays them out
-    graph/..          the plan as a sequence of launches for the C++ host, where exported for a CPU
+    graph/cpu, sm_..  the plan as a sequence of launches for the C++ host, where the exporting machine could capture it
 
 `open_bundle` trusts none of it: whatever does not fit is refused with the reason, and what fits is copied to a folder
 of its own, so that neither the bundle nor what is loaded from it can change afterwards.

@@ -120,7 +120,7 @@ def _parser(others: Sequence[str]) -> argparse.ArgumentParser:
     export.add_argument(
         "--arch", action="append", default=[], metavar="sm_87", help="of a GPU; may be given several times"
     )
-    export.add_argument("--cpu", action="store_true", help="for this machine's CPU, with a graph for the C++ host")
+    export.add_argument("--cpu", action="store_true", help="for this machine's CPU")
     export.set_defaults(call=_export)
 
     config = verbs.add_parser("config", help="show or validate a configuration")
@@ -207,7 +207,10 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    """Compile every kernel ahead and write a bundle for `run --bundle`. No GPU is needed."""
+    """Compile every kernel ahead and write a bundle for `run --bundle`. No GPU is needed.
+
+    Where this machine has one of the processors itself, the graph for the C++ host comes along.
+    """
     from aero_planner.export import export, parse_architecture
 
     began = time.monotonic()
@@ -218,6 +221,8 @@ def _export(options: argparse.Namespace) -> int:
         cpu=options.cpu,
     )
     targets = [f"sm_{one}" for one in manifest["architectures"]] + ([manifest["cpu"]] if manifest["cpu"] else [])
+    if manifest["graphs"]:
+        targets.append(f"graphs of {' and '.join(manifest['graphs'])}")
     size = sum(one["size"] for one in manifest["files"].values())
     print(f"{options.out}: {', '.join(targets)}; {len(manifest['files'])} files, {size / 1e6:.1f} MB, "
           f"in {time.monotonic() - began:.0f} s")  # fmt: skip

@@ -38,7 +38,8 @@ from aero_planner.bundle import (
 from aero_planner.config import PlannerConfig
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner, _find_device
-from aero_planner.warmup import compile_ahead
+from aero_planner.quiet import quieten
+from aero_planner.warmup import compile_ahead, kernels_in
 
 __all__ = ["export", "makes_graphs", "pack", "parse_architecture", "save_graph", "write_manifest"]
 
@@ -47,6 +48,8 @@ _KEPT = (".cubin", ".ptx", ".o", ".meta")
 
 _GRAPHS_SINCE = (1, 19)
 """First Warp whose graphs the C++ host, which is for Linux, is written for."""
+
+_GRAPH_FILE = "planner.wrp"
 
 
 def export(
@@ -61,15 +64,16 @@ def export(
     Args:
         out: folder, which must not exist or be empty, or file whose name ends in ".tar", which is replaced.
         config: preset, or file with parameters of the planner and, under `onboard:`, settings of the node.
-        architectures: compute capabilities without the dot, such as 87 for a Jetson Orin.
-        cpu: also for this machine's CPU, with a graph for the C++ host.
+        architectures: compute capabilities without the dot, such as 87 for a Jetson Orin. Where this machine has a GPU
+            of one, its graph for the C++ host comes along.
+        cpu: also for this machine's CPU, with its graph.
 
     Returns:
         The manifest.
 
     Raises:
-        ValueError: the configuration is wrong, Warp can't compile for an architecture, nothing was asked for, or the
-            place is taken.
+        ValueError: the configuration is wrong, Warp can't compile for an architecture or for this CPU, nothing was
+            asked for, or the place is taken.
         OSError: it can't be written.
     """
     wanted = sorted(set(architectures))
@@ -77,6 +81,9 @@ def export(
         raise ValueError(
             "there is nothing to compile for: give --arch, such as --arch sm_87 for a Jetson Orin, or --cpu."
         )
+    quieten()
+    if cpu and not wp.is_cpu_available():
+        raise ValueError("this Warp has no compiler for the CPU; leave out --cpu, or install Warp's own package.")
     target = Path(os.path.abspath(out))
     packed = target.suffix == ".tar"
     if target.is_dir() if packed else target.exists() and not (target.is_dir() and not any(target.iterdir())):
@@ -111,25 +118,26 @@ def parse_architecture(text: str) -> int:
 
 
 def makes_graphs() -> bool:
-    """Return whether a bundle for this machine's CPU has a graph for the C++ host."""
+    """Return whether bundles have graphs of this machine's processors for the C++ host."""
     version = tuple(int(part) for part in re.findall(r"\d+", wp.config.version)[:2])
     return sys.platform == "linux" and version >= _GRAPHS_SINCE
 
 
-def save_graph(config: PlannerConfig, points: int, path: Path) -> Path:
-    """Capture a plan on one thread of the CPU as a sequence of launches, and save it for the C++ host.
+def save_graph(config: PlannerConfig, points: int, path: Path, *, device: str = "cpu") -> Path:
+    """Capture a plan, on one thread of the CPU or on a GPU, as a sequence of launches, and save it for the C++ host.
 
     Args:
         config: parameters; the live ones can be changed in the loaded graph, the structural ones cannot.
         points: P, the most points that a cloud may have.
-        path: file to write; objects go to a folder beside it. Arrays are bound by the names of `Planner.inputs` and
+        path: file to write; kernels go to a folder beside it. Arrays are bound by the names of `Planner.inputs` and
             `Planner.outputs`, and "points", "params", "seed", "tick", "previous_controls", "previous_end",
             "previous_time".
+        device: as for `Planner`.
 
     Returns:
         The file, with the ending ".wrp".
     """
-    planner = Planner(config, threads=1)
+    planner = Planner(config, device=device, threads=1)
     state = VehicleState(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0))
     planner.plan(state, Goal((5.0, 0.0, 0.0)), np.array([[2.0, 0.0, 0.0]]))  # loads the kernels
     planner.reserve(points)  # every launch is then as large as it can get
@@ -138,10 +146,7 @@ def save_graph(config: PlannerConfig, points: int, path: Path) -> Path:
     names = ("seed", "tick", "previous_controls", "previous_end", "previous_time")
     inputs = vars(planner.inputs) | {"points": planner.points, "params": planner._params}
     inputs |= {name: getattr(work, name) for name in names}
-    capture: Any = wp.ScopedCapture(device="cpu", apic=True)
-    with capture:
-        planner.launch()
-    wp.capture_save(capture.graph, str(path), inputs=inputs, outputs=vars(planner.outputs))
+    wp.capture_save(planner._pipeline.record(), str(path), inputs=inputs, outputs=vars(planner.outputs))
     planner.close()
     return path.with_suffix(".wrp")
 
@@ -173,15 +178,28 @@ def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> N
     from aero_planner.onboard.settings_file import load_flight_config
 
     planner, onboard = load_flight_config(folder / CONFIG)
-    compile_ahead(work / "compiled", architectures=architectures, config=planner)
-    if cpu and makes_graphs():
-        (folder / GRAPH).mkdir()
-        save_graph(planner, onboard.lidar.points_max, folder / GRAPH / "planner.wrp")
-        about = f"{wp.config.version}\n{_cpu_features()}\n{len(planner.kinds)}\n"
-        (folder / GRAPH / "target.txt").write_text(about, encoding="ascii")
+    compile_ahead(work / "compiled", architectures=architectures, cpu=cpu, config=planner)
+    for processor, device in _capturable(architectures, cpu).items():
+        place = folder / GRAPH / processor
+        place.mkdir(parents=True)
+        with kernels_in(work / "compiled"):
+            save_graph(planner, onboard.lidar.points_max, place / _GRAPH_FILE, device=device)
+        about = [wp.config.version, str(len(planner.kinds)), *(_cpu_features() if device == "cpu" else ())]
+        (place / "target.txt").write_text("".join(f"{line}\n" for line in about), encoding="ascii")
 
 
-def _cpu_features() -> str:
+def _capturable(architectures: list[int], cpu: bool) -> dict[str, str]:
+    """Return, for each processor whose graph is wanted and which this machine has, a device that has it."""
+    if not makes_graphs():
+        return {}
+    found = {"cpu": "cpu"} if cpu else {}
+    for device in wp.get_cuda_devices():
+        if device.arch in architectures:
+            found.setdefault(f"sm_{device.arch}", str(device))
+    return found
+
+
+def _cpu_features() -> list[str]:
     """Return triple and features of this CPU, as the C++ host sees them."""
     library = ctypes.CDLL(str(Path(wp.__file__ or "").parent / "bin" / "warp-clang.so"))
     words = []
@@ -189,7 +207,7 @@ def _cpu_features() -> str:
         function = getattr(library, name)
         function.argtypes, function.restype = [], ctypes.c_char_p
         words.append(function().decode())
-    return "\n".join(words)
+    return words
 
 
 def _collect(compiled: Path, kernels: Path, cpu: bool) -> None:
@@ -226,7 +244,7 @@ def write_manifest(folder: Path, architectures: list[int], cpu: bool) -> dict[st
         "python": platform.python_version(),
         "architectures": architectures,
         "cpu": cpu_target() if cpu else None,
-        "graph": f"{GRAPH}/planner.wrp" if (folder / GRAPH).is_dir() else None,
+        "graphs": sorted(path.parent.name for path in folder.glob(f"{GRAPH}/*/{_GRAPH_FILE}")),
         "structure": structure_of(load_flight_config(folder / CONFIG)[0]),
         "files": files,
     }

@@ -10,8 +10,9 @@ from __future__ import annotations
 import itertools
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -290,7 +291,7 @@ class Pipeline:
 
         They run one after another, with an event between them; in `run` some run side by side.
         """
-        device, side = self._device, self._side
+        device = self._device
         marks: list[tuple[str, wp.Event]] = []
 
         def mark(name: str) -> None:
@@ -298,17 +299,13 @@ class Pipeline:
             device.stream.record_event(event, external=True)
             marks.append((name, event))
 
-        self._side = None
-        try:
-            with wp.ScopedDevice(device), wp.ScopedCapture() as capture:
-                mark("")
-                launches = [one for stage in self._stages for chunk in stage for one in chunk]
-                for i, (name, launch) in enumerate(launches):
-                    launch()
-                    if i + 1 == len(launches) or launches[i + 1][0] != name:
-                        mark(name)
-        finally:
-            self._side = side
+        with self._one_stream(), wp.ScopedDevice(device), wp.ScopedCapture() as capture:
+            mark("")
+            launches = [one for stage in self._stages for chunk in stage for one in chunk]
+            for i, (name, launch) in enumerate(launches):
+                launch()
+                if i + 1 == len(launches) or launches[i + 1][0] != name:
+                    mark(name)
         graph: Any = capture.graph
         times: dict[str, list[float]] = {name: [0.0] * repeat for name, _ in marks[1:]}
         for i in range(repeat):
@@ -317,6 +314,24 @@ class Pipeline:
             for (_, begin), (name, end) in itertools.pairwise(marks):
                 times[name][i] += wp.get_event_elapsed_time(begin, end)
         return times
+
+    def record(self) -> Any:
+        """Return the launches as a graph that `wp.capture_save` can write, after they have run once.
+
+        They run one after another in it, on CUDA as well. On the CPU there must be one thread.
+        """
+        with self._one_stream(), wp.ScopedCapture(device=self._device, apic=True) as capture:
+            self._run_eagerly()
+        return capture.graph
+
+    @contextmanager
+    def _one_stream(self) -> Iterator[None]:
+        """On CUDA, let nothing run beside something else."""
+        side, self._side = self._side, None
+        try:
+            yield
+        finally:
+            self._side = side
 
     def _capture(self) -> None:
         with wp.ScopedDevice(self._device), wp.ScopedCapture() as capture:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from aero_planner.pipeline import made_kernels
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner, _find_device
 
-__all__ = ["compile_ahead", "warmup"]
+__all__ = ["compile_ahead", "kernels_in", "warmup"]
 
 _BLOCK_DIMS = (32, 64, 128, 256)
 """Sizes of block on CUDA, each of which gives a binary of its own."""
@@ -48,8 +49,25 @@ def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
     return time.perf_counter() - started
 
 
+@contextmanager
+def kernels_in(folder: str | Path) -> Iterator[Path]:
+    """Let Warp keep its kernels in a folder, as it does with WARP_CACHE_PATH; yields where exactly."""
+    _find_device("cpu")  # initialises Warp, which names its cache then
+    cache = Path(folder).resolve() / wp.config.version
+    cache.mkdir(parents=True, exist_ok=True)
+    before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(cache)
+    try:
+        yield cache
+    finally:
+        wp.config.kernel_cache_dir = before
+
+
 def compile_ahead(
-    folder: str | Path, *, architectures: Iterable[int] = (), config: PlannerConfig | None = None
+    folder: str | Path,
+    *,
+    architectures: Iterable[int] = (),
+    cpu: bool = True,
+    config: PlannerConfig | None = None,
 ) -> list[Path]:
     """Fill a folder with the kernels of this machine's CPU and of CUDA architectures, such as 87 for a Jetson Orin.
 
@@ -59,7 +77,8 @@ def compile_ahead(
     Args:
         folder: where the binaries go; made where it does not exist.
         architectures: compute capabilities without the dot.
-        config: parameters, for their structure; None for the default.
+        cpu: whether the CPU's are wanted.
+        config: parameters, for the structure that the CPU's kernels depend on; None for the default.
 
     Returns:
         All binaries in the folder.
@@ -68,16 +87,11 @@ def compile_ahead(
         ValueError: Warp can't compile for an architecture.
         OSError: the folder can't be written.
     """
-    _find_device("cpu")  # initialises Warp, which names its cache then
-    cache = Path(folder).resolve() / wp.config.version
-    cache.mkdir(parents=True, exist_ok=True)
-    before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(cache)
-    try:
-        warmup(config)
+    with kernels_in(folder) as cache:
+        if cpu:
+            warmup(config)
         for architecture in architectures:
             _compile_for_cuda(architecture)
-    finally:
-        wp.config.kernel_cache_dir = before
     return sorted(path for path in cache.rglob("*") if path.suffix in (".o", ".cubin", ".ptx"))
 
 

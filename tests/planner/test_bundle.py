@@ -37,8 +37,8 @@ def folder(tmp_path: Path) -> Path:
     (place / CUBIN).parent.mkdir(parents=True)
     (place / CUBIN).write_bytes(b"\x7fELF" + bytes(3000))
     (place / CUBIN).with_name("wp_some_1234567.meta").write_text("{}")
-    (place / "graph").mkdir()
-    (place / "graph/planner.wrp").write_bytes(bytes(2000))
+    (place / "graph/cpu").mkdir(parents=True)
+    (place / "graph/cpu/planner.wrp").write_bytes(bytes(2000))
     (place / "config.yaml").write_text("costs:\n  q_track: 7.5\n")
     write_manifest(place, [87], True)
     return place
@@ -157,7 +157,7 @@ def list_file(name: str, said: object) -> Callable[[Path], None]:
         (lambda folder: changed(folder, warp=1), "has a manifest without a proper 'warp'"),
         (lambda folder: changed(folder, architectures=["87"]), "other than whole numbers in 'architectures'"),
         (lambda folder: (folder / CUBIN).unlink(), f"is incomplete: {CUBIN} is missing"),
-        (lambda folder: (folder / "graph/planner.wrp").unlink(), "is incomplete: graph/planner.wrp is missing"),
+        (lambda folder: (folder / "graph/cpu/planner.wrp").unlink(), "is incomplete: graph/cpu/planner.wrp is missing"),
         (cut, f"is damaged: {CUBIN} has 3003 bytes, its manifest says 3004"),
         (flip, f"is damaged: {CUBIN} has another checksum"),
         (link, "which is a link"),

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
-from aero_planner.export import export, makes_graphs
+from aero_planner.export import export, makes_graphs, parse_architecture
 
 pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
 
@@ -42,20 +43,30 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def processor(device: str) -> str:
+    """The folder of a bundle's graph for the device."""
+    return "cpu" if device == "cpu" else f"sm_{wp.get_device(device).arch}"
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory, processor: str) -> Path:
     place = tmp_path_factory.mktemp("bundle")
     (place / "flight.yaml").write_text(f"onboard:\n  lidar:\n    points_max: {POINTS}\n")
-    export(place / "bundle", config=place / "flight.yaml", cpu=True)
+    architectures = [] if processor == "cpu" else [parse_architecture(processor)]
+    manifest = export(
+        place / "bundle", config=place / "flight.yaml", cpu=processor == "cpu", architectures=architectures
+    )
+    assert manifest["graphs"] == [processor]
     return place / "bundle"
 
 
 @pytest.fixture
-def ask(example: Path, tmp_path: Path) -> Callable[[Path, bytes], Outcome]:
+def ask(example: Path, tmp_path: Path, device: str) -> Callable[..., Outcome]:
     """Run the example; its answers are then in the file `answers`."""
 
-    def run(bundle: Path, requests: bytes) -> Outcome:
+    def run(bundle: Path, requests: bytes, *, device: str = device) -> Outcome:
         (tmp_path / "requests").write_bytes(requests)
-        command = [str(example), str(bundle), str(tmp_path / "requests"), str(tmp_path / "answers")]
+        command = [str(example), str(bundle), device, str(tmp_path / "requests"), str(tmp_path / "answers")]
         return subprocess.run(command, capture_output=True, text=True)
 
     return run
@@ -73,9 +84,9 @@ def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> Veh
     return VehicleState(position, velocity, (1.0, 0.1, 0.0, 0.2), (0.5, 0.0, -0.5), time)
 
 
-def test_its_plans_are_those_of_python(ask: Callable[[Path, bytes], Outcome], bundle: Path, tmp_path: Path):
+def test_its_plans_are_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
     random = np.random.default_rng(4)
-    planner = Planner(PlannerConfig(), seed=0)
+    planner = Planner(PlannerConfig(), device=device, seed=0)
     requests, expected, seen = b"", [], set()
     for tick in range(10):
         # A box around the drone leaves no way; a cloud of two seconds ago is stale.
@@ -122,25 +133,59 @@ def cut(graph: Path) -> None:
     path.write_bytes(path.read_bytes()[:5000])
 
 
+def lose_kernels(graph: Path) -> None:
+    for path in graph.glob("planner_modules/*"):
+        path.unlink()
+
+
+ASKED = request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)))
+
+
 @pytest.mark.parametrize(
     ("damage", "problem"),
     [
-        (shutil.rmtree, "graph/target.txt can't be read: give the folder of a bundle"),
+        (shutil.rmtree, "target.txt can't be read: give the folder of a bundle that was made by 'aero-planner export'"),
         (edit_target(0, "1.14.0"), "the bundle is for Warp 1.14.0, this program for"),
-        (edit_target(1, "aarch64-unknown-linux-gnu"), "the bundle is for another CPU: export it again"),
-        (edit_target(2, "sse"), "the bundle is for another CPU: export it again"),
-        (edit_target(3, "100"), "the graph is none of a planner for one drone"),
+        (edit_target(1, "100"), "the graph is none of a planner for one drone"),
+        (edit_target(1, "many"), "the graph is none of a planner for one drone"),
         (lambda graph: (graph / "planner.wrp").unlink(), "planner.wrp can't be loaded"),
         (cut, "planner.wrp can't be loaded"),
-        (lambda graph: next(graph.glob("planner_modules/*.o")).unlink(), "is missing: copy the whole bundle"),
+        (lose_kernels, "copy the whole bundle"),
     ],
 )
 def test_what_does_not_fit_is_told(
-    ask: Callable[[Path, bytes], Outcome], bundle: Path, tmp_path: Path, damage: Callable[[Path], object], problem: str
-):
+    ask: Callable[..., Outcome], bundle: Path, processor: str, tmp_path: Path, damage: Callable[[Path], object],
+    problem: str,
+):  # fmt: skip
     broken = shutil.copytree(bundle, tmp_path / "broken")
-    damage(broken / "graph")
-    done = ask(broken, request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))))
+    damage(broken / "graph" / processor)
+    done = ask(broken, ASKED)
+    assert done.returncode == 2 and problem in done.stderr
+
+
+@pytest.mark.parametrize("damage", [edit_target(2, "aarch64-unknown-linux-gnu"), edit_target(3, "sse")])
+def test_another_cpu_is_told(
+    ask: Callable[..., Outcome], bundle: Path, processor: str, tmp_path: Path, damage: Callable[[Path], None]
+):
+    if processor != "cpu":
+        pytest.skip("about the CPU only")
+    broken = shutil.copytree(bundle, tmp_path / "broken")
+    damage(broken / "graph/cpu")
+    done = ask(broken, ASKED)
+    assert done.returncode == 2 and "the bundle is for another CPU: export it again" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("device", "problem"),
+    [
+        ("gpu", "the device 'gpu' is not understood; give cpu or cuda:0"),
+        ("cuda:0x", "the device 'cuda:0x' is not understood"),
+        ("cuda:99", "cuda:99 is not available: "),
+    ],
+)
+def test_a_device_that_is_not_there_is_told(example: Path, tmp_path: Path, device: str, problem: str):
+    command = [str(example), str(tmp_path), device, os.devnull, os.devnull]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and problem in done.stderr
 
 
@@ -156,7 +201,8 @@ def test_what_does_not_fit_is_told(
         (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((5, 3)))[:-4], "ends within a record"),
         (b"", "holds no request"),
     ],
+    ids=lambda value: value if isinstance(value, str) else "",  # bytes make names of tests that are too long
 )  # fmt: skip
-def test_bad_inputs_are_told(ask: Callable[[Path, bytes], Outcome], bundle: Path, asked: bytes, problem: str):
+def test_bad_inputs_are_told(ask: Callable[..., Outcome], bundle: Path, asked: bytes, problem: str):
     done = ask(bundle, asked)
     assert done.returncode == 2 and problem in done.stderr

@@ -1,10 +1,10 @@
 // Plans for what stands in a file, and writes what comes out: a host in a hundred lines.
 //
-//     aero_example BUNDLE REQUESTS ANSWERS
+//     aero_example BUNDLE DEVICE REQUESTS ANSWERS
 //
-// REQUESTS holds binary records: double time; float position[3], velocity[3], quaternion[4], acceleration[3],
-// goal[3], cloud_age; int32 count; float points[count][3]. ANSWERS holds for each: int32 status, best; float
-// command[N][4], controls[R][N][4], positions[R][N+1][3], S2[R].
+// DEVICE is cpu or cuda:0. REQUESTS holds binary records: double time; float position[3], velocity[3], quaternion[4],
+// acceleration[3], goal[3], cloud_age; int32 count; float points[count][3]. ANSWERS holds for each: int32 status, best;
+// float command[N][4], controls[R][N][4], positions[R][N+1][3], S2[R].
 #include "aero_planner.h"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ template <class T> void write(std::ofstream& file, const T* values, size_t count
     file.write(reinterpret_cast<const char*>(values), static_cast<std::streamsize>(sizeof(T) * count));
 }
 
-void write_array(std::ofstream& file, const aero_planner* planner, const char* name)
+void write_array(std::ofstream& file, aero_planner* planner, const char* name)
 {
     size_t size = 0;
     const void* array = aero_array(planner, name, &size);
@@ -38,14 +38,14 @@ void write_array(std::ofstream& file, const aero_planner* planner, const char* n
 
 int main(int count, char** arguments)
 {
-    if (count != 4) {
-        std::fprintf(stderr, "usage: %s BUNDLE REQUESTS ANSWERS\n", arguments[0]);
+    if (count != 5) {
+        std::fprintf(stderr, "usage: %s BUNDLE DEVICE REQUESTS ANSWERS\n", arguments[0]);
         return 2;
     }
     char problem[1024] = "";
     const auto begin = std::chrono::steady_clock::now();
     const std::unique_ptr<aero_planner, void (*)(aero_planner*)> planner(
-        aero_open(arguments[1], problem, sizeof problem), aero_close
+        aero_open(arguments[1], arguments[2], problem, sizeof problem), aero_close
     );
     if (!planner) {
         std::fprintf(stderr, "%s\n", problem);
@@ -57,8 +57,8 @@ int main(int count, char** arguments)
                 sizes.points, loading.count());
     aero_reset(planner.get(), 0);
 
-    std::ifstream requests(arguments[2], std::ios::binary);
-    std::ofstream answers(arguments[3], std::ios::binary);
+    std::ifstream requests(arguments[3], std::ios::binary);
+    std::ofstream answers(arguments[4], std::ios::binary);
     std::vector<float> points(3 * static_cast<size_t>(sizes.points));
     std::vector<double> times;
     aero_state state;
@@ -71,7 +71,7 @@ int main(int count, char** arguments)
             && read(requests, goal.position, 3) && read(requests, &cloud_age) && read(requests, &number);
         const bool fits = number >= 0 && number <= sizes.points; // aero_plan refuses what doesn't
         if (!whole || (fits && !read(requests, points.data(), 3 * static_cast<size_t>(number)))) {
-            std::fprintf(stderr, "%s ends within a record\n", arguments[2]);
+            std::fprintf(stderr, "%s ends within a record\n", arguments[3]);
             return 2;
         }
         std::fill_n(goal.velocity, 3, NAN);   // arrive and stop
@@ -92,7 +92,7 @@ int main(int count, char** arguments)
             write_array(answers, planner.get(), name);
     }
     if (times.empty() || !answers.flush()) {
-        std::fprintf(stderr, "%s holds no request, or %s can't be written\n", arguments[2], arguments[3]);
+        std::fprintf(stderr, "%s holds no request, or %s can't be written\n", arguments[3], arguments[4]);
         return 2;
     }
     std::nth_element(times.begin(), times.begin() + times.size() / 2, times.end());

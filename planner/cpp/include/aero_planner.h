@@ -1,4 +1,4 @@
-/* The AERO-MPPI planner without Python: replays a plan that `aero-planner export --cpu` has captured.
+/* The AERO-MPPI planner without Python: replays a plan that `aero-planner export` has captured.
  *
  * World frame: x forward, y left, z up. Quaternions are w, x, y, z and turn the body frame into the world frame. SI units.
  * A planner belongs to one thread at a time; several planners in several threads are fine.
@@ -42,22 +42,23 @@ typedef struct aero_sizes {
     int32_t points;    /* most points of a cloud */
 } aero_sizes;
 
-/* Load the graph of a bundle's folder. The bundle must be for this Warp and this CPU.
+/* Load the graph of a bundle's folder for a device, "cpu" or "cuda:0". The bundle must be for this Warp, and for this CPU
+ * or the architecture of this GPU.
  *
  * Returns NULL where it can't, and then writes one sentence to `problem`, which has room for `room` bytes (or is NULL).
  */
-aero_planner* aero_open(const char* folder, char* problem, size_t room);
+aero_planner* aero_open(const char* folder, const char* device, char* problem, size_t room);
 
 /* Forget the planner; NULL is allowed. */
 void aero_close(aero_planner* planner);
 
 aero_sizes aero_get_sizes(const aero_planner* planner);
 
-/* Plan once. `points` are `count` x 3 [m], world frame; those that are not finite are dropped. `cloud_age` is the time
- * since they were measured [s].
+/* Plan once, and wait for it. `points` are `count` x 3 [m], world frame; those that are not finite are dropped.
+ * `cloud_age` is the time since they were measured [s].
  *
  * Returns 0, or -1 where an input is not finite, a quaternion is zero, there are more points than there is room for, or
- * the replay failed; nothing was planned then, and `aero_problem` says why.
+ * the device failed; there is no new plan then, and `aero_problem` says why.
  */
 int aero_plan(aero_planner* planner, const aero_state* state, const aero_goal* goal, const float* points,
               int32_t count, float cloud_age);
@@ -71,18 +72,19 @@ aero_status aero_get_status(const aero_planner* planner);
 /* Index of the instance that the last plan flies, a row of the arrays. */
 int32_t aero_get_best(const aero_planner* planner);
 
-/* Controls to fly, N x 4: thrust [N], body rates [rad/s]. Valid until the planner is closed; each plan overwrites it. */
-const float* aero_command(const aero_planner* planner);
+/* Controls to fly, N x 4: thrust [N], body rates [rad/s]. Ask after each plan; valid until the next one. */
+const float* aero_command(aero_planner* planner);
 
 /* An array of the graph by its name in Python (`Planner.outputs`): "controls" R x N x 4, "positions" R x (N + 1) x 3,
  * "velocities" R x (N + 1) x 3, "quaternions" R x (N + 1) x 4, "S2" R, "J_goal" R, "J_col" R, "clearance" R x N, ..
+ * Ask after each plan; valid until the next one. From a GPU it is copied when it is asked for.
  *
- * Writes the size in bytes where `size` is not NULL; returns NULL where there is no such array.
+ * Writes the size in bytes where `size` is not NULL; returns NULL where there is no such array, or it can't be copied.
  */
-const void* aero_array(const aero_planner* planner, const char* name, size_t* size);
+const void* aero_array(aero_planner* planner, const char* name, size_t* size);
 
-/* Forget the previous plan and start the noise anew, from a seed. */
-void aero_reset(aero_planner* planner, int32_t seed);
+/* Forget the previous plan and start the noise anew, from a seed. Returns 0, or -1 where the device failed. */
+int aero_reset(aero_planner* planner, int32_t seed);
 
 #ifdef __cplusplus
 }

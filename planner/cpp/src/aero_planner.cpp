@@ -1,26 +1,20 @@
-// The C interface of aero_planner.h on Warp's API capture (APIC): a list of launches over memory regions with names.
+// The C interface of aero_planner.h, on the graphs of graph.h.
 #include "aero_planner.h"
 
-#include "apic.h"
+#include "graph.h"
+#include "version.h"
 #include "warp.h"
-#include "warp_clang.h"
 
-#include <atomic>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <limits>
-#include <map>
 #include <mutex>
 #include <stdexcept>
 #include <string>
 #include <vector>
-
-extern "C" {
-// Exported by warp-clang without a declaration in its header.
-WP_API const char* wp_get_cpu_target_triple();
-WP_API const char* wp_get_host_cpu_features();
-}
 
 namespace {
 
@@ -31,90 +25,67 @@ void start_warp()
     static std::mutex mutex;
     static bool started = false;
     const std::lock_guard<std::mutex> lock(mutex);
-    if (started)
-        return;
-    if (std::strcmp(wp_warp_clang_version(), WP_VERSION_STRING) != 0)
+    if (!started && wp_init(WP_VERSION_STRING) != 0)
         throw std::runtime_error(
-            std::string("this program was built for Warp " WP_VERSION_STRING ", and finds Warp ")
-            + wp_warp_clang_version() + "; build it again");
-    if (wp_init(WP_VERSION_STRING) != 0)
-        throw std::runtime_error(std::string("Warp can't be started: ") + wp_get_error_string());
-    if (!wp_llvm_set_cpu_block_runtime(wp_cpu_block_runtime_get_api()))
-        throw std::runtime_error("warp.so and warp-clang.so do not fit together; install Warp again");
+            std::string("Warp can't be started: ") + wp_get_error_string() + "; this program was built for Warp "
+            WP_VERSION_STRING);
     started = true;
 }
 
-// Returns the number of instances. Machine code for another processor would not fail before it runs.
-int32_t check_target(const std::string& path)
+// Returns the number of a GPU, such as 1 for "cuda:1", or -1 for "cpu".
+int find_gpu(const std::string& device)
+{
+    if (device == "cpu")
+        return -1;
+    int ordinal = -1, end = -1;
+    std::sscanf(device.c_str(), "cuda:%d%n", &ordinal, &end);
+    if (ordinal < 0 || end != static_cast<int>(device.size()))
+        throw std::runtime_error("the device '" + device + "' is not understood; give cpu or cuda:0");
+    const int count = wp_cuda_device_get_count();
+    if (ordinal >= count)
+        throw std::runtime_error(
+            device + " is not available: " + (count > 0 ? std::to_string(count) : "no") + " GPU was found with a driver "
+            "that this Warp can use");
+    return ordinal;
+}
+
+Target read_target(const std::string& path, const char* how)
 {
     std::ifstream file(path);
-    std::string warp, triple, features;
-    int32_t instances = 0;
-    if (!std::getline(file, warp) || !std::getline(file, triple) || !std::getline(file, features)
-        || !(file >> instances))
+    std::string instances, features;
+    Target target;
+    if (!std::getline(file, target.warp) || !std::getline(file, instances))
         throw std::runtime_error(
-            path + " can't be read: give the folder of a bundle made by 'aero-planner export --cpu'");
-    if (warp != WP_VERSION_STRING)
+            path + " can't be read: give the folder of a bundle that was made by 'aero-planner export' " + how);
+    if (target.warp != WP_VERSION_STRING)
         throw std::runtime_error(
-            "the bundle is for Warp " + warp + ", this program for " WP_VERSION_STRING
+            "the bundle is for Warp " + target.warp + ", this program for " WP_VERSION_STRING
             ": export it again with that version");
-    if (triple != wp_get_cpu_target_triple() || features != wp_get_host_cpu_features())
-        throw std::runtime_error("the bundle is for another CPU: export it again with --cpu on this machine");
-    return instances;
+    target.instances = static_cast<int32_t>(std::strtol(instances.c_str(), nullptr, 10));
+    if (std::getline(file, target.processor) && std::getline(file, features))
+        target.processor += "\n" + features;
+    return target;
 }
 
 } // namespace
 
 struct aero_planner {
-    APICGraph* graph = nullptr;
-    std::vector<std::string> modules;
+    std::unique_ptr<Graph> graph;
     aero_sizes sizes {};
-    mutable std::string problem;
+    aero_status status = AERO_OK;
+    int32_t best = 0;
+    std::string problem;
 
-    ~aero_planner()
+    void open(const std::string& folder, const std::string& device)
     {
-        if (graph)
-            wp_apic_destroy_graph(graph);
-        for (const std::string& module : modules)
-            wp_unload_obj(module.c_str());
-    }
-
-    size_t bytes(const char* name) const
-    {
-        return wp_apic_get_param_ptr(graph, name) ? wp_apic_get_param_size(graph, name) : 0;
-    }
-
-    template <class T> T* at(const char* name) const { return static_cast<T*>(wp_apic_get_param_ptr(graph, name)); }
-
-    void load(const std::string& stem)
-    {
-        graph = wp_apic_load_graph(nullptr, (stem + ".wrp").c_str(), APIC_DEVICE_CPU);
-        if (!graph)
-            throw std::runtime_error(stem + ".wrp can't be loaded: " + wp_get_error_string());
-        static std::atomic<int> loads {0};
-        const std::string prefix = "aero_" + std::to_string(loads++) + "_";
-        std::map<std::string, std::string> loaded;
-        for (int i = 0; i < wp_apic_get_num_kernels(graph); ++i) {
-            const char* file = wp_apic_get_kernel_module_binary_filename(graph, i);
-            const char* forward = wp_apic_get_kernel_forward_name(graph, i);
-            if (!file || !forward || std::strchr(file, '/'))
-                throw std::runtime_error(stem + ".wrp names no object for one of its kernels");
-            if (!loaded.count(file)) {
-                const std::string path = stem + "_modules/" + file;
-                // Warp's linker ends the process at a file that isn't there.
-                if (!std::ifstream(path))
-                    throw std::runtime_error(path + " is missing: copy the whole bundle");
-                if (wp_load_obj(path.c_str(), (prefix + file).c_str(), false) != 0)
-                    throw std::runtime_error(path + " can't be loaded");
-                modules.push_back(loaded[file] = prefix + file);
-            }
-            void* function = reinterpret_cast<void*>(wp_lookup(loaded[file].c_str(), forward));
-            if (!function)
-                throw std::runtime_error(std::string(file) + " lacks the kernel " + forward);
-            wp_apic_register_loaded_cpu_kernel(
-                graph, wp_apic_get_kernel_key(graph, i), wp_apic_get_kernel_module_hash(graph, i), function, nullptr
-            );
-        }
+        start_warp();
+        const int gpu = find_gpu(device);
+        const std::string processor = gpu < 0 ? "cpu" : "sm_" + std::to_string(wp_cuda_device_get_arch(gpu));
+        const std::string place = folder + "/graph/" + processor + "/";
+        const Target target = read_target(
+            place + "target.txt", gpu < 0 ? "--cpu" : "--arch on a machine with this GPU");
+        graph = gpu < 0 ? open_cpu_graph(place + "planner", target) : open_cuda_graph(place + "planner", gpu);
+        measure(target.instances);
     }
 
     void measure(int32_t instances)
@@ -129,17 +100,66 @@ struct aero_planner {
         };
         bool fits = true;
         for (const auto& one : fixed)
-            fits &= bytes(one.name) == one.bytes;
-        const size_t row = bytes("previous_controls"), count = bytes("S2") / sizeof(float);
-        fits &= row > 0 && row % 16 == 0 && bytes("controls") == count * row && bytes("points") >= 12;
+            fits &= graph->bytes(one.name) == one.bytes;
+        const size_t row = graph->bytes("previous_controls"), count = graph->bytes("S2") / sizeof(float);
+        fits &= row > 0 && row % 16 == 0 && graph->bytes("controls") == count * row && graph->bytes("points") >= 12;
         fits &= instances > 0 && static_cast<size_t>(instances) <= count;
-        fits &= bytes("positions") == count * (row / 16 + 1) * 12;
+        fits &= graph->bytes("positions") == count * (row / 16 + 1) * 12;
         if (!fits)
             throw std::runtime_error("the graph is none of a planner for one drone: export it again");
         sizes.instances = instances;
         sizes.rows = static_cast<int32_t>(count);
         sizes.steps = static_cast<int32_t>(row / 16);
-        sizes.points = static_cast<int32_t>(bytes("points") / 12);
+        sizes.points = static_cast<int32_t>(graph->bytes("points") / 12);
+    }
+
+    template <class T> void put(const char* name, const T& value) { graph->put(name, &value, sizeof value); }
+
+    template <class T> const T* get(const char* name) { return static_cast<const T*>(graph->get(name)); }
+
+    void plan(const aero_state& state, const aero_goal& goal, const float* points, int32_t count, float cloud_age)
+    {
+        if (const char* wrong = check(state, goal, cloud_age))
+            throw std::runtime_error(wrong);
+        if (count < 0 || count > sizes.points)
+            throw std::runtime_error("the number of points is negative or more than the graph has room for; thin them "
+                                     "out, or raise lidar.points_max and export again");
+        put("time", state.time);
+        put("position", state.position);
+        put("velocity", state.velocity);
+        put("quaternion", state.quaternion);
+        put("acceleration", state.acceleration);
+        put("goal_position", goal.position);
+        put("goal_velocity", goal.velocity);
+        put("goal_quaternion", goal.quaternion);
+        put("cloud_age", cloud_age);
+        put("point_count", count);
+        if (count)
+            graph->put("points", points, sizeof(float) * 3 * static_cast<size_t>(count));
+        graph->replay({"status", "best", "previous_controls"});
+        status = static_cast<aero_status>(*get<int32_t>("status"));
+        best = *get<int32_t>("best");
+    }
+
+    void reset(int32_t seed)
+    {
+        put("seed", seed);
+        put("tick", int32_t {0});
+        const std::vector<char> zeros(graph->bytes("previous_controls"));
+        graph->put("previous_controls", zeros.data(), zeros.size());
+        put("previous_time", std::numeric_limits<double>::quiet_NaN());
+    }
+
+    // Runs a task; returns 0, or -1 where it throws, whose reason is then the problem.
+    template <class Task> int attempt(Task task)
+    {
+        try {
+            task();
+            return 0;
+        } catch (const std::exception& error) {
+            problem = error.what();
+            return -1;
+        }
     }
 
     // Returns what is wrong with the inputs, or nullptr.
@@ -176,24 +196,16 @@ struct aero_planner {
     }
 };
 
-aero_planner* aero_open(const char* folder, char* problem, size_t room)
+aero_planner* aero_open(const char* folder, const char* device, char* problem, size_t room)
 {
-    auto* planner = new aero_planner;
-    try {
-        start_warp();
-        const std::string graph = std::string(folder) + "/graph/";
-        const int32_t instances = check_target(graph + "target.txt");
-        planner->load(graph + "planner");
-        planner->measure(instances);
-        return planner;
-    } catch (const std::exception& error) {
-        if (problem && room) {
-            std::strncpy(problem, error.what(), room - 1);
-            problem[room - 1] = '\0';
-        }
-        delete planner;
-        return nullptr;
+    auto planner = std::make_unique<aero_planner>();
+    if (planner->attempt([&] { planner->open(folder, device); }) == 0)
+        return planner.release();
+    if (problem && room) {
+        std::strncpy(problem, planner->problem.c_str(), room - 1);
+        problem[room - 1] = '\0';
     }
+    return nullptr;
 }
 
 void aero_close(aero_planner* planner) { delete planner; }
@@ -205,56 +217,33 @@ int aero_plan(
     float cloud_age
 )
 {
-    const char* wrong = aero_planner::check(*state, *goal, cloud_age);
-    if (!wrong && (count < 0 || count > planner->sizes.points))
-        wrong = "the number of points is negative or more than the graph has room for; thin them out, or raise "
-                "lidar.points_max and export again";
-    if (wrong) {
-        planner->problem = wrong;
-        return -1;
-    }
-    std::memcpy(planner->at<float>("position"), state->position, sizeof state->position);
-    std::memcpy(planner->at<float>("velocity"), state->velocity, sizeof state->velocity);
-    std::memcpy(planner->at<float>("quaternion"), state->quaternion, sizeof state->quaternion);
-    std::memcpy(planner->at<float>("acceleration"), state->acceleration, sizeof state->acceleration);
-    std::memcpy(planner->at<float>("goal_position"), goal->position, sizeof goal->position);
-    std::memcpy(planner->at<float>("goal_velocity"), goal->velocity, sizeof goal->velocity);
-    std::memcpy(planner->at<float>("goal_quaternion"), goal->quaternion, sizeof goal->quaternion);
-    *planner->at<double>("time") = state->time;
-    *planner->at<float>("cloud_age") = cloud_age;
-    *planner->at<int32_t>("point_count") = count;
-    if (count)
-        std::memcpy(planner->at<float>("points"), points, sizeof(float) * 3 * static_cast<size_t>(count));
-    if (!wp_apic_cpu_replay_graph(planner->graph)) {
-        planner->problem = std::string("the replay failed: ") + wp_get_error_string();
-        return -1;
-    }
-    return 0;
+    return planner->attempt([&] { planner->plan(*state, *goal, points, count, cloud_age); });
 }
 
 const char* aero_problem(const aero_planner* planner) { return planner->problem.c_str(); }
 
-aero_status aero_get_status(const aero_planner* planner)
+aero_status aero_get_status(const aero_planner* planner) { return planner->status; }
+
+int32_t aero_get_best(const aero_planner* planner) { return planner->best; }
+
+const float* aero_command(aero_planner* planner)
 {
-    return static_cast<aero_status>(*planner->at<int32_t>("status"));
+    const float* command = nullptr;
+    planner->attempt([&] { command = planner->get<float>("previous_controls"); });
+    return command;
 }
 
-int32_t aero_get_best(const aero_planner* planner) { return *planner->at<int32_t>("best"); }
-
-const float* aero_command(const aero_planner* planner) { return planner->at<float>("previous_controls"); }
-
-const void* aero_array(const aero_planner* planner, const char* name, size_t* size)
+const void* aero_array(aero_planner* planner, const char* name, size_t* size)
 {
-    const void* array = wp_apic_get_param_ptr(planner->graph, name);
+    const void* array = nullptr;
+    planner->problem = std::string("there is no array ") + name;
+    planner->attempt([&] { array = planner->graph->get(name); });
     if (size)
-        *size = array ? wp_apic_get_param_size(planner->graph, name) : 0;
+        *size = array ? planner->graph->bytes(name) : 0;
     return array;
 }
 
-void aero_reset(aero_planner* planner, int32_t seed)
+int aero_reset(aero_planner* planner, int32_t seed)
 {
-    *planner->at<int32_t>("seed") = seed;
-    *planner->at<int32_t>("tick") = 0;
-    std::memset(planner->at<float>("previous_controls"), 0, planner->bytes("previous_controls"));
-    *planner->at<double>("previous_time") = std::numeric_limits<double>::quiet_NaN();
+    return planner->attempt([&] { planner->reset(seed); });
 }

@@ -1,0 +1,136 @@
+// Graphs on a GPU. The arrays that are asked for have a copy in page-locked memory of the host.
+#include "graph.h"
+
+#include "warp.h"
+
+#include <cstring>
+#include <functional>
+#include <map>
+#include <stdexcept>
+#include <string_view>
+
+namespace {
+
+class CudaGraph : public Graph {
+public:
+    CudaGraph(const std::string& stem, int ordinal)
+        : context_(wp_cuda_device_get_primary_context(ordinal))
+    {
+        if (!context_)
+            fail("the GPU can't be used");
+        stream_ = wp_cuda_stream_create(context_, 0);
+        if (!stream_)
+            fail("the GPU can't be used");
+        graph_ = wp_apic_load_graph(context_, (stem + ".wrp").c_str(), APIC_DEVICE_CUDA);
+        // The first plan must not wait for what can be done now.
+        const bool ready = graph_ && wp_apic_get_cuda_graph_exec(graph_) && wp_cuda_context_synchronize(context_);
+        if (!ready) {
+            const std::string why = wp_get_error_string();
+            release();
+            throw std::runtime_error(stem + ".wrp can't be loaded: " + why + "; copy the whole bundle, or export again");
+        }
+    }
+
+    ~CudaGraph() override { release(); }
+
+    size_t bytes(const char* name) const override
+    {
+        return wp_apic_get_param_ptr(graph_, name) ? wp_apic_get_param_size(graph_, name) : 0;
+    }
+
+    void put(const char* name, const void* values, size_t size) override
+    {
+        Copy* copy = find(name);
+        std::memcpy(copy->host, values, size);
+        copy->fresh = false;
+        if (!wp_memcpy_h2d(context_, copy->device, copy->host, size, stream_))
+            fail("copying to the GPU failed");
+    }
+
+    void replay(std::initializer_list<const char*> wanted) override
+    {
+        for (auto& [name, copy] : copies_)
+            copy.fresh = false;
+        if (!wp_apic_launch(graph_, stream_))
+            fail("the replay failed");
+        for (const char* name : wanted)
+            fetch(*find(name));
+        wait();
+        for (const char* name : wanted)
+            find(name)->fresh = true;
+    }
+
+    const void* get(const char* name) override
+    {
+        Copy* copy = find(name);
+        if (copy && !copy->fresh) {
+            fetch(*copy);
+            wait();
+            copy->fresh = true;
+        }
+        return copy ? copy->host : nullptr;
+    }
+
+private:
+    struct Copy {
+        void* device = nullptr;
+        void* host = nullptr;
+        size_t size = 0;
+        bool fresh = false; // whether the host has what the device has
+    };
+
+    Copy* find(const char* name)
+    {
+        const auto known = copies_.find(std::string_view(name)); // allocates nothing
+        if (known != copies_.end())
+            return &known->second;
+        Copy copy;
+        copy.device = wp_apic_get_param_ptr(graph_, name);
+        if (!copy.device)
+            return nullptr;
+        copy.size = wp_apic_get_param_size(graph_, name);
+        copy.host = wp_alloc_pinned(copy.size);
+        if (!copy.host)
+            fail("there is no page-locked memory left");
+        return &(copies_[name] = copy);
+    }
+
+    void fetch(const Copy& copy)
+    {
+        if (!wp_memcpy_d2h(context_, copy.host, copy.device, copy.size, stream_))
+            fail("copying from the GPU failed");
+    }
+
+    void wait()
+    {
+        if (!wp_cuda_stream_synchronize(stream_))
+            fail("the GPU has stopped");
+    }
+
+    [[noreturn]] static void fail(const char* what)
+    {
+        throw std::runtime_error(std::string(what) + ": " + wp_get_error_string());
+    }
+
+    void release()
+    {
+        for (auto& [name, copy] : copies_)
+            wp_free_pinned(copy.host);
+        if (graph_)
+            wp_apic_destroy_graph(graph_);
+        if (stream_)
+            wp_cuda_stream_destroy(context_, stream_);
+    }
+
+    void* context_;
+    void* stream_ = nullptr;
+    APICGraph* graph_ = nullptr;
+    std::map<std::string, Copy, std::less<>> copies_;
+};
+
+} // namespace
+
+std::unique_ptr<Graph> open_cuda_graph(const std::string& stem, int ordinal)
+{
+    return std::make_unique<CudaGraph>(stem, ordinal);
+}
