@@ -81,9 +81,6 @@ def export(
         raise ValueError(
             "there is nothing to compile for: give --arch, such as --arch sm_87 for a Jetson Orin, or --cpu."
         )
-    quieten()
-    if cpu and not wp.is_cpu_available():
-        raise ValueError("this Warp has no compiler for the CPU; leave out --cpu, or install Warp's own package.")
     target = Path(os.path.abspath(out))
     packed = target.suffix == ".tar"
     if target.is_dir() if packed else target.exists() and not (target.is_dir() and not any(target.iterdir())):
@@ -91,6 +88,9 @@ def export(
     if not target.parent.is_dir():
         raise ValueError(f"the folder {target.parent} does not exist; make it, or put the bundle elsewhere.")
     text = _config_text(config)
+    quieten()
+    if cpu and not wp.is_cpu_available():
+        raise ValueError("this Warp has no compiler for the CPU; leave out --cpu, or install Warp's own package.")
     work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     try:
         folder = work / "bundle"
