@@ -6,7 +6,13 @@ import pytest
 from aero_planner.planner import History
 from aero_viz.timeline import Mark, Timeline
 
-HISTORY = History(np.zeros((1, 2, 4), np.float32), np.zeros((1, 3), np.float32), np.zeros(1), np.zeros(1, np.int32))
+HISTORY = History(
+    controls=np.zeros((1, 2, 4), np.float32),
+    end=np.zeros((1, 3), np.float32),
+    turn=np.zeros((1, 3), np.float32),
+    time=np.zeros(1),
+    tick=np.zeros(1, np.int32),
+)
 
 
 def flown(count: int) -> Timeline:

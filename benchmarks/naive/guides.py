@@ -120,13 +120,15 @@ def guides(
     brake_index: int,
     reach: wp.array(dtype=float),
     previous_end: wp.array(dtype=wp.vec3),
+    previous_turn: wp.array(dtype=wp.vec3),
     previous_time: wp.array(dtype=wp.float64),
     anchor: wp.array2d(dtype=wp.vec3),
     elapsed: wp.array(dtype=float),
     coefficient: wp.array3d(dtype=wp.vec3),
     guide: wp.array3d(dtype=wp.vec3),
+    turn: wp.array2d(dtype=wp.vec3),
 ):
-    """Guide of every candidate. Launched over [B, M].
+    """Guide of every candidate, and where its way turns to the goal. Launched over [B, M].
 
     `elapsed` becomes the time since the previous plan, or -1 where there is none to go on from.
     """
@@ -136,10 +138,13 @@ def guides(
     T = float(guide.shape[2] - 1) * c.dt
     way = goal_position[b] - p0
     v1 = wp.vec3(0.0, 0.0, 0.0)
+    turn[b, m] = goal_position[b]
     if m < anchor_count:
         v1 = c.arrival_speed * wp.normalize(anchor[b, m] - p0)
         if reach[b] >= wp.length(way):
             v1 = goal_velocity[b]
+        elif reach[b] < c.way_ahead and c.way_ahead < wp.length(way):
+            turn[b, m] = p0 + c.way_ahead * wp.normalize(anchor[b, m] - p0)
     if m == previous_index:
         passed = float(time[b] - previous_time[b])
         if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):
@@ -148,6 +153,8 @@ def guides(
         if not (passed >= 0.0 and passed < T):
             passed = float(-1.0)
             anchor[b, m] = p0 + reach[b] / wp.max(wp.length(way), 1.0e-6) * way
+        elif wp.length(previous_turn[b] - p0) > reach[b]:
+            turn[b, m] = previous_turn[b]
         elapsed[b] = passed
     if m == brake_index:
         anchor[b, m] = p0 + c.brake_reach * T * velocity[b]

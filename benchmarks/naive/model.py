@@ -161,18 +161,26 @@ def collision_cost(d: float, c: Params) -> float:
     if d < c.distance_min:
         return c.penalty * (2.0 - d / c.distance_min)
     s = (c.distance_max - d) / (c.distance_max - c.distance_min)
-    return c.soft_weight * s * s
+    return c.soft_weight * wp.min(1.0, c.speed_limit / c.soft_speed) * s * s
 
 
 @wp.func
-def probe_position(p: wp.vec3, goal: wp.vec3, j: int, c: Params) -> wp.vec3:
-    """Middle of the j-th piece of the way from p toward the goal."""
-    distance = wp.length(goal - p)
-    length = wp.min(c.blocked_range, distance)
-    return p + (float(j) + 0.5) / float(PROBES) * length / wp.max(distance, 1.0e-6) * (goal - p)
+def way_length(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, c: Params) -> float:
+    """Length of the way from p by the turning point to the goal, as far as it is looked at."""
+    return wp.min(c.blocked_range, wp.length(turn - p) + wp.length(goal - turn))
 
 
 @wp.func
-def blocked_cost(p: wp.vec3, goal: wp.vec3, blocked: int, c: Params) -> float:
+def probe_position(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, j: int, c: Params) -> wp.vec3:
+    """Middle of the j-th piece of the way from p by the turning point to the goal."""
+    s = (float(j) + 0.5) / float(PROBES) * way_length(p, turn, goal, c)
+    first = wp.length(turn - p)
+    if s <= first:
+        return p + s / wp.max(first, 1.0e-6) * (turn - p)
+    return turn + (s - first) / wp.max(wp.length(goal - turn), 1.0e-6) * (goal - turn)
+
+
+@wp.func
+def blocked_cost(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, blocked: int, c: Params) -> float:
     """Price of the blocked metres on the way from p to the goal."""
-    return c.q_blocked * wp.min(c.blocked_range, wp.length(goal - p)) * float(blocked) / float(PROBES)
+    return c.q_blocked * way_length(p, turn, goal, c) * float(blocked) / float(PROBES)

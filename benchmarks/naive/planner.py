@@ -65,6 +65,7 @@ class NaivePlanner:
                 elapsed=wp.zeros(B, dtype=float),
                 coefficient=wp.zeros((B, M + guides.BRAKES, 6), dtype=wp.vec3),
                 guide=wp.zeros((B, M + guides.BRAKES, N + 1), dtype=wp.vec3),
+                turn=wp.zeros((B, M + guides.BRAKES), dtype=wp.vec3),
                 nominal=wp.zeros((B, M, N), dtype=wp.vec4),
                 noise=wp.zeros((B * M, K, N), dtype=wp.vec4),
                 sample_controls=wp.zeros((B * M, K, N), dtype=wp.vec4),
@@ -86,6 +87,7 @@ class NaivePlanner:
                 source=wp.zeros(B, dtype=int),
                 previous_controls=wp.zeros((B, N), dtype=wp.vec4),
                 previous_end=wp.zeros(B, dtype=wp.vec3),
+                previous_turn=wp.zeros(B, dtype=wp.vec3),
                 previous_time=wp.zeros(B, dtype=wp.float64),
                 tick=wp.zeros(B, dtype=int),
             )
@@ -96,6 +98,7 @@ class NaivePlanner:
         history, a = self._planner.history(), self.arrays
         a.previous_controls.assign(history.controls)
         a.previous_end.assign(history.end)
+        a.previous_turn.assign(history.turn)
         a.previous_time.assign(history.time)
         a.tick.assign(history.tick)
         # The one thing that is not in the planner's interface: which numbers it draws.
@@ -169,7 +172,7 @@ class NaivePlanner:
         self._launch(
             guides.guides, (self._batch, self._M), i.position, i.velocity, a.quaternion, i.acceleration, i.time,
             i.goal_position, a.goal_velocity, self.params, config.anchor_count, previous, brake, a.reach,
-            a.previous_end, a.previous_time, a.anchor, a.elapsed, a.coefficient, a.guide,
+            a.previous_end, a.previous_turn, a.previous_time, a.anchor, a.elapsed, a.coefficient, a.guide, a.turn,
         )  # fmt: skip
         self._launch(
             guides.nominal_controls, (self._batch, self._M), a.quaternion, a.goal_quaternion, self.params, previous,
@@ -184,7 +187,7 @@ class NaivePlanner:
         a, kinds = self.arrays, self._config.kinds
         previous = kinds.index("previous") if "previous" in kinds else -1
         self._launch(
-            mppi.rollouts, a.cost.shape, self._M, previous, *self._states(), a.guide, a.nominal, a.noise,
+            mppi.rollouts, a.cost.shape, self._M, previous, *self._states(), a.guide, a.turn, a.nominal, a.noise,
             a.sample_controls, a.sample_positions, a.cost,
         )  # fmt: skip
 
@@ -195,8 +198,8 @@ class NaivePlanner:
             a.filtered, a.sample_positions, a.sample_distance,
         )  # fmt: skip
         self._launch(
-            mppi.scores, a.cost.shape, self._M, i.goal_position, self.params, a.sample_positions, a.sample_distance,
-            a.cost,
+            mppi.scores, a.cost.shape, self._M, i.goal_position, a.turn, self.params, a.sample_positions,
+            a.sample_distance, a.cost,
         )  # fmt: skip
 
     def _update(self) -> None:
@@ -211,20 +214,20 @@ class NaivePlanner:
         i, a, kinds = self._planner.inputs, self.arrays, self._config.kinds
         self._launch(
             stage2.ways_to_brake, self._batch, i.position, i.velocity, a.quaternion, i.acceleration, self.params,
-            a.anchor, a.coefficient, a.guide, a.controls,
+            a.anchor, a.coefficient, a.guide, i.goal_position, a.turn, a.controls,
         )  # fmt: skip
         count, instances = a.positions.shape[0], self._M + guides.BRAKES
         self._launch(
-            stage2.final_rollouts, count, instances, *self._states(), a.controls, a.states, a.positions, a.J_goal,
-            a.J_speed,
+            stage2.final_rollouts, count, instances, *self._states(), a.turn, a.controls, a.states, a.positions,
+            a.J_goal, a.J_speed,
         )  # fmt: skip
         self._launch(
             mppi.clearance, a.distance.shape, instances, self._config.sampling.steps, self.params, a.count, a.filtered,
             a.positions, a.distance,
         )  # fmt: skip
         self._launch(
-            stage2.final_scores, count, instances, i.goal_position, self.params, a.positions, a.distance, a.J_goal,
-            a.J_speed, a.J_col, a.S2, a.nearest,
+            stage2.final_scores, count, instances, i.goal_position, a.turn, self.params, a.positions, a.distance,
+            a.J_goal, a.J_speed, a.J_col, a.S2, a.nearest,
         )  # fmt: skip
         self._launch(
             stage2.choose, self._batch, kinds.index("brake") if "brake" in kinds else -1, i.position, self.params,

@@ -27,6 +27,8 @@ def ways_to_brake(
     anchor: wp.array2d(dtype=wp.vec3),
     coefficient: wp.array3d(dtype=wp.vec3),
     guide: wp.array3d(dtype=wp.vec3),
+    goal_position: wp.array(dtype=wp.vec3),
+    turn: wp.array2d(dtype=wp.vec3),
     controls: wp.array3d(dtype=wp.vec4),
 ):
     """Write the controls that brake straight ahead, left, right, farther left and farther right. Launched over [B]."""
@@ -36,6 +38,7 @@ def ways_to_brake(
         angle = float((way + 1) // 2) * wp.radians(params[b].brake_fan)
         if way % 2 == 0:
             angle = -angle
+        turn[b, M + way] = goal_position[b]
         write_brake(b, M + way, angle, position[b], velocity[b], acceleration[b], quaternion[b], params[b], anchor,
                     coefficient, guide, controls)  # fmt: skip
 
@@ -50,6 +53,7 @@ def final_rollouts(
     goal_velocity: wp.array(dtype=wp.vec3),
     goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
+    turn: wp.array2d(dtype=wp.vec3),
     controls: wp.array3d(dtype=wp.vec4),
     states: wp.array3d(dtype=wp.vec3),
     positions: wp.array3d(dtype=wp.vec3),
@@ -76,7 +80,7 @@ def final_rollouts(
         goal += goal_cost(p, v, q, goal_position[b], goal_velocity[b], goal_quaternion[b], c)
         speed += speed_cost(v, c)
     for j in range(PROBES):
-        positions[i, 0, N + j] = probe_position(p, goal_position[b], j, c)
+        positions[i, 0, N + j] = probe_position(p, turn[b, m], goal_position[b], j, c)
     J_goal[b, m] = goal
     J_speed[b, m] = speed
 
@@ -85,6 +89,7 @@ def final_rollouts(
 def final_scores(
     instances: int,
     goal_position: wp.array(dtype=wp.vec3),
+    turn: wp.array2d(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     positions: wp.array3d(dtype=wp.vec3),
     distance: wp.array3d(dtype=float),
@@ -106,7 +111,7 @@ def final_scores(
         if c.between_steps != 0:
             least = wp.min(least, distance[i, 0, N + PROBES + t])
     nearest[b, m] = least
-    collision, to_go = collision_and_blocked(i, 0, N, goal_position[b], c, positions, distance)
+    collision, to_go = collision_and_blocked(i, 0, N, turn[b, m], goal_position[b], c, positions, distance)
     J_col[b, m] = collision
     S2[b, m] = J_goal[b, m] + collision + to_go + J_speed[b, m]
 

@@ -186,6 +186,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             total=wp.zeros((lanes, batch), dtype=wp.int32),
             end=wp.zeros((batch, GRID**3), dtype=wp.int32),
             directions=wp.zeros(fine_shape(config), dtype=wp.vec3),
+            turn=wp.zeros((batch, M + BRAKES), dtype=wp.vec3),
             nominal=wp.zeros((batch, M + BRAKES, N), dtype=wp.vec4),
             sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
             sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
@@ -199,6 +200,7 @@ def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device
             tick=wp.zeros(batch, dtype=wp.int32),
             previous_controls=wp.zeros((batch, N), dtype=wp.vec4),
             previous_end=wp.zeros(batch, dtype=wp.vec3),
+            previous_turn=wp.zeros(batch, dtype=wp.vec3),
             previous_time=wp.zeros(batch, dtype=wp.float64),
         )
         # The same memory twice, for reading and for writing.

@@ -84,7 +84,7 @@ class AnchorConfig(_Section):
         "asks for an acceleration that saturates the thrust. At or above the look-ahead this is off, as in the paper.",
     )  # fmt: skip
     slow_spread: float = live(
-        2.0, "", 1.0, 5.0, "Factor on the spacing below slow_speed, to find a way round; 1 as in the paper."
+        1.5, "", 1.0, 5.0, "Factor on the spacing below slow_speed, to find a way round; 1 as in the paper."
     )
     slow_speed: float = live(3.0, "m/s", 0.0, 20.0, "Speed below which slow_spread applies.")
     refine: bool = switch(True, "Move each anchor to the safe direction of its coarse cell.")
@@ -169,10 +169,20 @@ class CostConfig(_Section):
         "than 2 d_max.",
     )  # fmt: skip
     decay: float = live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
-    soft_weight: float = live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty.")
+    soft_weight: float = live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty at soft_speed and above.")
+    soft_speed: float = live(
+        7.0, "m/s", 0.1, 50.0,
+        "Speed limit below which soft_weight shrinks in proportion: a slower drone spends more steps in the same gap, "
+        "and would pay more for the passage than it is worth.",
+    )  # fmt: skip
     q_blocked: float = live(
         300.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the way from the last state to the goal; 0 in the paper."
     )
+    way_ahead: float = live(
+        3.0, "m", 0.0, 30.0,
+        "That way keeps the anchor's direction until this far from the drone before it turns to the goal: guides that "
+        "end nearer, as slow ones do, see no way round an obstacle by themselves. 0 turns at once.",
+    )  # fmt: skip
     blocked_range: float = live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
     blocked_radius: float = live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
     floor: float = live(
@@ -309,6 +319,7 @@ _PAPER: dict[str, Value] = {
     "costs.penalty": 1e6,
     "costs.shape": "exponential",
     "costs.q_blocked": 0.0,
+    "costs.way_ahead": 0.0,
 }
 
 _PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

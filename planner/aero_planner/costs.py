@@ -69,15 +69,14 @@ def goal_cost(
 def collision_cost(d: float, params: Params) -> float:
     """J_col at clearance d [m], nothing from d_max on, by one of two shapes.
 
-    "exponential" is the paper's: C below d_min, C exp(-a (d - d_min)) above it. "quadratic" is soft_weight s^2 with
+    "exponential" is the paper's: C below d_min, C exp(-a (d - d_min)) above it. "quadratic" is w s^2 with
     s = (d_max - d) / (d_max - d_min) above d_min, and C (2 - d / d_min) below it, so that where nothing stays clear the
-    wider miss still costs less.
+    wider miss still costs less; w is soft_weight min(1, speed_limit / soft_speed).
     """
     # Without returns in between, a CPU computes it for many samples at once.
     s = (params.distance_max - d) / (params.distance_max - params.distance_min)
-    cost = wp.where(
-        d < params.distance_min, params.penalty * (2.0 - d / params.distance_min), params.soft_weight * s * s
-    )
+    soft = params.soft_weight * wp.min(1.0, params.speed_limit / params.soft_speed)
+    cost = wp.where(d < params.distance_min, params.penalty * (2.0 - d / params.distance_min), soft * s * s)
     if params.shape == 1:
         cost = params.penalty * wp.exp(-params.decay * wp.max(0.0, d - params.distance_min))
     return wp.where(d < params.distance_max, cost, 0.0)

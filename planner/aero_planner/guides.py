@@ -195,18 +195,22 @@ def make_guides(of: Widths) -> wp.Kernel:
         reach: wp.array(dtype=float),
         previous_controls: wp.array2d(dtype=wp.vec4),
         previous_end: wp.array(dtype=wp.vec3),
+        previous_turn: wp.array(dtype=wp.vec3),
         previous_time: wp.array(dtype=wp.float64),
         initial_endpoint: wp.array2d(dtype=wp.vec3),
         anchor: wp.array2d(dtype=wp.vec3),
         coefficient: wp.array3d(dtype=wp.vec3),
         guide: wp.array3d(dtype=wp.vec3),
+        turn: wp.array2d(dtype=wp.vec3),
         nominal: wp.array3d(dtype=wp.vec4),
     ):
         """Endpoint, guide and nominal controls of the M instances, and then of the ways to brake. Launched over [B, M +
         BRAKES, of.steps], which share the steps.
 
-        Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a `time` of NaN
-        means one replan_period later.
+        `turn` is where the way beyond a guide, of which the cost-to-go asks whether it is blocked, turns to the goal:
+        on the line to the anchor at way_ahead, where that lies beyond the guide's end and before the goal, and the goal
+        itself otherwise. Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a
+        `time` of NaN means one replan_period later.
         """
         b, m, lane = wp.tid()
         c = params[b]
@@ -215,8 +219,9 @@ def make_guides(of: Widths) -> wp.Kernel:
         T = float(nominal.shape[2]) * c.dt
         to_goal = goal_position[b] - p0
         goal_distance = wp.length(to_goal)
-        turn = brake_direction(wp.max(m - instances, 0), c)
-        ahead = quat_rotate(quat_from_heading(turn), velocity[b])
+        aside = brake_direction(wp.max(m - instances, 0), c)
+        ahead = quat_rotate(quat_from_heading(aside), velocity[b])
+        way_turn = goal_position[b]
         p1 = p0 + (c.brake_reach * T) * ahead
         v1 = wp.vec3(0.0, 0.0, 0.0)
         heading_goal = heading(goal_quaternion[b])
@@ -239,6 +244,8 @@ def make_guides(of: Widths) -> wp.Kernel:
             v1 = c.arrival_speed * wp.normalize(p1 - p0)
             if reach[b] >= goal_distance:
                 v1 = goal_velocity[b]
+            elif c.way_ahead > reach[b] and c.way_ahead < goal_distance:
+                way_turn = p0 + c.way_ahead * wp.normalize(p1 - p0)
         elif m == previous_index:
             # Compared in float64, since stamps may count from 1970.
             elapsed = float(time[b] - previous_time[b])
@@ -248,10 +255,13 @@ def make_guides(of: Widths) -> wp.Kernel:
             if not (elapsed >= 0.0 and elapsed < T):
                 elapsed = float(-1.0)
                 p1 = p0 + (reach[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
+            elif wp.length(previous_turn[b] - p0) > reach[b]:
+                way_turn = previous_turn[b]
         else:
             heading_goal = heading(q0)
         if lane == 0:
             anchor[b, m] = p1
+            turn[b, m] = way_turn
             if m >= anchor_count:
                 initial_endpoint[b, m] = p1
         curve = quintic(p0, velocity[b], acceleration[b], p1, v1, T)

@@ -68,18 +68,22 @@ def random_sign(bits: int, i: int) -> float:
 
 
 @wp.func
-def probe(p: wp.vec3, goal: wp.vec3, j: int, params: Params) -> wp.vec3:
-    """The j-th position on the line from p toward the goal, at the middle of its piece of the line."""
-    to_goal = goal - p
-    distance = wp.length(to_goal)
-    length = wp.min(params.blocked_range, distance)
-    return p + ((float(j) + 0.5) / float(PROBES) * length / wp.max(distance, 1.0e-6)) * to_goal
+def probe(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, j: int, params: Params) -> wp.vec3:
+    """The j-th position on the way from p to the goal by a turning point, at the middle of its piece of the way."""
+    to_turn = turn - p
+    onward = goal - turn
+    first = wp.length(to_turn)
+    second = wp.length(onward)
+    s = (float(j) + 0.5) / float(PROBES) * wp.min(params.blocked_range, first + second)
+    before = p + (s / wp.max(first, 1.0e-6)) * to_turn
+    after = turn + ((s - first) / wp.max(second, 1.0e-6)) * onward
+    return wp.where(s <= first, before, after)
 
 
 @wp.func
-def blocked_cost(p: wp.vec3, goal: wp.vec3, blocked: int, params: Params) -> float:
-    """Option beside the paper: q_blocked times the blocked metres of the line from the last state p toward the goal."""
-    length = wp.min(params.blocked_range, wp.length(goal - p))
+def blocked_cost(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, blocked: int, params: Params) -> float:
+    """Option beside the paper: q_blocked times the blocked metres of the way from the last state p to the goal."""
+    length = wp.min(params.blocked_range, wp.length(turn - p) + wp.length(goal - turn))
     return params.q_blocked * length * float(blocked) / float(PROBES)
 
 
@@ -108,6 +112,7 @@ def sample_rollouts(of: Widths) -> wp.Kernel:
         tick: wp.array(dtype=int),
         noise_table: wp.array3d(dtype=Reals),
         guide: wp.array3d(dtype=wp.vec3),
+        turn: wp.array2d(dtype=wp.vec3),
         nominal: wp.array3d(dtype=wp.vec4),
         controls: wp.array4d(dtype=Reals),
         positions: wp.array4d(dtype=Reals),
@@ -212,7 +217,7 @@ def sample_rollouts(of: Widths) -> wp.Kernel:
         if c.q_blocked > 0.0:
             for piece in range(PROBES):
                 for j in range(WIDTH):
-                    place = probe(wp.vec3(x[0, j], x[1, j], x[2, j]), p_goal, piece, c)
+                    place = probe(wp.vec3(x[0, j], x[1, j], x[2, j]), turn[b, m], p_goal, piece, c)
                     for axis in range(3):
                         u[axis, j] = place[axis]
                 for axis in range(3):
@@ -236,6 +241,7 @@ def improve(of: Widths) -> wp.Kernel:
         first: int,
         instances: int,
         goal_position: wp.array(dtype=wp.vec3),
+        turn: wp.array2d(dtype=wp.vec3),
         params: wp.array(dtype=Params),
         nominal: wp.array3d(dtype=float),
         sample_controls: wp.array3d(dtype=Reals),
@@ -277,7 +283,7 @@ def improve(of: Widths) -> wp.Kernel:
                         blocked += term
             S += J_col
             if params[b].q_blocked > 0.0:
-                S += blocked_cost(last, goal_position[b], int(blocked), params[b])
+                S += blocked_cost(last, turn[b, m], goal_position[b], int(blocked), params[b])
             cost[i, k] = S
             least = wp.min(least, S)
         least = least_of_all(least)

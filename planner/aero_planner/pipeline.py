@@ -183,8 +183,8 @@ class Pipeline:
             launch(
                 guides.make_guides(of), (B, rolled_out, of.steps), *state, i.acceleration, i.time, *goal, params, M,
                 anchor_count, previous, o.fine_range, w.directions, w.initial_direction, part.fine_cells,
-                part.coarse_rows, part.coarse_columns, w.reach, w.previous_controls, w.previous_end, w.previous_time,
-                o.initial_endpoint, o.anchor, o.coefficient, o.guide, w.nominal, block_dim=32,
+                part.coarse_rows, part.coarse_columns, w.reach, w.previous_controls, w.previous_end, w.previous_turn,
+                w.previous_time, o.initial_endpoint, o.anchor, o.coefficient, o.guide, w.turn, w.nominal, block_dim=32,
             ),
         )  # fmt: skip
         optimise: list[Chunk] = []
@@ -199,7 +199,7 @@ class Pipeline:
             optimise.append([
                 ("rollouts", launch(
                     mppi.sample_rollouts(of), (n, groups), first, M, previous, *state, *goal, params, w.seed,
-                    w.tick, as_vectors(w.noise, of.samples), o.guide, w.nominal,
+                    w.tick, as_vectors(w.noise, of.samples), o.guide, w.turn, w.nominal,
                     as_vectors(w.sample_controls, of.samples), as_vectors(w.sample_positions, of.samples),
                     as_vectors(o.cost, of.samples), block_dim=32,
                 )),
@@ -209,9 +209,9 @@ class Pipeline:
                     w.sample_positions, i.position, params, *cloud, w.sample_clearance_cost, block_dim=128,
                 )),
                 ("update", launch(
-                    mppi.improve(some), (n, some.improve), first, M, i.goal_position, params, as_values(w.nominal),
-                    sample_controls, w.sample_positions, w.sample_clearance_cost, o.cost, w.weight,
-                    as_vectors(w.weight, of.sums), as_values(o.controls), block_dim=some.improve,
+                    mppi.improve(some), (n, some.improve), first, M, i.goal_position, w.turn, params,
+                    as_values(w.nominal), sample_controls, w.sample_positions, w.sample_clearance_cost, o.cost,
+                    w.weight, as_vectors(w.weight, of.sums), as_values(o.controls), block_dim=some.improve,
                 )),
             ])  # fmt: skip
         # Nothing waits for the coarse cells, which are shown only: CUDA pools them beside Stage II.
@@ -232,17 +232,18 @@ class Pipeline:
                 o.positions, o.velocities, o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position, *goal, params,
-                *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
+                stage2.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position, *goal, w.turn,
+                params, *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
-                stage2.score(of), (B, rolled_out, of.steps), i.goal_position, params, o.positions, w.terms, o.J_goal,
-                o.J_col, o.S2, w.scores, block_dim=32,
+                stage2.score(of), (B, rolled_out, of.steps), i.goal_position, w.turn, params, o.positions, w.terms,
+                o.J_goal, o.J_col, o.S2, w.scores, block_dim=32,
             ),
             launch(
-                stage2.conclude, (B, N + 1), M, brake, i.time, params, i.cloud_age, w.terms, w.scores, o.anchor,
-                o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions, o.J_goal, o.J_col, o.S2,
-                o.clearance, o.best, o.status, o.braked, w.tick, w.previous_controls, w.previous_end, w.previous_time,
+                stage2.conclude, (B, N + 1), M, brake, i.time, params, i.cloud_age, i.goal_position, w.turn, w.terms,
+                w.scores, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions,
+                o.J_goal, o.J_col, o.S2, o.clearance, o.best, o.status, o.braked, w.tick, w.previous_controls,
+                w.previous_end, w.previous_turn, w.previous_time,
                 block_dim=32,
             ),
             self._join,
@@ -370,6 +371,6 @@ class Pipeline:
                 stage_ms[name] = stage_ms.get(name, 0.0) + 1e3 * (time.perf_counter() - started)
 
     def close(self) -> None:
-        """End the worker threads."""
+        """Let the worker threads end; one that hangs is not waited for."""
         if self._executor:
-            self._executor.shutdown(wait=True)
+            self._executor.shutdown(wait=False, cancel_futures=True)

@@ -32,6 +32,8 @@ class History:
     """Previous controls to fly, shape [B, N, 4]."""
     end: NDArray[np.float32]
     """Where they led [m], shape [B, 3], world frame."""
+    turn: NDArray[np.float32]
+    """Where the way to the goal turned behind that [m], shape [B, 3]; NaN where it led straight on."""
     time: NDArray[np.float64]
     """When they were planned [s], shape [B]; NaN where there are none."""
     tick: NDArray[np.int32]
@@ -208,7 +210,7 @@ class Planner:
     def history(self) -> History:
         """Return what the next plan builds on; `restore` with it makes the next plan repeatable bit for bit."""
         work = self._work
-        arrays = (work.previous_controls, work.previous_end, work.previous_time, work.tick)
+        arrays = (work.previous_controls, work.previous_end, work.previous_turn, work.previous_time, work.tick)
         return History(*(array.numpy().copy() for array in arrays))
 
     def restore(self, history: History) -> None:
@@ -218,6 +220,7 @@ class Planner:
             return self.reset()
         work.previous_controls.assign(history.controls)
         work.previous_end.assign(history.end)
+        work.previous_turn.assign(history.turn)
         work.previous_time.assign(history.time)
         work.tick.assign(history.tick)
 
@@ -359,7 +362,7 @@ class Planner:
         return rollouts if self._batched else rollouts[0]
 
     def close(self) -> None:
-        """End the worker threads; the planner can't be used afterwards."""
+        """Let the worker threads end; the planner can't be used afterwards."""
         self._pipeline.close()
 
 

@@ -87,6 +87,7 @@ def evaluate(of: Widths) -> wp.Kernel:
         goal_position: wp.array(dtype=wp.vec3),
         goal_velocity: wp.array(dtype=wp.vec3),
         goal_quaternion: wp.array(dtype=wp.vec4),
+        turn: wp.array2d(dtype=wp.vec3),
         params: wp.array(dtype=Params),
         beside: int,
         end: wp.array2d(dtype=int),
@@ -114,7 +115,7 @@ def evaluate(of: Widths) -> wp.Kernel:
             x = 0.5 * (positions[b, m, half] + positions[b, m, wp.where(t == terms.shape[2] - 1, half, half + 1)])
             limit = c.safe_clearance
         elif t >= steps:
-            x = probe(x, goal_position[b], t - steps, c)
+            x = probe(x, turn[b, m], goal_position[b], t - steps, c)
         d = nearest_point(x, limit, b, thread, position[b], cell_size(c), beside, end, blocks)
         d = above_floor(d, x, c)
         J_goal = float(0.0)
@@ -139,6 +140,7 @@ def score(of: Widths) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def score(
         goal_position: wp.array(dtype=wp.vec3),
+        turn: wp.array2d(dtype=wp.vec3),
         params: wp.array(dtype=Params),
         positions: wp.array3d(dtype=wp.vec3),
         terms: wp.array3d(dtype=wp.vec4),
@@ -173,7 +175,8 @@ def score(of: Widths) -> wp.Kernel:
         if thread == 0:
             J_goal[b, m] = goal
             J_col[b, m] = col
-            total = goal + col + speed + blocked_cost(positions[b, m, steps], goal_position[b], int(blocked), c)
+            end = positions[b, m, steps]
+            total = goal + col + speed + blocked_cost(end, turn[b, m], goal_position[b], int(blocked), c)
             S2[b, m] = total
             scores[b, m] = wp.vec2(total, least)
 
@@ -233,6 +236,8 @@ def conclude(
     time: wp.array(dtype=wp.float64),
     params: wp.array(dtype=Params),
     cloud_age: wp.array(dtype=float),
+    goal_position: wp.array(dtype=wp.vec3),
+    turn: wp.array2d(dtype=wp.vec3),
     terms: wp.array3d(dtype=wp.vec4),
     scores: wp.array2d(dtype=wp.vec2),
     anchor: wp.array2d(dtype=wp.vec3),
@@ -252,6 +257,7 @@ def conclude(
     tick: wp.array(dtype=int),
     previous_controls: wp.array2d(dtype=wp.vec4),
     previous_end: wp.array(dtype=wp.vec3),
+    previous_turn: wp.array(dtype=wp.vec3),
     previous_time: wp.array(dtype=wp.float64),
 ):
     """Choose, put the way to brake in its place where it is needed, and keep what the next plan starts from.
@@ -286,6 +292,9 @@ def conclude(
         previous_controls[b, t] = controls[b, source, t]
     else:
         previous_end[b] = positions[b, source, t]
+        previous_turn[b] = wp.where(
+            turn[b, source] == goal_position[b], wp.vec3(wp.NAN, wp.NAN, wp.NAN), turn[b, source]
+        )
         tick[b] = tick[b] + 1
         if not wp.isnan(time[b]):
             previous_time[b] = time[b]

@@ -195,7 +195,8 @@ def J_col(d: Array, config: PlannerConfig) -> float:
         inside, between = np.full_like(d, c.penalty), c.penalty * np.exp(-c.decay * (d - c.distance_min))
     else:
         inside = c.penalty * (2.0 - d / max(c.distance_min, 1e-9))
-        between = c.soft_weight * ((c.distance_max - d) / (c.distance_max - c.distance_min)) ** 2
+        soft = c.soft_weight * min(1.0, config.vehicle.speed_limit / c.soft_speed)
+        between = soft * ((c.distance_max - d) / (c.distance_max - c.distance_min)) ** 2
     return float(np.where(d < c.distance_min, inside, np.where(d < c.distance_max, between, 0.0)).sum())
 
 
@@ -204,36 +205,53 @@ def J_speed(v: Array, config: PlannerConfig) -> float:
     return float(config.costs.q_speed * (excess**2).sum())
 
 
-def probes(p: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
-    """Middles of `count` pieces of the way from p toward the goal, and the length of that way."""
-    distance = float(np.linalg.norm(goal - p))
-    length = min(config.costs.blocked_range, distance)
-    fractions = (np.arange(count) + 0.5) / count * length / max(distance, 1e-6)
-    return p + fractions[:, None] * (goal - p), length
+def turning_point(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:
+    """Where the way of an anchor's instance turns to the goal; the goal itself where it does so at once."""
+    ahead = config.costs.way_ahead
+    if not reach < ahead < np.linalg.norm(goal - p0):
+        return goal
+    return p0 + ahead * (anchor - p0) / np.linalg.norm(anchor - p0)
 
 
-def J_blocked(p: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
-    """Cost-to-go: q_blocked times the blocked metres from the last state toward the goal."""
+def probes(p: Array, turn: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
+    """Middles of `count` pieces of the way from p by the turning point to the goal, and the length of that way."""
+    corners = np.array([p, turn, goal])
+    lengths = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))))
+    length = min(config.costs.blocked_range, lengths[-1])
+    places = (np.arange(count) + 0.5) / count * length
+    return np.stack([np.interp(places, lengths, corners[:, axis]) for axis in range(3)], axis=1), length
+
+
+def J_blocked(p: Array, turn: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
+    """Cost-to-go: q_blocked times the blocked metres on the way from the last state to the goal."""
     if config.costs.q_blocked == 0.0:
         return 0.0
     radius = config.costs.blocked_radius
-    places, length = probes(p, goal, config)
+    places, length = probes(p, turn, goal, config)
     return config.costs.q_blocked * length * float((clearance(places, points, 2 * radius + 1) < radius).mean())
 
 
-def S2(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig) -> float:
-    """J_goal + J_col and the options' terms."""
+def S2(
+    x: Rollout, turn: Array, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig
+) -> float:
+    """J_goal + J_col and the options' terms; `turn` is where the way turns to the goal."""
     d = clearance(x.p, points, config.costs.distance_max)
-    options = J_speed(x.v, config) + J_blocked(x.p[-1], p_goal, points, config)
+    options = J_speed(x.v, config) + J_blocked(x.p[-1], turn, p_goal, points, config)
     return J_goal(x, p_goal, v_goal, q_goal, config) + J_col(d, config) + options
 
 
 def S1(
-    x: Rollout, u: Array, guide: Array | None, goal: tuple[Array, Array, Array], points: Array, config: PlannerConfig
+    x: Rollout,
+    u: Array,
+    guide: Array | None,
+    turn: Array,
+    goal: tuple[Array, Array, Array],
+    points: Array,
+    config: PlannerConfig,
 ) -> float:
     """J_track + J_vnorm + J_ctrl + S2; no guide, no J_track."""
     track = 0.0 if guide is None else J_track(x.p, guide, config)
-    return track + J_vnorm(x.v, config) + J_ctrl(u, config) + S2(x, *goal, points, config)
+    return track + J_vnorm(x.v, config) + J_ctrl(u, config) + S2(x, turn, *goal, points, config)
 
 
 def softmin(S: Array, temperature: float) -> Array:

@@ -155,6 +155,39 @@ def test_states_without_time_are_one_replan_period_apart(device: str):
     np.testing.assert_allclose(nominal(planner)[15], expected, atol=2e-5)
 
 
+@pytest.mark.parametrize(
+    ("speed", "ahead", "distance"), [(0.3, 3.0, 12.0), (0.3, 0.0, 12.0), (0.3, 3.0, 2.9), (6.0, 3.0, 12.0)]
+)
+def test_ways_keep_their_direction_until_they_turn_to_the_goal(
+    device: str, speed: float, ahead: float, distance: float
+):
+    config, case = config_of(costs__way_ahead=ahead), random_case(0, speed=speed)
+    case.goal = case.beside(distance, 0, 0)
+    planner = Planner(config, device=device)
+    plan = case.plan(planner)
+    turns = planner._work.turn.numpy()[0]
+    for m in range(len(turns)):
+        expected = case.goal
+        if m < config.anchor_count:
+            reach = float(np.linalg.norm(plan.initial_endpoints[m] - case.position))
+            expected = reference.turning_point(case.position, plan.anchors[m], reach, case.goal, config)
+        np.testing.assert_allclose(turns[m], expected, atol=1e-5)
+    assert np.array_equal(turns[0], case.goal) == (speed > 1.0 or not ahead or distance < ahead)
+
+
+def test_the_previous_plan_keeps_its_way_until_it_is_near(device: str):
+    config, case = config_of(), random_case(0, nearest=4.0, speed=0.3)
+    planner = Planner(config, device=device)
+    first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
+    turn, history = planner._work.turn.numpy()[0, first.best], planner.history()
+    assert not np.array_equal(turn, case.goal)
+    for step, expected in ((0.0, turn), (1.0, exact(case.goal))):
+        planner.restore(history)
+        case.position = case.position + step * reference.unit(turn - case.position)
+        planner.plan(_at(case, 50.02), Goal(case.goal), case.points)
+        np.testing.assert_array_equal(planner._work.turn.numpy()[0, first.kinds.index("previous")], expected)
+
+
 @pytest.mark.parametrize("elapsed", [-0.1, 1.25, 100.0])
 def test_a_previous_plan_of_another_time_is_not_used(device: str, elapsed: float):
     """Then the candidate is a guide toward the goal, like the first one."""
