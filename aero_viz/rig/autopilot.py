@@ -24,7 +24,7 @@ from aero_planner.onboard.frames import (
     rotate,
 )
 from aero_planner.onboard.mavlink import load_dialect
-from aero_planner.onboard.thrust import force_from_signal
+from aero_planner.onboard.thrust import force_from_signal, signal_from_force
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.faults import Channel
 
@@ -73,7 +73,9 @@ class SimulatedAutopilot:
         start: first position [m], shape [3], world frame.
         heading: first yaw [rad].
         address: host and UDP port of the companion computer.
-        hover_thrust, curve: of the motors, see `aero_planner.onboard.thrust`.
+        hover_thrust: setpoint at which the vehicle hovers.
+        curve: of the motors, see `aero_planner.onboard.thrust`.
+        compensation: how much of it the autopilot takes out itself; PX4's THR_MDL_FAC.
         loss_time: time without setpoint that ends the stream, and with it OFFBOARD; PX4's COM_OF_LOSS_T [s].
         pair: send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY.
         seed: of gusts and of the wires.
@@ -97,6 +99,7 @@ class SimulatedAutopilot:
         *,
         hover_thrust: float = 0.5,
         curve: float = 0.0,
+        compensation: float = 0.0,
         loss_time: float = 0.5,
         pair: bool = False,
         seed: int = 0,
@@ -107,8 +110,9 @@ class SimulatedAutopilot:
         self.refused = 0
         self.trespasses: list[str] = []
         self._model = model
+        self._compensation = compensation
         self._motors: dict[str, float] = dict(
-            mass=model.mass, gravity=model.gravity, hover_thrust=hover_thrust, curve=curve
+            mass=model.mass, gravity=model.gravity, hover_thrust=self._motor_signal(hover_thrust), curve=curve
         )
         self._flying = wp.zeros(1, dtype=int, device="cpu")
         self._command = wp.zeros((1, 1), dtype=wp.vec4, device="cpu")
@@ -252,12 +256,16 @@ class SimulatedAutopilot:
         if not (wanted and ours and np.isfinite(values).all()):
             self.refused += 1
             return
-        force = force_from_signal(min(max(values[0], 0.0), 1.0), **self._motors)
+        force = force_from_signal(self._motor_signal(min(max(values[0], 0.0), 1.0)), **self._motors)
         if self._now - self._stream_last > self._loss_time:
             self._stream_began = self._now
         self._stream_last = self._now
         rates = flu_from_frd(values[1:]).tolist()
         self.setpoints.append(Setpoint(self._arrival, force, tuple(rates), self.mode))
+
+    def _motor_signal(self, thrust: float) -> float:
+        """Return what the motors get, in [0, 1], for a share of the full thrust."""
+        return signal_from_force(thrust, mass=1.0, gravity=1.0, hover_thrust=1.0, curve=self._compensation)
 
     def _take_command(self, message: Any) -> None:
         d = self._dialect

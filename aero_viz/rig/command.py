@@ -18,11 +18,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: an argument is out of range, or pymavlink is missing; one sentence.
     """
-    from aero_planner.quiet import start_warp
+    from aero_planner.quiet import quieten
     from aero_viz.errors import UserError
 
     options = _parser().parse_args(arguments)
-    start_warp()
+    quieten()
     try:
         return _fly(options)
     except (UserError, ImportError) as error:
@@ -87,7 +87,7 @@ def _fly(options: argparse.Namespace) -> int:
             progress=None if options.json else print,
         )
         if options.json:
-            print(json.dumps(result.to_dict()), flush=True)
+            print(json.dumps(result.to_dict(), allow_nan=False), flush=True)
         else:
             print(summary(result), flush=True)
             if not result.arrived:

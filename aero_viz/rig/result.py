@@ -19,8 +19,8 @@ __all__ = ["Event", "Intervals", "RigResult", "Trajectory", "intervals_of"]
 class Event:
     """Something that happened."""
 
-    time: float
-    """Since the node was given the vehicle; negative before [s]."""
+    time: float | None
+    """Since the node was given the vehicle [s]; None before."""
     what: str
 
 

@@ -270,7 +270,7 @@ class _Flight:
             self._node.resume()
 
     def _note(self, what: str, now: float = 0.0) -> None:
-        self._events.append(Event(now if self._engaged is not None else -math.inf, what))
+        self._events.append(Event(None if self._engaged is None else now, what))
         if self._progress is not None:
             self._progress(f"{now:6.2f} s  {what}")
 

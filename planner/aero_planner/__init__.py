@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from aero_planner.config import PlannerConfig
-from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
-from aero_planner.planner import Planner
-from aero_planner.warmup import compile_ahead, warmup
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from aero_planner.ahead import compile_ahead, warmup
+    from aero_planner.config import PlannerConfig
+    from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
+    from aero_planner.planner import Planner
 
 __all__ = [
     "Goal",
@@ -17,3 +21,23 @@ __all__ = [
     "compile_ahead",
     "warmup",
 ]
+
+_HOMES = {
+    "config": ("PlannerConfig",),
+    "plan": ("Goal", "Plan", "PlanStatus", "VehicleState"),
+    "planner": ("Planner",),
+    "ahead": ("compile_ahead", "warmup"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name from its home when it is first asked for: the command line starts, and ends, without Warp."""
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(importlib.import_module(f"{__name__}.{home}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -18,6 +18,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.config_file import config_from_name
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
+from aero_planner.program import run_command
 
 __all__ = ["forest_cloud", "main", "measure"]
 
@@ -222,4 +223,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command(main)

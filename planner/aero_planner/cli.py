@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.metadata
 import json
 import logging
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aero_planner.parameter import did_you_mean
+from aero_planner.program import INTERRUPTED, abandon_output
 
 if TYPE_CHECKING:
     from aero_planner.bundle import Bundle
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from aero_planner.onboard.record import Observer
     from aero_planner.onboard.settings import OnboardConfig
 
-__all__ = ["GROUP", "main"]
+__all__ = ["GROUP", "main", "write_bundle"]
 
 GROUP = "aero_planner.commands"
 """Entry points that are verbs."""
@@ -44,10 +43,15 @@ _GUARD_TIME = 30.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0 when done, 2 for a user's mistake or a failed check, 130 after Ctrl-C."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    others = {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
-    verbs = [*_VERBS, *sorted(others)]
     try:
+        # Imported here, so that Ctrl-C ends this quietly as well.
+        from importlib.metadata import entry_points
+
+        from aero_planner.parameter import did_you_mean
+
+        given = list(sys.argv[1:] if arguments is None else arguments)
+        others = {point.name: point for point in entry_points(group=GROUP)}
+        verbs = [*_VERBS, *sorted(others)]
         if given and given[0] in others and given[0] not in _VERBS:
             return int(others[given[0]].load()(given[1:]) or 0)
         if given and not given[0].startswith("-") and given[0] not in verbs:
@@ -63,15 +67,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except (ValueError, ImportError, OSError) as error:
         if isinstance(error, BrokenPipeError):
-            # Whoever read the output has gone; Python would complain once more when it flushes at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 141
+            return abandon_output()
         if os.environ.get("AERO_PLANNER_DEBUG"):
             raise
         print(f"aero-planner: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
 
 
 def _parser(others: Sequence[str]) -> argparse.ArgumentParser:
@@ -134,9 +136,11 @@ def _parser(others: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
-        return importlib.metadata.version("aero-planner")
-    except importlib.metadata.PackageNotFoundError:
+        return version("aero-planner")
+    except PackageNotFoundError:
         return "(not installed)"
 
 
@@ -211,36 +215,52 @@ def _export(options: argparse.Namespace) -> int:
 
     Where this machine has one of the processors itself, the graph for the C++ host comes along.
     """
+    print(write_bundle(options.out, config=options.config, architectures=options.arch, cpu=options.cpu))
+    return 0
+
+
+def write_bundle(out: str | os.PathLike[str], *, config: str, architectures: Iterable[str], cpu: bool) -> str:
+    """Write a bundle and return the line that tells of it.
+
+    Args:
+        out, config, cpu: as of `aero_planner.export.export`, which also says what is raised.
+        architectures: of GPUs, such as "sm_87".
+    """
     from aero_planner.export import export, parse_architecture
 
     began = time.monotonic()
-    manifest = export(
-        options.out,
-        config=options.config,
-        architectures=[parse_architecture(one) for one in options.arch],
-        cpu=options.cpu,
-    )
+    manifest = export(out, config=config, architectures=[parse_architecture(one) for one in architectures], cpu=cpu)
     targets = [f"sm_{one}" for one in manifest["architectures"]] + ([manifest["cpu"]] if manifest["cpu"] else [])
     if manifest["graphs"]:
         targets.append(f"graphs of {' and '.join(manifest['graphs'])}")
     size = sum(one["size"] for one in manifest["files"].values())
-    print(f"{options.out}: {', '.join(targets)}; {len(manifest['files'])} files, {size / 1e6:.1f} MB, "
-          f"in {time.monotonic() - began:.0f} s")  # fmt: skip
-    return 0
+    return (
+        f"{out}: {', '.join(targets)}; {len(manifest['files'])} files, {size / 1e6:.1f} MB, "
+        f"in {time.monotonic() - began:.0f} s"
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
     """Wait for the pilot to switch to OFFBOARD, fly to the goal, brake or hand back when something is wrong.
 
-    Never arms and never changes the mode. SIGINT or SIGTERM brings the drone to rest and then stops the commands, so
-    that the autopilot's own failsafe takes over; a second one stops them at once.
+    Never arms and never changes the mode. SIGINT, SIGTERM or SIGHUP brings the drone to rest and then stops the
+    commands, so that the autopilot's own failsafe takes over; a second SIGINT or SIGTERM stops them at once.
     """
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s", stream=sys.stderr)
+    from aero_planner.onboard.stderr import log_to_stderr
+
+    log_to_stderr()
     with contextlib.ExitStack() as stack:
-        return _run_with(_bundle(options, stack), options)
+        ended = _run_with(_bundle(options, stack), options)
+    if not ended:
+        # What hangs in a driver, say, would keep the process from ending.
+        sys.stdout.flush()
+        logging.shutdown()
+        os._exit(0)
+    return 0
 
 
-def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> int:
+def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> bool:
+    """Fly as the options say; return whether every thread of the node has ended."""
     from aero_planner.onboard.assemble import open_lidar, open_link
     from aero_planner.onboard.guard import Guard
     from aero_planner.onboard.node import Node
@@ -251,31 +271,39 @@ def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> int:
     if bundle is not None:
         bundle.fit(planner_config, options.device)
     planner_config = above_fence(planner_config, onboard)
-    planner = Planner(planner_config, device=options.device, seed=options.seed, threads=options.threads)
+    with _plannable(options.device):
+        planner = Planner(planner_config, device=options.device, seed=options.seed, threads=options.threads)
     opened: list[Any] = []
     try:
         link = _opened(opened, lambda: open_link(onboard, planner_config.vehicle))
         lidar = _opened(opened, lambda: open_lidar(onboard))
         observers = _observers(options, planner_config, onboard, opened)
         guard = _opened(opened, lambda: Guard(onboard, planner_config.vehicle, lambda: link.partner))
-        node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers, guard=guard)
-        try:
+        with _plannable(options.device):
+            node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers, guard=guard)
             took = node.warm_up()
-        except RuntimeError as error:
-            raise ValueError(f"the planner can't plan on {planner.device}: {error}") from error
         _log.info("a plan takes %.1f ms on %s", 1e3 * took, planner.device)
         if bundle is not None and bundle.compiled():
             _log.warning("kernels were compiled that the bundle lacks; export it again")
         guard.wait(_GUARD_TIME)
         opened.clear()
-        code = _fly(node, onboard)
+        ended = _fly(node, onboard)
     finally:
         for one in opened:
             one.close()
         planner.close()
     if options.json:
         print(json.dumps(node.statistics(), allow_nan=False))
-    return code
+    return ended
+
+
+@contextlib.contextmanager
+def _plannable(device: str) -> Iterator[None]:
+    """Turn what a device, or its driver, lacks for planning into a user's error."""
+    try:
+        yield
+    except (RuntimeError, MemoryError) as error:
+        raise ValueError(f"the planner can't plan on {device}: {error}") from error
 
 
 def _opened(opened: list[Any], make: Callable[[], Any]) -> Any:
@@ -294,10 +322,10 @@ def _observers(
         name = time.strftime("flight_%Y%m%d_%H%M%S.mcap")
         path = options.log / name if options.log.is_dir() else options.log
         try:
-            observers.append(_opened(opened, lambda: FlightLog(path, planner, onboard)))
+            observers.append(log := _opened(opened, lambda: FlightLog(path, planner, onboard)))
         except OSError as error:
             raise OSError(f"the flight log {path} can't be written: {error.strerror or error}.") from error
-        _log.info("the flight log is %s", path)
+        _log.info("the flight log is %s", log.path)
     if onboard.telemetry.enabled:
         try:
             telemetry = _opened(opened, lambda: Telemetry(planner, onboard))
@@ -311,16 +339,20 @@ def _observers(
     return observers
 
 
-def _fly(node: Node, onboard: OnboardConfig) -> int:
-    """Run the node until it is told to end and has fallen silent."""
+def _fly(node: Node, onboard: OnboardConfig) -> bool:
+    """Run the node until it is told to end and has fallen silent; return whether all of its threads have ended."""
     told: list[int] = []
 
     def end(number: int, _: object) -> None:
-        told.append(number)
+        # A terminal that goes away may say so twice, the system and the shell: that is not to end at once.
+        if not told or number != signal.SIGHUP:
+            told.append(number)
         node.stop()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        # Under nohup the flight outlives its terminal.
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, end)
     node.start()
     _log.info("waiting for states, points and a goal; the pilot arms and switches to OFFBOARD")
     limit: float | None = None
@@ -333,9 +365,9 @@ def _fly(node: Node, onboard: OnboardConfig) -> int:
                 _log.error("the node does not fall silent by itself and is ended")
                 break
     finally:
-        node.close()
+        ended = node.close()
         _log.info("silent: the autopilot has the drone")
-    return 0
+    return ended
 
 
 _VERBS = ("run", "preflight", "export", "config")

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from aero_planner.ahead import compile_ahead, kernels_in
 from aero_planner.bundle import (
     CONFIG,
     FORMAT,
@@ -39,7 +40,6 @@ from aero_planner.config import PlannerConfig
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner, _find_device
 from aero_planner.quiet import quieten
-from aero_planner.warmup import compile_ahead, kernels_in
 
 __all__ = ["export", "makes_graphs", "pack", "parse_architecture", "save_graph", "write_manifest"]
 
@@ -131,7 +131,7 @@ def save_graph(config: PlannerConfig, points: int, path: Path, *, device: str = 
         points: P, the most points that a cloud may have.
         path: file to write; kernels go to a folder beside it. Arrays are bound by the names of `Planner.inputs` and
             `Planner.outputs`, and "points", "params", "seed", "tick", "previous_controls", "previous_end",
-            "previous_time".
+            "previous_turn", "previous_time".
         device: as for `Planner`.
 
     Returns:
@@ -143,7 +143,7 @@ def save_graph(config: PlannerConfig, points: int, path: Path, *, device: str = 
     planner.reserve(points)  # every launch is then as large as it can get
     planner.reset()
     work = planner._work
-    names = ("seed", "tick", "previous_controls", "previous_end", "previous_time")
+    names = ("seed", "tick", "previous_controls", "previous_end", "previous_turn", "previous_time")
     inputs = vars(planner.inputs) | {"points": planner.points, "params": planner._params}
     inputs |= {name: getattr(work, name) for name in names}
     wp.capture_save(planner._pipeline.record(), str(path), inputs=inputs, outputs=vars(planner.outputs))
@@ -175,6 +175,7 @@ def _compile_elsewhere(work: Path, folder: Path, architectures: list[int], cpu: 
 
 
 def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> None:
+    from aero_planner.onboard.settings import above_fence
     from aero_planner.onboard.settings_file import load_flight_config
 
     planner, onboard = load_flight_config(folder / CONFIG)
@@ -183,7 +184,7 @@ def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> N
         place = folder / GRAPH / processor
         place.mkdir(parents=True)
         with kernels_in(work / "compiled"):
-            save_graph(planner, onboard.lidar.points_max, place / _GRAPH_FILE, device=device)
+            save_graph(above_fence(planner, onboard), onboard.lidar.points_max, place / _GRAPH_FILE, device=device)
         about = [wp.config.version, str(len(planner.kinds)), *(_cpu_features() if device == "cpu" else ())]
         (place / "target.txt").write_text("".join(f"{line}\n" for line in about), encoding="ascii")
 

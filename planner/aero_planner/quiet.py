@@ -1,35 +1,48 @@
-"""Warp without words: on the command line stdout belongs to the results."""
+"""Warp without words: stdout and stderr belong to the program that plans."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Iterator
 
 import warp as wp
 
-__all__ = ["quieten", "start_warp"]
+__all__ = ["quieten"]
+
+_lock = threading.Lock()
+_started = False
 
 
 def quieten() -> None:
-    """Keep Warp from reporting its start and the modules that it loads, unless another level of its log was chosen."""
+    """Start Warp, if that has not been done, without its banner and its complaint about a missing GPU; of the modules
+    that it loads it does not report either, unless another level of its log was chosen.
+
+    Call it before the first use of Warp, which would start it with all of these.
+    """
+    global _started
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
-
-
-def start_warp() -> None:
-    """Start Warp for a command line: quietly, and without its complaint about a missing GPU, no news to a CPU user."""
-    quieten()
-    with _no_stderr():
-        wp.init()
+    with _lock:
+        if not _started:
+            with _no_stderr():
+                wp.init()
+            _started = True
 
 
 @contextlib.contextmanager
 def _no_stderr() -> Iterator[None]:
     """Keep what native code writes to stderr off the terminal."""
-    sys.stderr.flush()
-    saved, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        saved = os.dup(2)
+    except OSError:  # it is closed, as a service's may be
+        yield
+        return
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 2)
     try:
         yield

@@ -104,6 +104,16 @@ class SweepBuffer:
                 self.dropped += len(oldest)
             self._place_waiting()
 
+    def clear(self) -> None:
+        """Forget every pose and point: places from now on do not go together with those before."""
+        with self._lock:
+            self.dropped += self._waiting_count
+            self._poses = _Poses()
+            self._chunks.clear()
+            self._waiting.clear()
+            self._count = self._waiting_count = 0
+            self._newest = -np.inf
+
     def cloud(self, now: float | None = None) -> tuple[NDArray[np.float32], float]:
         """Return the points [m], shape [P, 3], world frame, oldest first, and the age of the newest [s].
 

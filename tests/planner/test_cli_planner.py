@@ -11,11 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from aero_planner import PlannerConfig
 from aero_planner.cli import main
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.settings_file import load_flight_config
+from tests.planner.onboard.test_stderr import fill
 
 Outcome = tuple[int, str, str]
 
@@ -147,6 +149,19 @@ def test_preflight_prints_a_table_or_json(call: Callable[..., Outcome], flight_f
     assert {check["name"] for check in content["checks"] if not check["ok"]} >= {"vehicle state", "LiDAR"}
 
 
+@pytest.mark.parametrize("verb", [["run"], ["preflight", "--listen", "0.1"]], ids=["run", "preflight"])
+def test_a_device_without_memory_is_told(
+    call: Callable[..., Outcome], flight_file: Path, monkeypatch: pytest.MonkeyPatch, verb: list[str]
+):
+    def fail(*_: object) -> None:
+        raise RuntimeError("Failed to allocate 2147483648 bytes on device 'cuda:0'")
+
+    monkeypatch.setattr("aero_planner.planner.work_arrays", fail)
+    code, out, err = call(*verb, "--config", str(flight_file))
+    assert code == 2 and "plan" in out + err and "Failed to allocate 2147483648 bytes" in out + err
+    assert verb == ["run"] or "NOT ready to fly" in out
+
+
 @pytest.fixture
 def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An installed package that adds verbs."""
@@ -187,3 +202,58 @@ def test_a_node_starts_waits_and_ends(flight_file: Path, tmp_path: Path):
     assert statistics["state"] == "WAITING" and statistics["commands_sent"] == 0
     logs = [name for name in os.listdir(tmp_path) if name.startswith("flight_") and name.endswith(".mcap")]
     assert len(logs) == 1 and (tmp_path / logs[0]).stat().st_size > 1000
+    with (tmp_path / logs[0]).open("rb") as file:
+        flown = {one.name: one.data.decode() for one in make_reader(file).iter_attachments()}["config_0.yaml"]
+    (tmp_path / "flown.yaml").write_text(flown)
+    # The ground, which the sensor does not see, is an obstacle to the planner.
+    assert load_flight_config(tmp_path / "flown.yaml")[0].costs.floor == OnboardConfig().limits.fence_height_min
+
+
+def test_a_terminal_that_stalls_and_is_lost_does_not_keep_it_from_ending(flight_file: Path):
+    reading, writing = os.pipe()
+    command = [sys.executable, "-m", "aero_planner", "run", "--config", str(flight_file), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=writing, text=True) as process:
+        try:
+            with os.fdopen(reading, closefd=False) as lines:
+                assert any("waiting for states, points and a goal" in line for line in lines)
+            fill(writing)
+            process.send_signal(signal.SIGHUP)
+            output, _ = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+            os.close(reading)
+            os.close(writing)
+    assert process.returncode == 0 and json.loads(output)["state"] == "WAITING"
+
+
+HANGING = """
+import sys, threading
+from aero_planner import cli, pipeline
+from aero_planner.onboard import assemble
+from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
+
+assemble.open_link = lambda *_: StandingLink()
+assemble.open_lidar = lambda *_: StandingLidar()
+plan = pipeline.Pipeline.run
+
+def run(self):
+    if threading.current_thread().name == "aero-planner-planning":
+        print("a plan hangs", file=sys.stderr, flush=True)
+        self._executor.submit(threading.Event().wait).result()
+    plan(self)
+
+pipeline.Pipeline.run = run
+sys.exit(cli.main(["run", "--config", sys.argv[1], "--threads", "2", "--json"]))
+"""
+
+
+def test_a_plan_that_hangs_does_not_keep_it_from_ending(flight_file: Path):
+    command = [sys.executable, "-c", HANGING, str(flight_file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None and any("a plan hangs" in line for line in process.stderr)
+        process.send_signal(signal.SIGTERM)
+        try:
+            output, _ = process.communicate(timeout=30.0)
+        finally:
+            process.kill()
+    assert process.returncode == 0 and json.loads(output)["state"] == "WAITING"

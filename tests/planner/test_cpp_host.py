@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.export import export, makes_graphs, parse_architecture
+from aero_planner.onboard.settings import above_fence
+from aero_planner.onboard.settings_file import load_flight_config
 
 pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
 
@@ -86,7 +88,8 @@ def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> Veh
 
 def test_its_plans_are_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
     random = np.random.default_rng(4)
-    planner = Planner(PlannerConfig(), device=device, seed=0)
+    config = above_fence(*load_flight_config(bundle / "config.yaml"))  # as `run` flies it
+    planner = Planner(config, device=device, seed=0)
     requests, expected, seen = b"", [], set()
     for tick in range(10):
         # A box around the drone leaves no way; a cloud of two seconds ago is stale.

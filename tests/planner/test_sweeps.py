@@ -89,6 +89,22 @@ def test_new_points_wait_for_the_next_pose():
     assert buffer.dropped == 0
 
 
+def test_a_cleared_buffer_knows_nothing_of_before():
+    buffer = SweepBuffer()
+    for t in (10.0, 10.02):
+        buffer.add_pose(t, (0, 0, 0), LEVEL)
+    buffer.add_points([[1.0, 0.0, 0.0]] * 3, [10.0, 10.01, 10.03])
+    buffer.clear()
+    points, age = buffer.cloud(10.04)
+    assert len(points) == 0 and age == math.inf and buffer.dropped == 1  # the one that waited
+    # Points from between the last pose before and the first one after have no place.
+    buffer.add_points([[1.0, 0.0, 0.0]] * 2, [10.03, 10.05])
+    buffer.add_pose(10.04, (5, 0, 0), LEVEL)
+    buffer.add_pose(10.06, (5, 0, 0), LEVEL)
+    np.testing.assert_allclose(buffer.cloud(10.06)[0], [[6.0, 0.0, 0.0]])
+    assert buffer.dropped == 2
+
+
 def test_points_from_before_the_first_pose_are_dropped_and_counted():
     buffer = SweepBuffer()
     for t in (10.0, 10.02):

@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 
 from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.thrust import signal_from_force
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.autopilot import PERIOD, Mode, SimulatedAutopilot
 
@@ -168,6 +169,21 @@ def test_commands_by_hand(make):
     square = make(curve=1.0)
     square.fly(0.4, thrust=0.6)
     assert square.autopilot.velocity[2] == pytest.approx(0.44 * 9.81 * 0.4, rel=0.02)
+
+
+@pytest.mark.parametrize(("compensation", "curve"), [(0.6, 0.0), (0.0, 0.6)])
+def test_a_curve_that_the_autopilot_compensates_is_no_setting_of_the_node(make, compensation, curve):
+    c = make(hover_thrust=0.4, curve=0.6, compensation=compensation)
+    for weights in (0.5, 1.0, 1.7):
+        force = weights * 9.81
+        c.run(0.04, thrust=signal_from_force(force, mass=1.0, hover_thrust=0.4, curve=curve))
+        assert c.autopilot.setpoints[-1].thrust == pytest.approx(force, rel=1e-6)
+
+
+def test_compensated_twice_the_thrust_is_wrong(make):
+    c = make(hover_thrust=0.4, curve=0.6, compensation=0.6)
+    c.run(0.04, thrust=signal_from_force(1.7 * 9.81, mass=1.0, hover_thrust=0.4, curve=0.6))
+    assert c.autopilot.setpoints[-1].thrust < 1.6 * 9.81
 
 
 def test_the_vehicle_is_the_flights_own(make):

@@ -9,6 +9,7 @@ import logging
 import os
 import time
 from collections.abc import Callable
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ class FlightLog(Observer):
     at opening.
 
     Args:
-        path: file to write; an older one is replaced.
+        path: file to write; where the name is taken, one with a number: no flight replaces another.
         planner, onboard: configurations that the node flies with.
         clock: host time [s].
 
@@ -77,7 +78,6 @@ class FlightLog(Observer):
             raise ImportError(
                 "the flight log needs the package mcap, which is not installed; run: pip install 'aero-planner[log]'."
             ) from error
-        self.path = Path(path)
         self.failed = False
         self._epoch = time.time() - clock()
         self._period = onboard.lidar.sweep_period
@@ -87,14 +87,15 @@ class FlightLog(Observer):
         self._channels: dict[str, int] = {}
         self._packets: list[PointPacket] = []
         self._pose_time = self._lines_time = -np.inf
-        self._file = self.path.open("wb")
+        self._file = _create(Path(path))
+        self.path = Path(self._file.name)
         self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2", library="aero-planner")
         stamp = self._stamp(clock())
         for name, text in (("config_0.yaml", format_config(planner)), ("onboard.yaml", format_onboard(onboard))):
             self._writer.add_attachment(stamp, stamp, name, "application/yaml", text.encode())
         self._flush()
-        self._box: Mailbox[Any] = Mailbox(self._write, capacity=_WAITING, name="aero-planner-log")
+        self._box: Mailbox[Any] = Mailbox(self._write, capacity=_WAITING, name="aero-planner-log", at_end=self._finish)
 
     @property
     def dropped(self) -> int:
@@ -120,17 +121,12 @@ class FlightLog(Observer):
         self._box.put(packet)
 
     def close(self) -> None:
-        """Finish the file."""
-        self._box.close()
-        try:
-            if not self.failed:
-                self._write_sweep()
-                self._writer.add_metadata("flight_log", {"dropped": str(self.dropped)})
-                self._writer.finish()
-        except OSError as error:
-            _log.error("the flight log %s has no proper end: %s", self.path, error.strerror or error)
-        finally:
-            self._file.close()
+        """Finish the file; with a disk that is too slow that is left to the log's thread, as far as it gets."""
+        if not self._box.close():
+            _log.error(
+                "the flight log %s may lack its end: the disk is too slow; %d items are dropped",
+                self.path, self.dropped,
+            )  # fmt: skip
 
     # --- the thread -------------------------------------------------------------------------------------------------
 
@@ -152,6 +148,17 @@ class FlightLog(Observer):
         except OSError as error:
             self.failed = True
             _log.error("the flight log %s ends here: %s", self.path, error.strerror or error)
+
+    def _finish(self) -> None:
+        try:
+            if not self.failed:
+                self._write_sweep()
+                self._writer.add_metadata("flight_log", {"dropped": str(self.dropped)})
+                self._writer.finish()
+        except OSError as error:
+            _log.error("the flight log %s has no proper end: %s", self.path, error.strerror or error)
+        finally:
+            self._file.close()
 
     def _write_plan(self, record: PlanRecord) -> None:
         lines = record.time - self._lines_time >= _LINES_SPACING
@@ -202,3 +209,14 @@ class FlightLog(Observer):
         self._file.flush()
         os.fsync(self._file.fileno())
         self._flushed = time.monotonic()
+
+
+def _create(path: Path) -> BufferedWriter:
+    """Open a new file; where the name is taken, the first one that is free with a number behind it."""
+    place, number = path, 0
+    while True:
+        try:
+            return place.open("xb")
+        except FileExistsError:
+            number += 1
+            place = path.with_stem(f"{path.stem}_{number}")

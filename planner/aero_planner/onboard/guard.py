@@ -34,6 +34,7 @@ from aero_planner.onboard.mavlink import MavlinkSender
 from aero_planner.onboard.motion import Motion, StopController
 from aero_planner.onboard.port import open_port
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.stderr import log_to_stderr
 from aero_planner.onboard.watchdog import AHEAD, Beat, Watchdog
 
 __all__ = ["BeatMemory", "Guard", "main", "takeover_time"]
@@ -230,22 +231,12 @@ class Guard:
 # --- the guard's side -------------------------------------------------------------------------------------------------
 
 
-class _Stderr(logging.Handler):
-    """Writes only what is taken at once: a terminal that was stopped, or a full pipe, must not stop the guard."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        line = self.format(record).encode() + b"\n"
-        with contextlib.suppress(OSError):
-            if select.select([], [2], [], 0.0)[1]:
-                os.write(2, line)
-
-
 def main() -> None:
     """Guard the process at the other end of the standard input, until that has ended and the drone is not ours."""
     # The node is told to end, and brings the drone to rest first; the guard ends with it.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)-7s %(message)s", handlers=[_Stderr()])
+    log_to_stderr()
     memory = BeatMemory(int(sys.argv[1]))
     with open(0, "rb", buffering=0, closefd=False) as pipe:
         line = pipe.readline()

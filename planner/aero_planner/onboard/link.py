@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,6 +28,8 @@ class VehicleSample:
     """Whether the autopilot takes commands from this computer, as the newest heartbeat says."""
     heartbeat_time: float
     """When the newest heartbeat arrived, host time [s]; -inf before the first."""
+    resets: int = 0
+    """How often the autopilot's estimate has jumped: places from before and after a jump do not go together."""
 
 
 class CommandSink(Protocol):
@@ -52,6 +55,11 @@ class VehicleLink(CommandSink, Protocol):
     @property
     def goal(self) -> NDArray[np.float64] | None:
         """The last goal received [m], shape [3], world frame; None before the first."""
+        ...
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """How many states and goals could not be used, by what was wrong with them."""
         ...
 
     def poll(self) -> None:

@@ -1,9 +1,12 @@
 """The autopilot over MAVLink 2: state, heartbeat and goal in, body rates and thrust out.
 
-The state comes from ODOMETRY or, while there is none, from LOCAL_POSITION_NED with ATTITUDE_QUATERNION; a goal from
-SET_POSITION_TARGET_LOCAL_NED addressed to this component. Commands are SET_ATTITUDE_TARGET with body rates,
-forward-right-down, and normalised thrust. Besides them only a heartbeat per second and requests for ODOMETRY are sent:
-nothing here can arm, or switch a mode.
+The state comes from ODOMETRY or, while there is none that can be used, from LOCAL_POSITION_NED with
+ATTITUDE_QUATERNION; a goal from SET_POSITION_TARGET_LOCAL_NED addressed to this component. The estimate has jumped when
+ODOMETRY's reset counter changes, when LOCAL_POSITION_NED, which has none, moves as no flight does
+(`aero_planner.onboard.jumps`), and when the state comes from the other message.
+
+Commands are SET_ATTITUDE_TARGET with body rates, forward-right-down, and normalised thrust. Besides them only a
+heartbeat per second and requests for ODOMETRY are sent: nothing here can arm, or switch a mode.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from aero_planner.onboard.frames import (
     rotate,
     world_from_ned,
 )
+from aero_planner.onboard.jumps import Fix, jumped
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.port import Port, open_port
 from aero_planner.onboard.thrust import signal_from_force
@@ -144,7 +148,7 @@ class MavlinkLink:
         state, goal: see `VehicleLink`.
         received: messages understood, by name.
         bad: parts of what came that were no message: wrong checksum, garbage.
-        dropped: states and goals that were not finite, in an unknown frame, or whose time did not fit.
+        dropped: states and goals that could not be used, by message and reason.
     """
 
     def __init__(
@@ -181,12 +185,16 @@ class MavlinkLink:
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
         self.received: dict[str, int] = {}
-        self.bad = self.dropped = 0
+        self.dropped: dict[str, int] = {}
+        self.bad = 0
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = self._heartbeat_sent = self._requested = -np.inf
         self._odometry_count = 0
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._fix: Fix | None = None
+        self._origin: tuple[Any, ...] | None = None
+        self._resets = self._jumps = 0
 
     @property
     def sent(self) -> int:
@@ -291,43 +299,35 @@ class MavlinkLink:
             self._requested, self._odometry_count = now, 0
 
     def _request_odometry(self) -> None:
-        interval = 1e6 / self._state_rate
-        self._sender.send_message(
-            self._dialect.MAVLink_command_long_message(
-                self._system,
-                self._dialect.MAV_COMP_ID_AUTOPILOT1,
-                self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
-                0,
-                self._dialect.MAVLINK_MSG_ID_ODOMETRY,
-                interval,
-                *[0.0] * 5,
-            )
-        )
+        d = self._dialect
+        command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0
+        parameters = d.MAVLINK_MSG_ID_ODOMETRY, 1e6 / self._state_rate, *[0.0] * 5
+        self._sender.send_message(d.MAVLink_command_long_message(self._system, *command, *parameters))
 
     def _take_odometry(self, message: Any) -> None:
         d = self._dialect
         arrival = self._time()
-        self._odometry_time = arrival
-        self._odometry_count += 1
         attitude = _unit(message.q)
         velocity = np.array([message.vx, message.vy, message.vz])
-        local = message.frame_id in (d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_LOCAL_FRD)
-        if attitude is None or not local or not np.isfinite(velocity).all():
-            self.dropped += 1
-            return
-        if message.child_frame_id in (d.MAV_FRAME_BODY_FRD, d.MAV_FRAME_BODY_NED):
+        local = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_LOCAL_FRD
+        body = message.child_frame_id in (d.MAV_FRAME_BODY_FRD, d.MAV_FRAME_BODY_NED)
+        if message.frame_id not in local or not (body or message.child_frame_id in local):
+            return self._drop(f"ODOMETRY in frames {message.frame_id} and {message.child_frame_id}")
+        if attitude is None or not np.isfinite(velocity).all():
+            return self._drop(f"ODOMETRY that is not finite or beyond {_LIMIT:g}")
+        if body:
             velocity = rotate(attitude, velocity)
-        elif message.child_frame_id not in (d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_LOCAL_FRD):
-            self.dropped += 1
-            return
         time = self._clocks["ODOMETRY"].to_host(1e-6 * message.time_usec, arrival)
-        self._set_state(time, [message.x, message.y, message.z], velocity, attitude)
+        origin = "ODOMETRY", message.frame_id, message.reset_counter
+        if self._set_state(origin, time, [message.x, message.y, message.z], velocity, attitude):
+            self._odometry_time = arrival
+            self._odometry_count += 1
 
     def _take_attitude(self, message: Any) -> None:
         stamp, attitude = 1e-3 * message.time_boot_ms, _unit([message.q1, message.q2, message.q3, message.q4])
         rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
         if attitude is None or not np.isfinite(rates).all():
-            self.dropped += 1
+            self._drop("ATTITUDE_QUATERNION that is not finite")
         elif self._attitude is None or not 0.0 <= self._attitude[0] - stamp < _OVERTAKEN:
             self._attitude = stamp, attitude, rates
 
@@ -340,24 +340,37 @@ class MavlinkLink:
         if abs(stamp - measured) > _PAIR_TIMEOUT:
             return
         time = self._clocks["LOCAL_POSITION_NED"].to_host(stamp, arrival)
-        position, velocity = [message.x, message.y, message.z], [message.vx, message.vy, message.vz]
-        self._set_state(time, position, velocity, advance(attitude, rates, stamp - measured))
+        position = np.array([message.x, message.y, message.z])
+        velocity = np.array([message.vx, message.vy, message.vz])
+        fix = Fix(stamp, position, velocity, advance(attitude, rates, stamp - measured), rates)
+        jumps = self._jumps + (self._fix is not None and jumped(self._fix, fix))
+        if self._set_state(("LOCAL_POSITION_NED", jumps), time, position, velocity, fix.attitude):
+            self._fix, self._jumps = fix, jumps
 
     def _set_state(
-        self, time: float | None, position: ArrayLike, velocity: ArrayLike, attitude: NDArray[np.float64]
-    ) -> None:
-        """Take over a state north-east-down, unless it is unusable or not newer than the present one."""
+        self, origin: tuple[Any, ...], time: float | None, position: ArrayLike, velocity: ArrayLike, attitude: ArrayLike
+    ) -> bool:
+        """Take over a state north-east-down, unless it is unusable or not newer than the present one; return whether.
+
+        States of one origin, which begins with the message's name, go together; with another one the estimate jumps.
+        """
         p, v, q = world_from_ned(position), world_from_ned(velocity), attitude_from_ned(attitude)
+        if time is None:
+            self._drop(f"{origin[0]} whose time does not fit")
+            return False
         # Written so that NaN fails.
-        if time is None or not (np.abs(p).max() <= _LIMIT and np.abs(v).max() <= _LIMIT):
-            self.dropped += 1
-            return
+        if not (np.abs(p).max() <= _LIMIT and np.abs(v).max() <= _LIMIT):
+            self._drop(f"{origin[0]} that is not finite or beyond {_LIMIT:g}")
+            return False
         if self.state is not None and time <= self.state.time:
-            return
+            return False
+        self._resets += self._origin not in (None, origin)
+        self._origin = origin
         self.state = self._sample(time, VehicleState(p, v, q, time=time))
+        return True
 
     def _sample(self, time: float, state: VehicleState) -> VehicleSample:
-        return VehicleSample(time, state, self._armed, self._offboard, self._heartbeat_time)
+        return VehicleSample(time, state, self._armed, self._offboard, self._heartbeat_time, self._resets)
 
     def _take_goal(self, message: Any) -> None:
         ours = message.target_system in (0, self._system) and message.target_component in (0, self._component)
@@ -367,9 +380,11 @@ class MavlinkLink:
         ignored = message.type_mask & 0b111  # POSITION_TARGET_TYPEMASK_X_IGNORE, Y, Z
         local = message.coordinate_frame == self._dialect.MAV_FRAME_LOCAL_NED
         if ignored or not local or not np.abs(position).max() <= _LIMIT:
-            self.dropped += 1
-            return
+            return self._drop("SET_POSITION_TARGET_LOCAL_NED in another frame, in part, or not finite")
         self.goal = position
+
+    def _drop(self, what: str) -> None:
+        self.dropped[what] = self.dropped.get(what, 0) + 1
 
 
 def _unit(quaternion: ArrayLike) -> NDArray[np.float64] | None:

@@ -14,9 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.safety import Change
-from aero_planner.plan import Plan, VehicleState
+from aero_planner.plan import Goal, Plan, VehicleState
 
-__all__ = ["BODY", "DEFINITIONS", "WORLD", "Encoded", "plan_messages", "pose_messages", "safety_change", "sweep"]
+__all__ = [
+    "BODY", "DEFINITIONS", "WORLD", "Encoded", "goal_message", "plan_messages", "pose_messages", "safety_change",
+    "sweep",
+]  # fmt: skip
 
 WORLD, BODY = "world", "body"
 """Names of the frames: the fixed one, and the drone's, in which points are logged."""
@@ -25,6 +28,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 PATH = "nav_msgs/msg/Path"
+GOAL = "geometry_msgs/msg/PoseStamped"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 PLAN = "aero_viz_msgs/msg/Plan"
 SAFETY = "aero_planner_msgs/msg/Safety"
@@ -93,6 +97,7 @@ _MESSAGES = {
         "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
     ),
     PATH: "std_msgs/Header header\ngeometry_msgs/PoseStamped[] poses\n",
+    GOAL: _PARTS["geometry_msgs/PoseStamped"],
     MARKERS: "visualization_msgs/Marker[] markers\n",
     PLAN: PLAN_DEFINITION,
     SAFETY: (
@@ -225,6 +230,14 @@ def sweep(points: NDArray[np.float32], stamp: int, *, times: NDArray[np.uint32] 
     writer.array(np.frombuffer(rows.tobytes(), np.uint8), "|u1", counted=True)
     writer.pack("B", 1)
     return Encoded("/sweep", CLOUD, writer.done())
+
+
+def goal_message(goal: Goal, stamp: int) -> Encoded:
+    """Return /goal: where to fly, at `stamp` [ns]; without an attitude where that is left to the planner."""
+    writer = _Writer()
+    writer.header(stamp, WORLD)
+    writer.pose(goal.position, (1.0, 0.0, 0.0, 0.0) if goal.quaternion is None else goal.quaternion)
+    return Encoded("/goal", GOAL, writer.done())
 
 
 def plan_messages(

@@ -24,7 +24,7 @@ _LEAST_LIFT = 0.3
 _LEVEL_TIME = 3.0
 """For levelling, in time constants of the attitude: of 30 deg of tilt 1.5 deg are left."""
 _REMEMBERED = 600
-"""Commands: more than blind_time at the fastest control rate needs."""
+"""Commands, those of 3 s at the fastest control rate: a state carried on by them is no older than limits.state_age."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ from aero_planner.onboard.plan_track import PlanTrack
 from aero_planner.onboard.planning import Planning, Situation
 from aero_planner.onboard.record import Observer, PlanRecord
 from aero_planner.onboard.safety import (
+    AS_PLANNED,
     COMMANDING,
     Change,
     Inputs,
@@ -92,6 +93,7 @@ class Node:
         self._lidar = lidar
         self._goal = None if goal is None else _checked_goal(goal, config)
         self._sent_goal: NDArray[np.float64] | None = None
+        self._goals = 0
         self._clock = clock
         self._observers = tuple(observers)
         self._guard = guard
@@ -101,8 +103,7 @@ class Node:
         self._safety = Safety(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle)
         self._stop = StopController(self._vehicle, config.brake)
-        period = 1.0 / config.rates.control
-        limits = config.limits
+        period, replan_period, limits = 1.0 / config.rates.control, 1.0 / config.rates.replan, config.limits
         self._watchdog = Watchdog(
             link, self._stop, self._vehicle, period=period, deadline=limits.deadline, blind_time=limits.blind_time
         )
@@ -117,8 +118,8 @@ class Node:
         loop: dict[str, Any] = dict(clock=clock, stopped=self._stopped)
         self._pacers = {
             "control": Pacer(period, self._control, **loop),
-            "planning": Pacer(1.0 / config.rates.replan, self._plan, on_grid=False, **loop),
-            "watchdog": Pacer(period, self._watch, **loop),
+            "planning": Pacer(replan_period, lambda: _tried(self.plan_once, "a plan"), on_grid=False, **loop),
+            "watchdog": Pacer(period, lambda: _tried(self.watch_once, "the watchdog"), **loop),
         }
         self._threads: list[threading.Thread] = []
 
@@ -184,9 +185,8 @@ class Node:
         given = command if obeyed else None
         self._reckoning.command(now, given)
         if self._sample is not None and motion is not None:
-            flying = reaction is Reaction.STREAM_PLAN
-            self._situation = Situation(self._sample, motion, self._goal, given, flying)
-        beat = Beat(now, motion, given, self._ahead(now) if reaction is Reaction.STREAM_PLAN else None)
+            self._situation = Situation(self._sample, motion, self._goal, given, reaction in AS_PLANNED)
+        beat = Beat(now, motion, given, self._ahead(now) if reaction in AS_PLANNED else None)
         self._watchdog.beat(beat)
         if self._guard is not None:
             self._guard.beat(beat)
@@ -238,6 +238,8 @@ class Node:
             state = sample.state
             self._state_finite = all(np.isfinite(v).all() for v in (state.position, state.velocity, state.quaternion))
             if self._state_finite:
+                if before is not None and sample.resets != before.resets:
+                    self._hold = None  # the place to hold is elsewhere now, by as much as the estimate has jumped
                 self._sample = sample
                 self._reckoning.correct(sample)
                 self._planning.take(sample)
@@ -252,7 +254,7 @@ class Node:
             return
         self._sent_goal = np.array(goal, dtype=np.float64)
         if inside_fence(goal, self.config.limits):
-            self._goal = self._sent_goal
+            self._goal, self._goals = self._sent_goal, self._goals + 1
             _log.info("the goal is %s", np.round(self._goal, 2).tolist())
         else:
             _log.error("the goal %s is refused: it lies outside the geofence", np.round(goal, 2).tolist())
@@ -283,6 +285,7 @@ class Node:
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
             goal_distance=math.inf if self._goal is None else float(np.linalg.norm(self._goal - position)),
+            goal_number=self._goals,
             stopping=self._stopping,
         )
         return inputs, motion
@@ -295,10 +298,8 @@ class Node:
             self._hold = None
         if reaction is Reaction.SILENT or motion is None:
             return None
-        if reaction is Reaction.STREAM_PLAN:
-            planned = self._track.command(now)
-            if planned is not None:
-                return planned
+        if reaction in AS_PLANNED and (planned := self._track.command(now)) is not None:
+            return planned
         if reaction is Reaction.HOLD and self._hold is None and motion.speed <= self.config.limits.speed_stopped:
             self._hold = motion.position
         return self._stop.command(motion, hold=self._hold, remaining=blind_time_left(inputs, self.config.limits))
@@ -356,8 +357,8 @@ class Node:
         """Wait until the node has fallen silent after `stop`; return whether it has."""
         return self._ended.wait(timeout)
 
-    def close(self) -> None:
-        """Be silent at once, and release link, LiDAR and observers. A planner that hangs is left behind."""
+    def close(self) -> bool:
+        """Tell a drone that obeys to hover, end, release what is held; return whether every thread has ended."""
         if self._guard is not None:
             self._guard.close()  # first: to it, this silence is none to fill
         self._stopped.set()
@@ -365,29 +366,26 @@ class Node:
             thread.join(timeout=2.0)
         if self._threads:
             sys.setswitchinterval(self._switch_interval)
+        if self._watchdog.needed:
+            self._send(self._stop.hover)  # for the same reason as in `control_once`
         self._link.close()
         self._lidar.close()
         self._tell(lambda observer: observer.close())
+        return not any(thread.is_alive() for thread in self._threads)
 
     def _control(self) -> None:
-        try:
-            self.control_once()
-        except Exception:
-            # Not counted as a tick: if it goes on, the watchdog brakes.
-            self.failures += 1
-            _log.exception("a tick of the control loop failed")
+        # One that fails is not counted as a tick: if it goes on, the watchdog brakes.
+        self.failures += not _tried(self.control_once, "a tick of the control loop")
 
-    def _plan(self) -> None:
-        try:
-            self.plan_once()
-        except Exception:
-            _log.exception("the planning thread failed")
 
-    def _watch(self) -> None:
-        try:
-            self.watch_once()
-        except Exception:
-            _log.exception("the watchdog failed")
+def _tried(step: Callable[[], Any], name: str) -> bool:
+    """Do a thread's step, whatever it raises; return whether it raised nothing."""
+    try:
+        step()
+    except Exception:
+        _log.exception("%s failed", name)
+        return False
+    return True
 
 
 def _checked_goal(goal: ArrayLike, config: OnboardConfig) -> NDArray[np.float64]:

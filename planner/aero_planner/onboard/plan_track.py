@@ -38,7 +38,7 @@ class FlyablePlan:
 
 
 class PlanTrack:
-    """The newest plan, and the one before it, which is flown until the newest begins.
+    """The newest plan, and those before it that are flown until it begins.
 
     Replaced whole by one thread and read by others.
     """
@@ -51,9 +51,14 @@ class PlanTrack:
         """The newest plan."""
         return self._plans[0] if self._plans else None
 
-    def append(self, plan: FlyablePlan) -> None:
-        """Add a plan."""
-        self._plans = (plan, *self._plans[:1])
+    def append(self, plan: FlyablePlan, now: float) -> None:
+        """Add a plan, and forget those that nobody needs who asks for `now` [s] or later."""
+        kept = [plan]
+        for older in self._plans:
+            kept.append(older)
+            if older.time <= now:
+                break
+        self._plans = tuple(kept)
 
     def at(self, now: float) -> FlyablePlan | None:
         """Return the newest plan that has begun and has not ended at `now` [s]."""

@@ -88,6 +88,9 @@ class Planning:
             mount_quaternion=quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw),
             clock=clock,
         )
+        self._sweep_period = lidar.sweep_period
+        self._resets = 0
+        self._next_cloud = -np.inf
         self._compensate = config.rates.compensate
         self._longest = 0.5 * config.limits.plan_age
         self._track = track
@@ -128,7 +131,7 @@ class Planning:
             return None
         began = self._clock()
         points, age = self._sweeps.cloud(began)
-        if not np.isfinite(age):
+        if not np.isfinite(age) or began < self._next_cloud:
             return None
         state = self._state(situation, began)
         try:
@@ -151,7 +154,7 @@ class Planning:
         dt = self.planner.config.sampling.dt
         status = PlanStatus(int(plan.status))  # type: ignore[arg-type]
         flown = FlyablePlan(self._number, situation.sample.time, float(state.time), dt, controls, status)  # type: ignore[arg-type]
-        self._track.append(flown)
+        self._track.append(flown, began)
         return MadePlan(self._number, began, situation, situation.goal, state, points, age, plan, 1e3 * took)
 
     def _fail(self, text: str) -> None:
@@ -166,10 +169,23 @@ class Planning:
         while self._arrivals:
             arrival = self._arrivals.popleft()
             if isinstance(arrival, VehicleSample):
+                if arrival.resets != self._resets:
+                    self._begin_anew(arrival)
                 state = arrival.state
                 self._sweeps.add_pose(arrival.time, state.position, state.quaternion)
             else:
                 self._sweeps.add_points(arrival.points, arrival.times)
+
+    def _begin_anew(self, sample: VehicleSample) -> None:
+        """Forget the cloud and the plan of before the estimate's jump; plan again when there is a sweep.
+
+        Until then the last plan is flown, as long as it may be: controls do not depend on where the origin is.
+        """
+        self._resets = sample.resets
+        self._next_cloud = sample.time + self._sweep_period
+        self._sweeps.clear()
+        self.planner.reset()
+        _log.warning("the autopilot's estimate has jumped: the cloud begins anew")
 
     def _state(self, situation: Situation, now: float) -> VehicleState:
         """Return the state to plan from: where the drone will be when the plan is ready, flying what it flies now."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import math
 import platform
@@ -147,22 +148,16 @@ def _device(planner: PlannerConfig, onboard: OnboardConfig, device: str) -> Chec
 
     name, period = f"device {device}", 1.0 / onboard.rates.replan
     try:
-        one = Planner(planner, device=device)
-    except ValueError as error:
-        return Check(name, str(error), False, "Give a device of this computer with --device.")
-    try:
-        cloud = forest_cloud(onboard.lidar.points_max)
-        state = VehicleState((0.0, 0.0, 2.0), (4.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        took = [one.plan(state, Goal((30.0, 0.0, 2.0)), cloud).stage_ms["total"] for _ in range(12)]
+        with contextlib.closing(Planner(planner, device=device)) as one:
+            cloud = forest_cloud(onboard.lidar.points_max)
+            state = VehicleState((0.0, 0.0, 2.0), (4.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+            took = [one.plan(state, Goal((30.0, 0.0, 2.0)), cloud).stage_ms["total"] for _ in range(12)]
     except (RuntimeError, ValueError, MemoryError) as error:
-        return Check(
-            name,
-            f"cannot plan: {' '.join(str(error).split())}",
-            False,
-            "Update the driver, or install the Warp that goes with it (docs/onboard.md).",
+        advice = (
+            "Give a device of this computer with --device; free its memory, update its driver, or install the Warp "
+            "that goes with it (docs/onboard.md)."
         )
-    finally:
-        one.close()
+        return Check(name, f"cannot plan: {' '.join(str(error).split())}", False, advice)
     median = statistics.median(took[2:])
     advice = "Lower rates.replan or sampling.samples, or plan on the GPU with --device cuda:0."
     found = f"plans {len(cloud)} points in {median:.1f} ms (median), {max(took[2:]):.1f} ms (worst of 10)"
@@ -182,7 +177,8 @@ def _thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
         1.0, mass=vehicle.mass, gravity=vehicle.gravity, hover_thrust=thrust.hover_thrust, curve=thrust.curve
     )
     weight = vehicle.mass * vehicle.gravity
-    found = f"hovers at {thrust.hover_thrust:g} with {weight:.1f} N: at most {full:.1f} N"
+    curve = f" and thrust.curve {thrust.curve:g}, right only where THR_MDL_FAC is 0" if thrust.curve else ""
+    found = f"hovers at {thrust.hover_thrust:g} with {weight:.1f} N{curve}: at most {full:.1f} N"
     if full < vehicle.thrust_max:
         advice = (
             f"The planner may ask for {vehicle.thrust_max:g} N: lower vehicle.thrust_max, or correct vehicle.mass, "
@@ -311,7 +307,7 @@ def check_inputs(
         sleep(_POLL)
     now = clock()
     took = now - began
-    checks = _vehicle(last, states / took, now, onboard)
+    checks = [*_vehicle(last, states / took, now, onboard), *_dropped(link)]
     checks += _points(lidar, points, points / took * settings.sweep_period, now - newest, sweeps.dropped, onboard)
     checks += _places(last, goal if goal is not None else link.goal, onboard)
     return checks
@@ -343,6 +339,13 @@ def _vehicle(sample: VehicleSample | None, rate: float, now: float, onboard: Onb
     ]
 
 
+def _dropped(link: VehicleLink) -> Iterator[Check]:
+    if link.dropped:
+        found = ", ".join(f"{count} x {what}" for what, count in link.dropped.items())
+        advice = "Let the autopilot send its position in MAV_FRAME_LOCAL_NED or LOCAL_FRD, and only when it has one."
+        yield Check("unusable messages", found, False, advice, required=False)
+
+
 def _points(
     lidar: PointSource, count: int, per_sweep: float, age: float, dropped: int, onboard: OnboardConfig
 ) -> list[Check]:
@@ -357,9 +360,11 @@ def _points(
     dense = per_sweep >= _LEAST_POINTS
     fresh = age <= onboard.limits.cloud_age
     placed = 1.0 - dropped / max(count, 1)
+    newest = f"the newest point is {1e3 * age:.0f} ms old" if count else "no points: covered, or nothing is in range"
     return [
-        Check("LiDAR", f"{per_sweep:.0f} points per sweep", dense, "Uncover the sensor, or check its mode."),
-        Check("cloud", f"the newest point is {1e3 * age:.0f} ms old", fresh, "Check the sensor's clock and the cable."),
+        Check("LiDAR", f"{per_sweep:.0f} points per sweep", dense,
+              "Uncover the sensor, check its mode, and fly only where something is in range (40 m) all the time."),
+        Check("cloud", newest, fresh, "Check the sensor's clock and the cable."),
         Check("packets", f"{counters.packets}, lost {100.0 * lost:.1f} %, refused {counters.bad}", lost <= _MOST_LOST,
               "Give the sensor a cable of its own, and a larger receive buffer."),
         Check("deskewing", f"{100.0 * placed:.0f} % of the points have a pose", placed > 0.8,
@@ -381,11 +386,8 @@ def _places(sample: VehicleSample | None, goal: ArrayLike | None, onboard: Onboa
         advice = "Give one with --goal, or send it from the ground station; until then the node waits."
         return [*checks, Check("goal", "none yet", False, advice, required=False)]
     place = np.asarray(goal, dtype=np.float64)
-    inside = inside_fence(place, onboard.limits)
-    return [
-        *checks,
-        Check("goal", _place(place), inside, "It lies outside the geofence; correct it or limits.fence_*."),
-    ]
+    advice = "It lies outside the geofence; correct it or limits.fence_*."
+    return [*checks, Check("goal", _place(place), inside_fence(place, onboard.limits), advice)]
 
 
 def _place(position: NDArray[np.float64]) -> str:

@@ -19,12 +19,14 @@ from aero_planner.onboard.settings import LimitSettings
 from aero_planner.plan import PlanStatus
 
 __all__ = [
+    "AS_PLANNED",
     "BLINDING",
     "COMMANDING",
     "DETECTION",
     "FAULTS",
     "HARMLESS_AT_REST",
     "REACTIONS",
+    "REACTIONS_TO",
     "TRANSITIONS",
     "Cause",
     "Change",
@@ -34,9 +36,11 @@ __all__ = [
     "State",
     "Transition",
     "blind_time_left",
+    "faults",
     "holds",
     "inside_fence",
     "next_state",
+    "reaction_to",
 ]
 
 
@@ -58,6 +62,7 @@ class Reaction(enum.Enum):
     SILENT = "nothing: the autopilot leaves OFFBOARD by its own failsafe, unless it has already"
     STREAM_PLAN = "the planned controls"
     BRAKE = "what brings the drone to rest, level; by dead reckoning where the state is stale"
+    BRAKE_AS_PLANNED = "the planned controls, which bring the drone to rest, away from obstacles"
     HOLD = "what brings the drone to rest and keeps it there"
 
 
@@ -72,6 +77,9 @@ REACTIONS: dict[State, Reaction] = {
     State.HOLDING: Reaction.HOLD,
     State.HANDED_BACK: Reaction.SILENT,
 }
+
+AS_PLANNED = (Reaction.STREAM_PLAN, Reaction.BRAKE_AS_PLANNED)
+"""Reactions that send what the plan says."""
 
 
 @dataclass(frozen=True)
@@ -94,19 +102,23 @@ class Inputs:
     """Whether the newest plan does."""
     inside_fence: bool
     loop_age: float
-    """Since the end of the tick before; 0 at the first."""
+    """Since the tick before began; 0 at the first."""
     speed: float
     """[m/s]"""
     goal_distance: float
     """[m]"""
+    goal_number: int = 0
+    """Counts the goals given."""
     stopping: bool = False
     """Whether the node has been told to end."""
     seen_disarmed: bool = True
-    """Whether the vehicle was disarmed at any time since the start; `Safety` fills this and the next two."""
+    """Whether the vehicle was disarmed at any time since the start; `Safety` fills this and the next three."""
     state_time: float = 0.0
     """Since the present state was entered [s]."""
     fault_time: float = 0.0
     """Since the plan was last flown, or the goal last held [s]."""
+    goal_new: bool = False
+    """Whether the goal is another one than the last that was reached."""
 
 
 class Cause(enum.Enum):
@@ -121,7 +133,7 @@ class Cause(enum.Enum):
     STATE_NOT_FINITE = "a number in the vehicle's state is not finite"
     FENCE = "outside the geofence"
     OVERRUN = "the control loop stood still"
-    CLOUD_STALE = "no points from the LiDAR"
+    CLOUD_STALE = "no points from the LiDAR: none arrive, or nothing is in range"
     PLAN_NOT_FINITE = "a number in the plan is not finite"
     PLAN_STALE = "no plan in time: the planner is late, hangs or fails"
     UNSAFE = "no safe candidate, or a plan on a stale cloud"
@@ -144,6 +156,12 @@ FAULTS = (
 )  # fmt: skip
 """What stands against flying a plan, the gravest first."""
 
+REACTIONS_TO: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
+    # Of a plan that is not safe the controls are the planner's own way to brake, chosen by what is in the way.
+    (State.BRAKING, (Cause.UNSAFE,)): Reaction.BRAKE_AS_PLANNED,
+}
+"""In the place of `REACTIONS` where these faults, and no others, stand against flying."""
+
 BLINDING = (Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE)
 """Faults that leave nothing but dead reckoning."""
 
@@ -153,7 +171,7 @@ HARMLESS_AT_REST = (Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, 
 DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.LINK_LOST: ("limits.heartbeat_age",),
     Cause.STATE_STALE: ("limits.state_age",),
-    Cause.STATE_NOT_FINITE: (),
+    Cause.STATE_NOT_FINITE: ("limits.state_age",),  # at the latest: a link that drops such states lets them be stale
     Cause.FENCE: (),
     Cause.OVERRUN: ("limits.deadline",),
     Cause.CLOUD_STALE: ("limits.cloud_age",),
@@ -200,7 +218,8 @@ _GUARDS: dict[Cause, Guard] = {
     Cause.NO_WAY: lambda i, m: i.fault_time > m.brake_time + m.hold_time,
     Cause.STOPPED: lambda i, m: _sighted(i, m) and i.speed <= m.speed_stopped,
     Cause.REACHED: lambda i, m: i.goal_distance <= m.arrival_radius,
-    Cause.GOAL_MOVED: lambda i, m: _well(i, m) and i.goal_distance > 2.0 * m.arrival_radius,
+    # Held against drift, an old goal is left less easily than it is reached.
+    Cause.GOAL_MOVED: lambda i, m: _well(i, m) and i.goal_distance > (1.0 if i.goal_new else 2.0) * m.arrival_radius,
     Cause.WELL: lambda i, m: _well(i, m),
     Cause.STANDBY: lambda i, m: _well(i, m) and not (i.armed and i.offboard),
 }
@@ -211,8 +230,18 @@ def holds(cause: Cause, inputs: Inputs, limits: LimitSettings) -> bool:
     return _GUARDS[cause](inputs, limits)
 
 
+def faults(inputs: Inputs, limits: LimitSettings) -> tuple[Cause, ...]:
+    """Return what stands against flying a plan, the gravest first."""
+    return tuple(fault for fault in FAULTS if holds(fault, inputs, limits))
+
+
+def reaction_to(state: State, faults: tuple[Cause, ...]) -> Reaction:
+    """Return what is to be sent in `state` while `faults`, in the order of `FAULTS`, stand against flying."""
+    return REACTIONS_TO.get((state, faults), REACTIONS[state])
+
+
 def _well(inputs: Inputs, limits: LimitSettings) -> bool:
-    return not inputs.stopping and not any(holds(fault, inputs, limits) for fault in FAULTS)
+    return not inputs.stopping and not faults(inputs, limits)
 
 
 def _sighted(inputs: Inputs, limits: LimitSettings) -> bool:
@@ -319,16 +348,16 @@ class Safety:
         self._on_change = on_change
         self._seen_disarmed = limits.join_armed
         self._entered = self._flown = -math.inf
+        self._reached = 0
 
     @property
     def reaction(self) -> Reaction:
-        """What is to be sent in the present state."""
-        return REACTIONS[self.state]
+        """What is to be sent now."""
+        return reaction_to(self.state, self.missing())
 
     def missing(self) -> tuple[Cause, ...]:
         """Return what stands against flying, as of the newest step."""
-        inputs = self.inputs
-        return () if inputs is None else tuple(fault for fault in FAULTS if holds(fault, inputs, self._limits))
+        return () if self.inputs is None else faults(self.inputs, self._limits)
 
     def step(self, now: float, inputs: Inputs) -> Reaction:
         """Take one tick's inputs in at the time `now` [s] and return what is to be sent."""
@@ -341,11 +370,14 @@ class Safety:
             seen_disarmed=self._seen_disarmed,
             state_time=now - self._entered,
             fault_time=now - self._flown,
+            goal_new=inputs.goal_number != self._reached,
         )
         target, cause = next_state(self.state, self.inputs, self._limits)
         if cause is not None:
             change = Change(now, self.state, target, cause)
             self.state, self._entered = target, now
+            if cause is Cause.REACHED:
+                self._reached = inputs.goal_number
             if self._on_change is not None:
                 self._on_change(change)
         return self.reaction

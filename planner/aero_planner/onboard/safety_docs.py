@@ -7,7 +7,18 @@ prints what docs/onboard.md holds.
 
 from __future__ import annotations
 
-from aero_planner.onboard.safety import COMMANDING, DETECTION, FAULTS, REACTIONS, TRANSITIONS, Cause, Reaction, State
+from aero_planner.onboard.safety import (
+    COMMANDING,
+    DETECTION,
+    FAULTS,
+    REACTIONS,
+    REACTIONS_TO,
+    TRANSITIONS,
+    Cause,
+    Reaction,
+    State,
+    reaction_to,
+)
 from aero_planner.onboard.settings import OnboardConfig
 
 __all__ = ["format_diagram", "format_failsafes", "format_states"]
@@ -31,7 +42,7 @@ def format_diagram() -> str:
 def format_states() -> str:
     """Return Markdown tables of the states, with the reaction in each, and of the reactions."""
     lines = ["| state | meaning | reaction |", "| --- | --- | --- |"]
-    lines += [f"| {state.name} | {state.value} | {REACTIONS[state].name} |" for state in State]
+    lines += [f"| {state.name} | {state.value} | {_reactions(state)} |" for state in State]
     lines += ["", "| reaction | what is sent to the autopilot |", "| --- | --- |"]
     lines += [f"| {reaction.name} | {reaction.value} |" for reaction in Reaction]
     return "\n".join(lines)
@@ -48,9 +59,18 @@ def format_failsafes(config: OnboardConfig | None = None) -> str:
             rows = [row for row in TRANSITIONS if row.cause is cause and row.target is target]
             sources = [state.name for row in rows for state in row.sources if state in COMMANDING]
             if sources:
-                cells = (cause.value, ", ".join(sources), target.name, REACTIONS[target].name)
+                cells = (cause.value, ", ".join(sources), target.name, reaction_to(target, (cause,)).name)
                 lines.append(f"| {' | '.join(cells)} | {within:.2f} s | {names} |")
     return "\n".join(lines)
+
+
+def _reactions(state: State) -> str:
+    others = [
+        f"; {reaction.name} where nothing is wrong but: {', '.join(_words(cause) for cause in causes)}"
+        for (where, causes), reaction in REACTIONS_TO.items()
+        if where is state
+    ]
+    return REACTIONS[state].name + "".join(others)
 
 
 def _words(cause: Cause) -> str:

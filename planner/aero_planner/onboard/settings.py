@@ -114,8 +114,9 @@ class ThrustSettings(_Section):
         0.5, "", 0.05, 0.95, "Thrust of 0 to 1 at which the drone hovers: the autopilot's MPC_THR_HOVER, measured."
     )
     curve: float = live(
-        0.0, "", 0.0, 1.0, "Share of the square in thrust over command: the autopilot's THR_MDL_FAC; 0 is linear."
-    )
+        0.0, "", 0.0, 1.0, "Share of the square in thrust over command: 0 where the autopilot makes it linear itself, "
+        "its THR_MDL_FAC set to fit the motors; the motors' own only where that is 0.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

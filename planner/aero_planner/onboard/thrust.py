@@ -1,9 +1,9 @@
 """Newtons to the autopilot's normalised thrust and back, from one number that every pilot knows: the hover thrust.
 
 The total thrust at the normalised thrust s in [0, 1] is F(s) = F_1 ((1 - c) s + c s^2), PX4's model of a motor: c = 0
-where the autopilot makes thrust linear itself (THR_MDL_FAC set to fit the motors), up to 1 for motors whose thrust goes
-with the square of the signal. F_1, the thrust at full signal, need not be known: hovering gives F(h) = m g at the hover
-thrust h (PX4's MPC_THR_HOVER).
+where the autopilot makes thrust linear itself (THR_MDL_FAC set to fit the motors), and only where it does not
+(THR_MDL_FAC = 0) the motors' own curve, up to 1 for a thrust that goes with the square of the signal. F_1, the thrust
+at full signal, need not be known: hovering gives F(h) = m g at the hover thrust h (PX4's MPC_THR_HOVER).
 """
 
 from __future__ import annotations

@@ -30,9 +30,9 @@ class Beat(NamedTuple):
     """What is known at the end of a tick of the control loop, or of one in its place."""
 
     time: float
-    """[s]"""
+    """When the tick began [s]."""
     motion: Motion | None
-    """Of the drone, where known."""
+    """Of the drone, where known, then."""
     command: NDArray[np.float64] | None
     """What it obeys from then on, shape [4]; None where it does not obey us."""
     ahead: NDArray[np.float64] | None = None
@@ -43,8 +43,8 @@ class Watchdog:
     """Speaks in the place of a control loop that stands still.
 
     The loop says at the end of each tick where the drone is, whether it obeys, and what the plan says next. `check`,
-    called by somebody else than the loop, goes on with the plan when a tick is late. When no tick has ended for
-    `deadline`, it brakes and levels by dead reckoning, for `blind_time`. Then it says to hover without turning and is
+    called by somebody else than the loop, goes on with the plan when a tick is late. `deadline` after the last tick
+    began, it brakes and levels by dead reckoning, for `blind_time`. Then it says to hover without turning and is
     silent: the autopilot's own failsafe takes over.
 
     Args:
@@ -134,7 +134,6 @@ class Watchdog:
             return self._own
         said = self._say(beat, Beat(now, motion, self._stop.command(motion, remaining=remaining)))
         if begins:
-            # After the command: writing a log may block.
             self.interventions += 1
             _log.error("the control loop has stood still for %.0f ms: the %s brakes", 1e3 * silent, self._name)
         return said

@@ -6,7 +6,7 @@ import pytest
 
 from aero_planner import Planner
 from aero_planner.onboard.record import Observer, PlanRecord
-from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
+from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, in_flight, poles
 
 
 class Records(Observer):
@@ -35,3 +35,9 @@ def records(small_planner: Planner) -> list[PlanRecord]:
     simulation.engage()
     simulation.run(0.5)
     return seen.plans
+
+
+@pytest.fixture
+def flight(small_planner: Planner) -> Simulation:
+    """In full flight, with little patience."""
+    return in_flight(small_planner, changes={"limits.hold_time": 1.0, "limits.brake_time": 3.0})

@@ -6,6 +6,7 @@ simulated time, in which the control loop goes on, because `SlowPlanner.plan` ru
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -44,6 +45,8 @@ class SimulatedLink:
         self._simulation = simulation
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
+        self.dropped: dict[str, int] = {}
+        self.resets = 0
         self.armed = self.offboard = False
         self.alive = True
         """Whether anything arrives from the vehicle."""
@@ -65,7 +68,7 @@ class SimulatedLink:
             VehicleState(motion.position, motion.velocity, motion.quaternion, None, motion.time)
         )  # fmt: skip
         time = before.time if before is not None and self.frozen else motion.time - simulation.state_delay
-        self.state = VehicleSample(time, state, self.armed, self.offboard, self._heartbeat)
+        self.state = VehicleSample(time, state, self.armed, self.offboard, self._heartbeat, self.resets)
 
     def send(self, command: ArrayLike) -> None:
         values = np.array(command, dtype=np.float64)
@@ -109,9 +112,11 @@ class SlowPlanner:
         self.config = planner.config
         self.reserve, self.reset = planner.reserve, planner.reset
         self.spoil: Callable[[Plan], Plan] = lambda plan: plan
+        self.ageing = 0.0
+        """By how much older the cloud seems to be [s]."""
 
-    def plan(self, *arguments: Any, **options: Any) -> Plan:
-        plan = self._planner.plan(*arguments, **options)
+    def plan(self, *arguments: Any, cloud_age: float, **options: Any) -> Plan:
+        plan = self._planner.plan(*arguments, cloud_age=cloud_age + self.ageing, **options)
         self.simulation.run(self.simulation.plan_time)
         return self.spoil(plan)
 
@@ -159,6 +164,8 @@ class Simulation:
         )
         self.control_alive = True
         """Whether the control loop ticks."""
+        self.wind = np.zeros(3)
+        """What it adds to the drone's acceleration in flight [m/s^2], shape [3]."""
         self.planning_alive = True
         self.path: list[NDArray[np.float64]] = []
         self.states: list[tuple[float, str]] = []
@@ -211,7 +218,8 @@ class Simulation:
         if link.armed:
             obeys = link.offboard and last[1] is not None
             command = last[1] if obeys else self._hold.command(self.motion)
-            self.motion = propagate(self.motion, command, self.now + dt, self._vehicle)
+            moved = propagate(self.motion, command, self.now + dt, self._vehicle)
+            self.motion = dataclasses.replace(moved, velocity=moved.velocity + dt * self.wind)
         else:
             self.motion = Motion(self.now + dt, self.motion.position, np.zeros(3), self.motion.quaternion)
         self.now += dt
@@ -230,3 +238,7 @@ def in_flight(planner: Planner, **options: Any) -> Simulation:
     assert simulation.run_until(lambda: simulation.motion.position[0] > 3.0, 5.0)
     assert simulation.node.state is State.FLYING and simulation.motion.speed > 2.0
     return simulation
+
+
+def spoiled(plan: Plan, **changes: Any) -> Plan:
+    return dataclasses.replace(plan, **changes)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import os
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from aero_planner import Planner, PlannerConfig
+from aero_planner import Planner, PlannerConfig, VehicleState
 from aero_planner.config_file import load_config
 from aero_planner.onboard.flight_log import FlightLog
+from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.settings_file import load_onboard
 from tests.planner.onboard.conftest import Records
@@ -30,6 +32,11 @@ def decoded(path: Path) -> dict[str, list[tuple[int, Any]]]:
         for _, channel, message, ros in reader.iter_decoded_messages():
             topics.setdefault(channel.topic, []).append((message.log_time, ros))
     return topics
+
+
+def sample(time: float) -> VehicleSample:
+    state = VehicleState(np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), None, time)
+    return VehicleSample(time, state, True, True, time)
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +125,48 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(
     simulation.node.close()
     assert log.failed and simulation.node.failures == 0
     assert "full.mcap ends here: No space left on device" in caplog.text
+
+
+def test_a_disk_that_is_too_slow_at_the_end_costs_what_waits_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    log = FlightLog(tmp_path / "slow.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0)
+    stuck, gate, sync, close = threading.Event(), threading.Event(), os.fsync, log._box.close
+
+    def slow(file: int) -> None:
+        stuck.set()
+        assert gate.wait(20.0)
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    log._flushed = -np.inf  # due
+    log.sample(sample(1.0))
+    assert stuck.wait(10.0)
+    for k in range(30):
+        log.sample(sample(2.0 + 0.02 * k))
+    monkeypatch.setattr(log._box, "close", lambda: close(0.1))
+    log.close()
+    assert "slow.mcap may lack its end: the disk is too slow; 30 items are dropped" in caplog.text
+    log.sample(sample(3.0))  # of a thread that hangs
+    assert log.dropped == 31
+    # A disk that comes to itself gets a whole file: nobody else has closed or written it.
+    gate.set()
+    log._box._thread.join(10.0)
+    assert len(decoded(log.path)["/odometry"]) == 1 and log._box.failures == 0
+    with log.path.open("rb") as file:
+        assert [record.metadata for record in make_reader(file).iter_metadata()] == [{"dropped": "31"}]
+
+
+def test_no_flight_replaces_another(tmp_path: Path):
+    paths = []
+    for k in range(3):
+        log = FlightLog(tmp_path / "flight.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0)
+        for i in range(k + 1):
+            log.sample(sample(1.0 + i))
+        log.close()
+        paths.append(log.path)
+    assert [path.name for path in paths] == ["flight.mcap", "flight_1.mcap", "flight_2.mcap"]
+    assert [len(decoded(path)["/odometry"]) for path in paths] == [1, 2, 3]
 
 
 def test_a_log_that_cannot_be_written_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -24,6 +24,7 @@ from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.motion import Motion
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.port import open_port
+from aero_planner.onboard.safety import State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.watchdog import AHEAD, Beat
 from tests.planner.onboard.simulated import GOAL
@@ -269,12 +270,15 @@ def test_a_guard_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch
         Guard(CONFIG, VEHICLE, lambda: None)
 
 
+CALM = CONFIG.replace({"limits.deadline": 1.0})
+"""With a process that stands still: what is done at once is told from what is done after that."""
+
 NODE = """
 import sys, time
 from aero_planner.onboard.guard import Guard
-from tests.planner.onboard.test_guard import CONFIG, PATIENCE, VEHICLE, fly
+from tests.planner.onboard.test_guard import CALM, PATIENCE, VEHICLE, fly
 
-guard = Guard(CONFIG, VEHICLE, lambda: sys.argv[1])
+guard = Guard(CALM, VEHICLE, lambda: sys.argv[1])
 guard.wait(PATIENCE)
 print("flying", flush=True)
 while True:
@@ -295,7 +299,10 @@ def node(autopilot: Autopilot) -> Iterator[subprocess.Popen[str]]:
 
 def test_a_process_that_is_killed_is_replaced_until_the_drone_hovers(node: subprocess.Popen[str], autopilot: Autopilot):
     node.kill()
-    check_braking(autopilot.receive_all())
+    killed = time.monotonic()
+    commands = autopilot.receive_all()
+    assert commands[0][0] - killed < 0.5 * CALM.limits.deadline
+    check_braking(commands)
     # The guard holds the other end of this, too: it has ended.
     assert "the guard brakes" in node.communicate(timeout=PATIENCE)[1]
 
@@ -304,7 +311,7 @@ def test_a_process_that_is_stopped_is_replaced_and_takes_over_again(node: subpro
     node.send_signal(signal.SIGSTOP)
     check_braking(autopilot.receive_all())
     node.send_signal(signal.SIGCONT)
-    assert autopilot.receive(2 * takeover_time(CONFIG)) is None
+    assert autopilot.receive(1.5 * takeover_time(CALM)) is None
     node.send_signal(signal.SIGSTOP)
     assert autopilot.receive(PATIENCE) is not None
 
@@ -350,7 +357,9 @@ def test_it_and_the_nodes_own_watchdog_never_speak_both(
         # The control loop fails: the watchdog, in this process, brakes to the end.
         link.failing = True
         with caplog.at_level(logging.WARNING):
+            end = time.monotonic() + PATIENCE
             while "the watchdog has braked for as long as it may" not in caplog.text:
+                assert time.monotonic() < end
                 time.sleep(PERIOD)
         assert "the watchdog brakes" in caplog.text and not guard.braking
         while (command := autopilot.receive(0.0)) is not None:  # of a plan, when a tick was late
@@ -361,3 +370,28 @@ def test_it_and_the_nodes_own_watchdog_never_speak_both(
     statistics = node.statistics()
     assert statistics["watchdog_interventions"] == 1
     assert statistics["guard_interventions"] == 0 and statistics["guard_lost"] is False
+
+
+def test_after_the_guard_has_braked_the_watchdog_waits_for_the_control_loop(
+    small_planner: Planner, guard: Guard, autopilot: Autopilot
+):
+    small_planner.reset()
+    link = StandingLink()
+    node = Node(small_planner, link, StandingLidar(), CONFIG, goal=GOAL, guard=guard)
+    try:
+        # No threads of its own: it stands still as a whole, as soon as nothing here lets it go on.
+        end = time.monotonic() + PATIENCE
+        while node.state is not State.READY:
+            assert time.monotonic() < end
+            node.control_once()
+            node.plan_once()
+        link.armed = link.offboard = True
+        node.control_once()
+        count = link.count
+        while not guard.braking:
+            assert autopilot.receive(PATIENCE) is not None
+        assert not node.watch_once() and link.count == count
+        node.control_once()
+        assert link.count == count + 1 and not guard.braking
+    finally:
+        node.close()

@@ -153,12 +153,25 @@ def test_the_command_at_a_time_is_that_of_its_step(start: float):
 def test_the_plan_before_is_flown_until_the_newest_begins():
     track = PlanTrack()
     assert track.newest is None and track.command(0.0) is None
-    track.append(flyable(1, 10.0))
-    track.append(flyable(2, 10.1))
+    track.append(flyable(1, 10.0), 9.95)
+    track.append(flyable(2, 10.1), 10.05)
     for now, first in ((10.06, 104.0), (10.1, 200.0), (10.34, 216.0)):
         command = track.command(now)
         assert command is not None and command[0] == first
     assert track.command(10.36) is None and track.command(9.9) is None
-    track.append(flyable(3, 10.5))
+    track.append(flyable(3, 10.5), 10.36)
     assert track.newest is not None and track.newest.number == 3
     assert track.command(10.36) is None  # never beyond the end of a plan
+
+
+def test_the_plan_being_flown_stays_however_many_wait_to_begin():
+    track = PlanTrack()
+    for number, time, now in ((1, 10.0, 9.9), (2, 10.1, 10.0), (3, 10.25, 10.1), (4, 10.24, 10.12), (5, 10.26, 10.15)):
+        track.append(flyable(number, time), now)
+    for now, number in ((10.15, 2), (10.23, 2), (10.24, 4), (10.27, 5)):
+        plan = track.at(now)
+        assert plan is not None and plan.number == number
+    # And none longer than that.
+    for number in range(6, 100):
+        track.append(flyable(number, 10.26), 10.26 + 0.05 * number)
+    assert len(track._plans) == 2

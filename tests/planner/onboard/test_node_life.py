@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
 from aero_planner import Planner, VehicleState
+from aero_planner.cli import _fly
 from aero_planner.onboard.lidar import PointCounters, PointPacket
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.node import Node
@@ -32,6 +36,25 @@ def test_told_to_end_it_comes_to_rest_and_falls_silent(small_planner: Planner):
     assert len(flight.link.sent) == count and not flight.link.offboard
     flight.node.close()
     assert flight.link.closed and flight.lidar.closed
+
+
+def test_ended_at_once_it_is_left_with_the_command_to_hover(small_planner: Planner):
+    flight = in_flight(small_planner)
+    flight.node.stop()
+    flight.run(0.1)
+    count = len(flight.link.sent)
+    assert np.abs(flight.link.sent[-1][1][1:]).max() > 0.1  # which it would otherwise go on with
+    flight.node.close()
+    np.testing.assert_allclose([command for _, command in flight.link.sent[count:]], [[9.81, 0.0, 0.0, 0.0]])
+
+
+def test_closed_where_the_pilot_flies_it_says_nothing(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    simulation.run(0.5)
+    count = len(simulation.link.sent)
+    assert simulation.node.state is State.READY and count > 0
+    simulation.node.close()
+    assert len(simulation.link.sent) == count
 
 
 class Faulty(Observer):
@@ -85,15 +108,20 @@ class StandingLink:
     def __init__(self) -> None:
         self.armed = self.offboard = False
         self.goal = np.array(GOAL)
+        self.dropped: dict[str, int] = {}
         self.many = threading.Event()
         """Set when twenty commands have come since `count` was zeroed."""
         self.count = 0
         self.failing = False
+        self.velocity = np.zeros(3)
+        self.partner = None
+        self.last = np.zeros(4)
+        """The newest command."""
 
     @property
     def state(self) -> VehicleSample:
         now = time.monotonic()
-        state = VehicleState(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), None, now)
+        state = VehicleState(np.array([0.0, 0.0, 2.0]), self.velocity, np.array([1.0, 0.0, 0.0, 0.0]), None, now)
         return VehicleSample(now, state, self.armed, self.offboard, now)
 
     def poll(self) -> None:
@@ -101,6 +129,7 @@ class StandingLink:
             raise RuntimeError("the control loop's own mistake")
 
     def send(self, command: ArrayLike) -> None:
+        self.last = np.array(command)
         self.count += 1
         if self.count >= 20:
             self.many.set()
@@ -155,3 +184,42 @@ def test_with_real_threads(small_planner: Planner):
     statistics = node.statistics()
     assert statistics["plans"] > 0 and statistics["control"]["ticks"] > 40
     assert not any(thread.name.startswith("aero-planner-control") for thread in threading.enumerate())
+
+
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """Gives signals back their handlers."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_a_lost_terminal_brakes_however_often_it_is_told_and_a_second_signal_ends(small_planner: Planner):
+    small_planner.reset()
+    link = StandingLink()
+    link.velocity = np.array([2.0, 0.0, 0.0])  # whatever it is told, it does not come to rest
+    config = OnboardConfig().replace(
+        {"limits.plan_age": 1.0, "limits.cloud_age": 2.0, "limits.state_age": 1.0, "limits.brake_time": 30.0}
+    )
+    node = Node(small_planner, link, StandingLidar(), config)
+    node.warm_up()
+    told: list[bool] = []
+
+    def pilot() -> None:
+        told.append(link.wait_for_commands())
+        link.armed = link.offboard = True
+        told.append(link.wait_for_commands())
+        for number in (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM):
+            os.kill(os.getpid(), number)
+            if number == signal.SIGHUP:
+                told.append(link.wait_for_commands() and node.state is State.BRAKING)
+
+    thread = threading.Thread(target=pilot)
+    began = time.monotonic()
+    thread.start()
+    assert _fly(node, config)
+    thread.join()
+    assert told == [True] * 4 and time.monotonic() - began < config.limits.brake_time
+    np.testing.assert_allclose(link.last, [9.81, 0.0, 0.0, 0.0])

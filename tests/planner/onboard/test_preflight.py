@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.preflight import Check, PreflightReport, check_inputs, preflight
+from aero_planner.onboard.preflight import Check, PreflightReport, _thrust, check_inputs, preflight
 from aero_planner.onboard.settings import OnboardConfig
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
 
@@ -62,6 +62,20 @@ def test_what_is_wrong_is_named(drone: Simulation):
     checks = look(drone)
     failed = [name for name, check in checks.items() if not check.ok]
     assert "position" in failed and "goal" not in failed  # on the ground, but outside; the goal came over the link
+
+
+def test_what_the_link_dropped_is_named(drone: Simulation):
+    drone.link.dropped["ODOMETRY in frames 0 and 1"] = 300
+    check = look(drone)["unusable messages"]
+    assert check.found == "300 x ODOMETRY in frames 0 and 1" and not check.ok and not check.required
+
+
+def test_a_sensor_that_sees_nothing_is_not_ready(drone: Simulation):
+    drone.lidar._world = np.array([[500.0, 0.0, 0.0]] * 40, np.float32)
+    checks = look(drone)
+    assert drone.lidar.counters.packets and not checks["LiDAR"].ok and not checks["cloud"].ok
+    assert checks["cloud"].found == "no points: covered, or nothing is in range"
+    assert "fly only where something is in range" in checks["LiDAR"].advice
 
 
 def test_states_that_are_late_or_seldom_fail(drone: Simulation):
@@ -120,6 +134,13 @@ def test_what_fails_before_anything_is_heard(tmp_path: Path):
     assert "lidar.port" in found["LiDAR port"].found and "in use" in found["LiDAR port"].found
     assert not found["telemetry port"].ok and not found["telemetry port"].required
     assert "vehicle state" not in found
+
+
+def test_a_thrust_curve_is_said_to_go_with_no_compensation():
+    linear, curved = (_thrust(SMALL, OnboardConfig().replace({"thrust.curve": curve})) for curve in (0.0, 0.5))
+    # 1 kg hovers at half the throttle: with a curve of 0.5 that is 0.5 x 0.5 + 0.5 x 0.25 of the full thrust.
+    assert linear.found == "hovers at 0.5 with 9.8 N: at most 19.6 N, 2.0 times the weight"
+    assert "right only where THR_MDL_FAC is 0: at most 26.2 N" in curved.found
 
 
 def test_a_report_passes_when_all_that_is_required_does():

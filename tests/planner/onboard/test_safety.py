@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from aero_planner import PlanStatus
 from aero_planner.onboard.safety import (
+    AS_PLANNED,
     BLINDING,
     COMMANDING,
     DETECTION,
@@ -25,9 +26,11 @@ from aero_planner.onboard.safety import (
     Reaction,
     Safety,
     State,
+    faults,
     holds,
     inside_fence,
     next_state,
+    reaction_to,
 )
 from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
 from aero_planner.onboard.settings import LimitSettings, OnboardConfig
@@ -110,12 +113,16 @@ def is_well(inputs: Inputs) -> bool:
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     """The invariants that hold at every single step, whatever came before."""
-    reaction, ours, well = REACTIONS[target], inputs.armed and inputs.offboard, is_well(inputs)
+    reaction = reaction_to(target, faults(inputs, LIMITS))
+    ours, well = inputs.armed and inputs.offboard, is_well(inputs)
     if not ours:
         # Outside OFFBOARD nothing is sent, save the neutral stream that PX4 wants before it, and only if all is well.
         assert reaction is Reaction.SILENT or (target is State.READY and reaction is Reaction.BRAKE and well)
     if reaction is Reaction.STREAM_PLAN:
         assert ours and well
+    unsafe = inputs.plan_status is not PlanStatus.OK
+    only_unsafe = unsafe and is_well(dataclasses.replace(inputs, plan_status=PlanStatus.OK, stopping=False))
+    assert (reaction is Reaction.BRAKE_AS_PLANNED) == (target is State.BRAKING and only_unsafe)
     if target is State.READY:
         assert well and not ours  # who finds himself in OFFBOARD unawares begins nothing
     if reaction is Reaction.HOLD and target is State.HOLDING:
@@ -162,12 +169,11 @@ def test_whatever_stays_broken_ends_in_silence_or_rest():
         while (target := next_state(chain[-1], inputs, LIMITS)[0]) is not chain[-1]:
             chain.append(target)
             assert len(chain) < 8, (chain, inputs)
-        broken = any(holds(fault, inputs, LIMITS) for fault in FAULTS)
+        broken = faults(inputs, LIMITS)
         if broken:
             assert REACTIONS[chain[-1]] is not Reaction.STREAM_PLAN
         if broken and inputs.fault_time > LIMITS.brake_time + LIMITS.hold_time:
-            faults = {fault for fault in FAULTS if holds(fault, inputs, LIMITS)}
-            resting = chain[-1] is State.ARRIVED and faults <= set(HARMLESS_AT_REST)
+            resting = chain[-1] is State.ARRIVED and set(broken) <= set(HARMLESS_AT_REST)
             assert REACTIONS[chain[-1]] is Reaction.SILENT or resting
 
 
@@ -249,7 +255,7 @@ def test_reactions_come_in_time_whatever_breaks_when(plan: list[tuple[float, fro
             for name in broken:
                 stated = sum(float(config.get(path)) for path in DETECTION[CAUSES[name]])
                 if world.broken_for(name) > stated + PERIOD:
-                    assert reaction is not Reaction.STREAM_PLAN, name
+                    assert reaction not in AS_PLANNED or (name, reaction) == ("status", Reaction.BRAKE_AS_PLANNED), name
             blind = max(world.broken_for("state"), world.broken_for("nan state"))
             if blind > LIMITS.state_age + LIMITS.blind_time + 2 * PERIOD:
                 assert reaction is Reaction.SILENT
@@ -287,11 +293,18 @@ def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
     assert safety.state is State.ARRIVED and safety.reaction is Reaction.HOLD
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.8), 0.1, now)
     assert safety.state is State.ARRIVED  # a little drift is no new goal
+    now = run(safety, dataclasses.replace(WELL, goal_distance=0.8, goal_number=1), 0.1, now)
+    assert safety.state is State.FLYING  # but this is one
+    now = run(safety, dataclasses.replace(WELL, goal_distance=0.4, goal_number=1), 0.1, now)
+    now = run(safety, dataclasses.replace(WELL, goal_distance=0.8, goal_number=1), 0.1, now)
+    assert safety.state is State.ARRIVED
+    now = run(safety, dataclasses.replace(WELL, goal_distance=0.4, goal_number=2), 0.1, now)
+    assert safety.state is State.ARRIVED  # there already
     now = run(safety, WELL, 0.1, now)
     assert safety.state is State.FLYING
     run(safety, dataclasses.replace(WELL, offboard=False), 0.02, now)
     assert [change.target.name for change in changes] == [
-        "READY", "FLYING", "ARRIVED", "FLYING", "WAITING",
+        "READY", "FLYING", "ARRIVED", "FLYING", "ARRIVED", "FLYING", "WAITING",
     ]  # fmt: skip
     assert str(changes[-1]) == "FLYING -> WAITING: the vehicle is disarmed or has left OFFBOARD"
 
@@ -323,7 +336,7 @@ def test_a_lost_way_is_waited_for_and_then_handed_back_until_disarmed():
     safety, now = flying()
     stuck = dataclasses.replace(WELL, plan_status=PlanStatus.NO_SAFE_CANDIDATE)
     now = run(safety, stuck, 1.0, now)
-    assert safety.state is State.BRAKING
+    assert safety.state is State.BRAKING and safety.reaction is Reaction.BRAKE_AS_PLANNED
     stuck = dataclasses.replace(stuck, speed=0.1)
     now = run(safety, stuck, 1.0, now)
     assert safety.state is State.HOLDING

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from aero_planner.warmup import compile_ahead, warmup
+from aero_planner.ahead import compile_ahead, warmup
 from tests.planner.cases import config_of
 
 AHEAD = """
 import importlib, sys
-warmup = importlib.import_module("aero_planner.warmup")
+warmup = importlib.import_module("aero_planner.ahead")
 warmup._BLOCK_DIMS = (256,)  # each takes as long as all of this
 warmup.compile_ahead(sys.argv[1], architectures=[87])
 from aero_planner.blocks import CUDA
@@ -25,7 +25,7 @@ PLAN = """
 import warp as wp
 wp.config.log_level = wp.LOG_DEBUG
 from aero_planner import Goal, Planner, VehicleState
-from aero_planner.warmup import warmup
+from aero_planner.ahead import warmup
 assert warmup() > 0.0
 print("WARM")
 state = VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0])

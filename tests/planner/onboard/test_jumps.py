@@ -1,0 +1,92 @@
+"""Jumps of the estimate: what counts as one, and what the node makes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from aero_planner import Planner
+from aero_planner.onboard.frames import advance, rotate
+from aero_planner.onboard.jumps import Fix, jumped
+from aero_planner.onboard.safety import State
+from tests.planner.onboard.conftest import Records
+from tests.planner.onboard.simulated import LANE, Simulation, in_flight, poles
+
+OFFSET = np.array([-1.5, 0.5, 0.0])
+"""Of the estimate after its jump [m]."""
+
+
+def flown(fix: Fix, acceleration: np.ndarray, turning: np.ndarray, dt: float) -> Fix:
+    """The state after `dt` of constant acceleration [m/s^2] and angular acceleration [rad/s^2], by small steps."""
+    time, p, v, q, rates = fix
+    for _ in range(100):
+        h = 0.01 * dt
+        p, v = p + h * v + 0.5 * h * h * acceleration, v + h * acceleration
+        q, rates = advance(q, rates + 0.5 * h * turning, h), rates + h * turning
+    return Fix(time + dt, p, v, q, rates)
+
+
+@pytest.mark.parametrize("dt", [0.004, 0.02, 0.1, 0.3])
+def test_no_flight_is_a_jump_and_every_jump_is_told(dt: float):
+    random = np.random.default_rng(3)
+    for _ in range(100):
+        q = random.normal(size=4)
+        before = Fix(5.0, random.normal(size=3), random.normal(0, 5, 3), q / np.linalg.norm(q), random.normal(0, 3, 3))
+        # There and back, the most that a flight leaves the way that the mean velocity leads.
+        hard, turning = random.normal(0, 10, 3), random.normal(0, 30, 3)
+        after = flown(flown(before, hard, turning, 0.5 * dt), -hard, -turning, 0.5 * dt)
+        assert not jumped(before, after)
+        assert not jumped(before, after._replace(attitude=-after.attitude))  # the same attitude
+        side = rotate(q / np.linalg.norm(q), np.array([1.3 + 10.0 * dt * dt, 0.0, 0.0]))
+        assert jumped(before, after._replace(position=after.position + side))
+        turned = advance(after.attitude, np.array([0.0, 0.0, 1.0]), 0.35 + 100.0 * dt * dt)
+        assert dt > 0.1 or jumped(before, after._replace(attitude=turned))  # later, any attitude is possible
+        assert jumped(before, after._replace(time=4.9))  # the autopilot has started anew
+
+
+def shift(simulation: Simulation) -> None:
+    """Let the estimate jump."""
+    simulation.link.spoil = lambda state: dataclasses.replace(state, position=state.position + OFFSET)
+    simulation.link.resets += 1
+
+
+def test_no_plan_sees_the_cloud_of_before_a_jump(small_planner: Planner):
+    seen = Records()
+    simulation = in_flight(small_planner, observers=[seen])
+    world, count = poles(LANE), len(seen.plans)
+    began = simulation.now
+    shift(simulation)
+    simulation.run(0.6)
+    later = [record for record in seen.plans[count:] if record.time > began + 0.02]
+    assert len(later) > 5
+    for record in later:
+        # What the simulated sensor sees are points of the world; in the frame of before they would lie off by OFFSET.
+        for point in record.points[::50] - OFFSET:
+            assert np.linalg.norm(world - point, axis=1).min() < 0.1
+    # The first of them has a sweep to look at, and nothing had to brake for it.
+    assert later[0].time - began >= 0.1 and len(later[0].points) > 0.1 * len(later[-1].points)
+    assert simulation.node.state is State.FLYING and not [c for c in simulation.node.changes if c.time > began]
+
+
+def test_a_drone_that_waits_does_not_follow_a_jump(small_planner: Planner):
+    simulation = in_flight(small_planner)
+    simulation.lidar.alive = False
+    assert simulation.run_until(lambda: simulation.node.state is State.HOLDING, 5.0)
+    simulation.run(1.0)
+    place = simulation.motion.position
+    shift(simulation)
+    simulation.run(2.0)
+    assert simulation.node.state is State.HOLDING
+    assert np.linalg.norm(simulation.motion.position - place) < 0.3
+
+
+def test_states_of_before_are_forgotten_with_the_history(small_planner: Planner):
+    simulation = in_flight(small_planner)
+    simulation.planning_alive = False
+    assert np.isfinite(small_planner.history().time).all()
+    shift(simulation)
+    simulation.run(0.02)
+    simulation.node.plan_once()
+    assert np.isnan(small_planner.history().time).all()

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from aero_planner.onboard.port import open_port
+
+
+@pytest.mark.parametrize(
+    ("url", "error"),
+    [
+        ("tcp:1.2.3.4:5", "not understood"),
+        ("udpin:14540", "no address and port"),
+        ("udpin:h:99999", "no address and port"),
+    ],
+)
+def test_urls_that_are_none(url: str, error: str):
+    with pytest.raises(ValueError, match=error):
+        open_port(url)
+
+
+def test_devices_that_are_none(tmp_path: Path):
+    with pytest.raises(OSError, match="missing"):
+        open_port(str(tmp_path / "missing"))
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="no serial device"):
+        open_port(str(tmp_path / "file"))
+    with pytest.raises(ValueError, match="baud rate"):
+        open_port("/dev/null", baud=12345)
+
+
+def test_a_taken_port_is_an_error():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        with pytest.raises(OSError, match="in use"):
+            open_port(f"udpin:127.0.0.1:{taken.getsockname()[1]}")
