@@ -24,7 +24,7 @@ from aero_viz.cli_config import (
 )
 from aero_viz.errors import UserError
 
-__all__ = ["VERBS"]
+__all__ = ["VERBS", "progress_bar"]
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -78,7 +78,7 @@ def bench(
     changed = config != config_from_name(flags.config)
     included = load_included(include, benchmark)
     try:
-        with _progress_bar() as progress:
+        with progress_bar() as progress:
             run = run_benchmark(
                 benchmark,
                 folder,
@@ -182,7 +182,7 @@ VERBS = (bench, score, world)
 
 
 @contextlib.contextmanager
-def _progress_bar() -> Iterator[Callable[[int, int, str], None]]:
+def progress_bar() -> Iterator[Callable[[int, int, str], None]]:
     """A bar on stderr, on a terminal only."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn

@@ -16,6 +16,7 @@ from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.vehicle import PLANNED
+from aero_viz.ground import preset_above
 from aero_viz.parameters import parameters_of
 from aero_viz.scenes import SCENES, World
 from aero_viz.sensors import LidarModel, lidar_model
@@ -107,8 +108,7 @@ class ConfigFlags:
 
         Args:
             ground: height of the flat ground that the drone took off from [m]. Presets but the paper's are told of it
-                by costs.floor, unless that is given: a Mid-360 does not see what is below it, and a slow drone that
-                seeks free space sinks.
+                by costs.floor, unless that is given.
 
         Raises:
             UserError: a name, file or value is wrong.
@@ -118,10 +118,10 @@ class ConfigFlags:
             for section, flags in vars(self.planner).items()
             for name, value in _given(flags).items()
         }
-        if ground is not None and self.config in PlannerConfig.presets() and self.config != "paper":
-            changes = {"costs.floor": ground} | changes
         try:
-            return config_from_name(self.config).replace(changes)
+            is_preset = self.config in PlannerConfig.presets()
+            config = preset_above(self.config, ground) if is_preset else config_from_name(self.config)
+            return config.replace(changes)
         except (ValueError, OSError) as error:
             raise UserError(str(error)) from error
 

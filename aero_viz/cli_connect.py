@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import webbrowser
 from typing import Annotated
 
 import tyro
 
 from aero_viz.cli_config import Inline
-from aero_viz.cli_page import PageFlags
+from aero_viz.cli_page import PageFlags, told_to_end
 
 __all__ = ["connect"]
 
@@ -35,9 +33,7 @@ def connect(
     from aero_viz.live_session import LiveSession
 
     session = LiveSession(NodeClient(drone, drone_port), reconnect=lambda: NodeClient(drone, drone_port))
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
+    stopped = told_to_end()
     try:
         dashboard = Dashboard(session, host=page.host, port=page.port)
         try:

@@ -6,7 +6,6 @@ import contextlib
 import signal
 import threading
 import webbrowser
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
     from aero_planner import PlannerConfig
     from aero_viz.dashboard import Dashboard
     from aero_viz.session import Session
-    from aero_viz.source import Source
+    from aero_viz.source import Opener, Source
 
-__all__ = ["PageFlags", "demo", "flight_opener", "play", "serve"]
+__all__ = ["PageFlags", "demo", "flight_opener", "play", "serve", "told_to_end"]
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def demo(
     config = flags.load(world.ground(scene, seed=seed))
     serve(
         scene,
-        flight_opener(scene, world, flight, config, lidar=lidar, seed=seed, device=device),
+        flight_opener(scene, world, flight, config, lidar=lidar, device=device),
         config,
         page,
         seed=seed,
@@ -105,13 +104,16 @@ def play(
     """
     from aero_viz.catalog import is_map, open_source
     from aero_viz.recordings import open_recording
+    from aero_viz.scenes import SCENES
 
     if is_map(recording) or Path(recording).suffix.lower() == ".json":
         raise UserError(f"{recording} is a world, not a recording; fly it with: aero-viz demo {recording}")
     if not Path(recording).exists():
+        if recording in SCENES:
+            raise UserError(f"{recording} is a scene, not a recording; fly it with: aero-viz demo {recording}")
         open_recording(recording)
 
-    def open_other(spec: str) -> Source:
+    def open_other(spec: str, *, seed: int) -> Source:
         points, poses = (points_topic, pose_topic) if spec == recording else (None, None)
         return open_source(spec, seed=seed, device=device, points_topic=points, pose_topic=poses, goal_ahead=goal_ahead)
 
@@ -125,9 +127,8 @@ def flight_opener(
     config: PlannerConfig,
     *,
     lidar: str,
-    seed: int,
     device: str,
-) -> Callable[[str], Source]:
+) -> Opener:
     """Return what opens `spec` as the flags say, and every other source that the page asks for with the same drone."""
     from aero_viz.catalog import is_map, open_source
     from aero_viz.flight import FlightSource
@@ -136,7 +137,7 @@ def flight_opener(
 
     options = flight.options(config, lidar=lidar)
 
-    def open_other(other: str) -> Source:
+    def open_other(other: str, *, seed: int) -> Source:
         if other != spec and not (other in SCENES or other.endswith(".json") or is_map(other)):
             return open_source(other, seed=seed, device=device)
         loaded = (world if other == spec else WorldFlags()).load(other, seed=seed)
@@ -148,7 +149,7 @@ def flight_opener(
 
 def serve(
     spec: str,
-    open_other: Callable[[str], Source],
+    open_other: Opener,
     config: PlannerConfig,
     page: PageFlags,
     *,
@@ -161,13 +162,13 @@ def serve(
     from aero_viz.dashboard import Dashboard
     from aero_viz.session import Session
 
-    session = Session(open_other(spec), config=config, device=device, seed=seed)
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
+    session = Session(open_other(spec, seed=seed), config=config, device=device, seed=seed)
+    stopped = told_to_end()
     try:
         choices = [(f"{name}: {text}", name) for name, text in source_choices().items()]
-        dashboard = Dashboard(session, host=page.host, port=page.port, open_source=open_other, choices=choices)
+        dashboard = Dashboard(
+            session, host=page.host, port=page.port, open_source=open_other, choices=choices, seed=seed
+        )
         stack = contextlib.ExitStack()
         try:
             if log is not None:
@@ -186,6 +187,21 @@ def serve(
             dashboard.close()
     finally:
         session.close()
+
+
+def told_to_end() -> threading.Event:
+    """Return what Ctrl-C or SIGTERM sets, so that all is closed in order; the second one ends the program at once."""
+    stopped = threading.Event()
+    ending = (signal.SIGINT, signal.SIGTERM)
+
+    def end(*_: object) -> None:
+        for number in ending:
+            signal.signal(number, signal.SIG_DFL)
+        stopped.set()
+
+    for number in ending:
+        signal.signal(number, end)
+    return stopped
 
 
 def _play_when_seen(session: Session, dashboard: Dashboard) -> None:

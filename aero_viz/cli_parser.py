@@ -20,6 +20,8 @@ _BORDER = "╭╮╰╯│─┌┐└┘|+- "
 _PHRASES = {
     r"invalid literal for int\(\) with base 10: (.*)": r"\1 is no whole number",
     r"could not convert string to float: (.*)": r"\1 is no number",
+    r"no type matching (?:\{None\}\|)?\{?FLOAT\}? could be instantiated from \[('[^']*')\]": r"\1 is no number",
+    r"no type matching (?:\{None\}\|)?\{?INT\}? could be instantiated from \[('[^']*')\]": r"\1 is no whole number",
     r"no type matching (?:\{None\}\|)?\{?(.*?)\}? could be instantiated from \[(.*)\]": r"\2 must be \1",
     r"\. Expected": "; expected",
 }

@@ -1,11 +1,10 @@
-"""What the benchmarks share: the situation that is planned in, the clock, the machine, one line per mistake."""
+"""What the benchmarks share: the situation that is planned in, the clock, the machine."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from aero_planner import Goal, VehicleState
 from aero_planner.benchmark import forest_cloud
 from aero_planner.planner import _find_device
 
-__all__ = ["elapsed_ms", "machine", "positive", "run_command", "situation"]
+__all__ = ["elapsed_ms", "machine", "positive", "situation"]
 
 
 def situation(points: int, batch: int | None = None) -> tuple[VehicleState, Goal, Any]:
@@ -64,12 +63,3 @@ def positive(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is less than 1")
     return value
-
-
-def run_command(command: Callable[[Sequence[str] | None], int]) -> None:
-    """Run a benchmark's `main` and exit; a mistake of the user's is one line and exit code 2."""
-    try:
-        sys.exit(command(None))
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
-        sys.exit(2)

@@ -18,7 +18,8 @@ from typing import Any
 import warp as wp
 
 from aero_planner import Planner
-from benchmarks.common import machine, positive, run_command, situation
+from aero_planner.program import run_command
+from benchmarks.common import machine, positive, situation
 from benchmarks.comparison.problem import Problem, make_problem, problem_config
 
 __all__ = ["LIBRARIES", "compare", "main", "planner_runner"]

@@ -20,7 +20,8 @@ from aero_planner.buffers import fine_shape
 from aero_planner.config_file import config_from_name
 from aero_planner.guides import BRAKES
 from aero_planner.mppi import PROBES
-from benchmarks.common import elapsed_ms, machine, positive, run_command, situation
+from aero_planner.program import run_command
+from benchmarks.common import elapsed_ms, machine, positive, situation
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
 
 __all__ = ["MACHINES", "Floor", "Machine", "floors", "main"]

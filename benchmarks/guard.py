@@ -12,7 +12,8 @@ import numpy as np
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.config_file import config_from_name
-from benchmarks.common import elapsed_ms, machine, positive, run_command, situation
+from aero_planner.program import run_command
+from benchmarks.common import elapsed_ms, machine, positive, situation
 from benchmarks.naive import NaivePlanner
 
 __all__ = ["BOUNDS", "PlansDifferError", "compare_with_naive", "main"]

@@ -16,6 +16,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner import PlannerConfig
+from aero_planner.quiet import quieten
 from aero_viz.bench.catalog import Benchmark, Row
 from aero_viz.bench.machine import hardware, versions
 from aero_viz.errors import UserError
@@ -68,8 +69,16 @@ class _Flight:
 
 
 def default_batch(device: str) -> int:
-    """Return how many flights to fly at once: 256 on a GPU; one on the CPU, which batches do not make faster."""
-    return 256 if wp.get_device(device).is_cuda else 1
+    """Return how many flights to fly at once: 256 on a GPU; one on the CPU, which batches do not make faster.
+
+    Raises:
+        UserError: there is no such device.
+    """
+    quieten()
+    try:
+        return 256 if wp.get_device(device).is_cuda else 1
+    except ValueError as error:
+        raise UserError(f"The device {device!r} is not available: {error}; see aero-viz doctor.") from error
 
 
 def run_benchmark(
