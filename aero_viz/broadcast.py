@@ -50,10 +50,10 @@ class Broadcast(ABC):
         sink.put(self._playing)
         return sink
 
-    def unsubscribe(self, sink: Sink) -> None:
-        """Close a sink and forget it."""
+    def unsubscribe(self, sink: Sink, *, patience: float = 0.0) -> None:
+        """Forget a sink and close it, when it has delivered what waits or `patience` [s] is over."""
         for publisher in (self._frames, self._notices, self._states):
-            publisher.unsubscribe(sink)
+            publisher.unsubscribe(sink, patience=patience)
 
     def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
         """Send a notice to everyone."""
@@ -72,6 +72,14 @@ class Broadcast(ABC):
 
 class Steerable(Broadcast):
     """.. and takes what the page asks for, from any thread. Who can't do something says so in a notice or an error."""
+
+    read_only = False
+    """Whether goal and settings are someone else's."""
+
+    @property
+    def waiting(self) -> str:
+        """What is told as long as there is no frame."""
+        return "The first plan is on its way; kernels that are new to this machine take a minute."
 
     @property
     @abstractmethod

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from aero_planner import PlannerConfig
@@ -54,6 +55,24 @@ class ConfigHistory:
             self._version += 1
             return config
 
+    @contextlib.contextmanager
+    def amended(self, amend: Callable[[PlannerConfig], PlannerConfig]) -> Iterator[None]:
+        """Amend every configuration, so that undo keeps to it, too; what is raised inside takes that back."""
+        with self._lock:
+            before, index = self._configs, self._index
+            self._replace([amend(config) for config in before], index)
+        try:
+            yield
+        except BaseException:
+            with self._lock:
+                self._replace(before, index)
+            raise
+
+    def _replace(self, configs: list[PlannerConfig], index: int) -> None:
+        self._version += configs[index] is not self._configs[self._index]
+        self._configs, self._index = configs, index
+        self._last = (frozenset(), 0.0)
+
     def go(self, step: int) -> PlannerConfig:
         """Go back by -1 or forth by +1, within what is there, and return the configuration."""
         with self._lock:
@@ -61,3 +80,14 @@ class ConfigHistory:
             self._version += 1
             self._last = (frozenset(), 0.0)
             return self._configs[self._index]
+
+    def drop(self, failed: PlannerConfig, good: PlannerConfig) -> None:
+        """Forget a configuration that cannot be used. Where it is the present one, `good` is in its place."""
+        with self._lock:
+            now, present = self._index, self._configs[self._index]
+            wanted = good if present == failed else present
+            configs = [config for config in self._configs if config != failed]
+            if wanted not in configs:
+                configs.insert(now, wanted)
+            places = [i for i, config in enumerate(configs) if config == wanted]
+            self._replace(configs, min(places, key=lambda i: abs(i - now)))

@@ -25,6 +25,8 @@ __all__ = ["READ_ONLY", "LiveSource", "NodeClient"]
 _CHUNK = 1 << 18
 _RATE_WINDOW = 2.0
 """Time over which plans are counted [s]."""
+_KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPALIVE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
+"""Silence before the first probe [s], by its names on Linux and macOS; time between two [s]; probes that may fail."""
 READ_ONLY = "The drone flies with its own settings; nothing can be changed from here."
 
 
@@ -105,7 +107,12 @@ class NodeClient:
                 "telemetry.host be an address that this computer reaches."
             ) from error
         try:
-            hello = self._receive()
+            try:
+                hello = self._receive()
+            except TimeoutError as error:
+                raise UserError(f"Something answers at {self.name}, but says nothing; it is no node.") from error
+            except OSError:
+                hello = None
             if hello is None or hello.kind != Kind.HELLO:
                 raise UserError(f"The node at {self.name} has no room for another viewer, or is no node.")
             try:
@@ -120,6 +127,7 @@ class NodeClient:
                     "release on both."
                 ) from error
             self._socket.settimeout(None)
+            _keep_alive(self._socket)
         except BaseException:
             self._socket.close()
             raise
@@ -128,10 +136,13 @@ class NodeClient:
     def __iter__(self) -> Iterator[Frame | Notice]:
         """Yield frames, and a notice for each transition of the drone's safety state, until the connection ends.
 
+        A node without a goal is silent for as long as it likes; one that the network no longer leads to is given up
+        after a few seconds.
+
         Raises:
-            UserError: what comes is damaged.
+            UserError: the connection is lost, or what comes is damaged.
         """
-        while (message := self._receive()) is not None:
+        while (message := self._next()) is not None:
             if message.kind == Kind.CHANGE:
                 yield _notice(message)
             elif message.kind == Kind.PLAN:
@@ -147,15 +158,19 @@ class NodeClient:
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
-    def _receive(self) -> Message | None:
+    def _next(self) -> Message | None:
         """Return the next message, None when there will be none."""
-        while not self._ready:
-            try:
-                data = self._socket.recv(_CHUNK)
-            except TimeoutError as error:
-                raise UserError(f"Something answers at {self.name}, but says nothing; it is no node.") from error
-            except OSError:
+        try:
+            return self._receive()
+        except OSError as error:
+            if self._socket.fileno() < 0:  # closed by us
                 return None
+            reason = error.strerror or str(error)
+            raise UserError(f"the connection to {self.name} is lost: {reason}.") from error
+
+    def _receive(self) -> Message | None:
+        while not self._ready:
+            data = self._socket.recv(_CHUNK)
             if not data:
                 return None
             try:
@@ -163,6 +178,17 @@ class NodeClient:
             except ValueError as error:
                 raise UserError(f"{self.name}: {error}") from error
         return self._ready.popleft()
+
+
+def _keep_alive(connection: socket.socket) -> None:
+    """Let the system ask the other end whether it is still there: who only reads learns of a lost link in no other way.
+
+    Where the platform can't set one of the times, its own holds.
+    """
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEPALIVE.items():
+        if (option := getattr(socket, name, None)) is not None:
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 class _FrameMaker:

@@ -14,6 +14,7 @@ from aero_planner import Planner, PlannerConfig
 from aero_planner.planner import History
 from aero_viz.config_history import ConfigHistory
 from aero_viz.frame import Frame
+from aero_viz.ground import move_ground
 from aero_viz.source import Source
 from aero_viz.timeline import Mark, Timeline
 
@@ -65,12 +66,7 @@ class Engine:
         times = self.source.times
         if times is None:
             return self.frame.time + self.source.period
-        return float(times[min(self._row() + 1, len(times) - 1)])
-
-    def _row(self) -> int:
-        """Row of the present tick in a recording's times."""
-        assert self.frame is not None and self.source.times is not None
-        return int(np.searchsorted(self.source.times, self.frame.time + 1e-9, side="right")) - 1
+        return float(times[min(_row(times, self.frame.time) + 1, len(times) - 1)])
 
     def tick(self) -> Frame:
         """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
@@ -123,7 +119,7 @@ class Engine:
     def step_back(self, count: int) -> None:
         """Go back by `count` ticks, or to the first."""
         if self.source.times is not None and self.frame is not None and self._timeline.earlier < count:
-            self.seek(float(self.source.times[max(self._row() - count, 0)]))
+            self.seek(float(self.source.times[max(_row(self.source.times, self.frame.time) - count, 0)]))
         elif self._timeline:
             self._return_to(self._timeline.go_by(-count))
 
@@ -132,8 +128,8 @@ class Engine:
         times = self.source.times
         if times is None or self.frame is None or self.source.outcome is not None:
             return
-        target = int(np.searchsorted(times, wanted + 1e-9, side="right")) - 1
-        skipped = target - self._row() - 1
+        target = _row(times, wanted)
+        skipped = target - _row(times, self.frame.time) - 1
         if skipped > 0:
             self.source.seek(float(times[target - 1]))
             self.dropped_ticks += skipped
@@ -141,10 +137,12 @@ class Engine:
     def exchange(self, source: Source) -> None:
         """Go on with another source from its start. If its first tick fails, it is closed and the present one stays."""
         before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks)
-        self.source = source
+        left, ahead = self.source.scenery.ground_height, source.scenery.ground_height
+        self.source, self.dropped_ticks = source, 0
         self._forget()
         try:
-            self._plan()
+            with self._configs.amended(lambda config: move_ground(config, left, ahead)):
+                self._plan()
         except Exception:
             self.source, self._timeline, history, self.dropped_ticks = before
             self._planner.restore(history)
@@ -156,7 +154,6 @@ class Engine:
         """Start anew at the source's present tick."""
         self._planner.reset()
         self._timeline = Timeline()
-        self.dropped_ticks = 0
         self._epoch += 1
 
     def _return_to(self, mark: Mark) -> None:
@@ -187,11 +184,12 @@ class Engine:
         )
         planned = time.perf_counter()
         if mark:
-            position = (observation.true_state or observation.state).position
+            position = observation.actual_state.position
             self._timeline.append(Mark(observation.time, self.source.checkpoint(), history), position)
             self._tick_ends.append(planned)
+        times = self.source.times
         frame = Frame(
-            index=self._timeline.index,
+            index=self._timeline.index if times is None else _row(times, observation.time),
             time=observation.time,
             observation=observation,
             plan=plan,
@@ -221,8 +219,8 @@ class Engine:
         try:
             self._planner.configure(config)
         except Exception:
-            # Otherwise every further tick would fail in the same way.
-            self._configs.change(self._config)
+            # Otherwise every further tick would fail in the same way, and every undo would lead back to it.
+            self._configs.drop(config, self._config)
             raise
         self._config = config
 
@@ -237,3 +235,8 @@ class Engine:
         """Release the source and the planner."""
         self.source.close()
         self._planner.close()
+
+
+def _row(times: NDArray[np.float64], time: float) -> int:
+    """Return the row of a recording's last tick at or before `time` [s], -1 before the first."""
+    return int(np.searchsorted(times, time + 1e-9, side="right")) - 1

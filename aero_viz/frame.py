@@ -19,7 +19,7 @@ class Frame:
     """Record of one tick: what was seen, what was planned, and how. Never changed after it is published."""
 
     index: int
-    """Number of the tick since the source's start."""
+    """Number of the tick since the source's start; the row in its times for a recording."""
     time: float
     """Time in the source [s]."""
     observation: Observation
@@ -30,13 +30,14 @@ class Frame:
     outcome: str | None
     """None while running; see `Source.outcome`."""
     explanation: str | None
-    """In one sentence what ended it; see `Source.explanation`."""
+    """In one sentence what the outcome leaves open; see `Source.explanation`."""
     timings_ms: dict[str, float]
     """Duration of "observe", "plan" and of the "advance" that led here [ms]."""
     rate: float
     """Ticks per second of wall time, over the last second."""
     dropped_ticks: int
-    """Ticks skipped (recording) or given up as too late (flight) since the source's start."""
+    """Ticks that a recording skipped, or that came too late on a drone, since the source's start. A simulated flight
+    skips none: it runs slower."""
     trail: NDArray[np.float32]
     """Positions so far [m], shape [n, 3], world frame; read-only."""
     epoch: int

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -24,7 +25,11 @@ __all__ = ["LiveSession"]
 _log = logging.getLogger(__name__)
 
 _KEPT = 300
-"""Frames that can be returned to while paused: half a minute at 10 Hz."""
+"""Frames from before a pause that can be returned to, and as many after it: half a minute each at 10 Hz."""
+_OLD = 1.5
+"""Age from which on the page tells how old the newest plan is [s]."""
+_LOOK = 0.25
+"""Time between two looks at that age [s]."""
 _RETRY = 1.0
 """Time between two attempts to connect again [s]."""
 
@@ -41,15 +46,41 @@ class LiveSession(Steerable):
         super().__init__()
         self._playing = True
         self._client = client
+        self._in_sight = True
         self._reconnect = reconnect
-        self._kept: deque[Frame] = deque(maxlen=_KEPT)
+        self._kept: deque[Frame] = deque()
+        self._waiting: Frame | None = None
+        """The newest frame, where the pause has left no room for it among the kept ones."""
+        self._chosen: Frame | None = None
+        """Of the kept ones, the one that is shown."""
         self._shown: Frame | None = None
+        """The same, with what the page is told besides."""
+        self._arrived = 0.0
+        """When the newest frame came [s]."""
+        self._told_age = 0
+        """Age of the newest frame that `_shown` tells [s]; 0: none."""
         self._epoch = 0
         self._closed = threading.Event()
         self._lock = threading.RLock()
-        self._thread = threading.Thread(target=self._run, name="aero-viz-live", daemon=True)
+        self._threads = [
+            threading.Thread(target=target, name=f"aero-viz-live-{name}", daemon=True)
+            for name, target in (("listen", self._run), ("age", self._watch_age))
+        ]
 
     # --- what anyone may read ---------------------------------------------------------------------------------------
+
+    read_only = True
+
+    @property
+    def waiting(self) -> str:
+        """Whether the drone can be heard, and what it plans from."""
+        name = self._client.name
+        if not self._in_sight:
+            return f"{name} is out of sight, and had not planned yet."
+        return (
+            f"Connected to {name}, which has not planned yet: for that it needs states from the autopilot, points from "
+            "the LiDAR, and a goal."
+        )
 
     @property
     def frame(self) -> Frame | None:
@@ -86,6 +117,8 @@ class LiveSession(Steerable):
         """Follow the drone again."""
         with self._lock:
             self._set_playing(True)
+            if self._waiting is not None:
+                self._kept, self._waiting = deque([self._waiting]), None
             if self._kept:
                 self._jump_to(self._kept[-1])
 
@@ -95,14 +128,12 @@ class LiveSession(Steerable):
             self._set_playing(False)
 
     def step(self, count: int = 1) -> Future[Any]:
-        """Hold the picture and go `count` frames on, or back when negative, within the last half minute."""
+        """Hold the picture and go `count` frames on, or back when negative, half a minute from the pause at most."""
         with self._lock:
             self._set_playing(False)
-            shown = self._shown
-            indices = [frame.index for frame in self._kept]
-            if shown is not None and indices:
-                now = indices.index(shown.index) if shown.index in indices else 0
-                self._jump_to(self._kept[min(max(now + count, 0), len(indices) - 1)])
+            if self._chosen is not None:
+                place = self._kept.index(self._chosen) + count
+                self._jump_to(self._kept[min(max(place, 0), len(self._kept) - 1)])
         return _done()
 
     def seek(self, time: float) -> Future[Any]:
@@ -159,15 +190,27 @@ class LiveSession(Steerable):
         self._show(frame)
 
     def _show(self, frame: Frame) -> None:
-        self._shown = dataclasses.replace(frame, epoch=self._epoch)
+        self._chosen = frame
+        self._told_age = self._age()
+        told: dict[str, Any] = {"epoch": self._epoch}
+        if self._told_age:
+            words = (frame.explanation, f"The newest plan is {self._told_age} s old.")
+            told |= {"rate": 0.0, "explanation": " ".join(filter(None, words))}
+        self._shown = dataclasses.replace(frame, **told)
         self._frames.publish(self._shown)
+
+    def _age(self) -> int:
+        """Age of the newest frame in whole seconds, 0 for one that is new enough."""
+        age = time.monotonic() - self._arrived
+        return round(age) if age > _OLD else 0
 
     # --- listening --------------------------------------------------------------------------------------------------
 
     def start(self, *, play: bool = True) -> None:
         """Start to listen."""
         self._set_playing(play)
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
 
     def _run(self) -> None:
         while not self._closed.is_set():
@@ -180,6 +223,7 @@ class LiveSession(Steerable):
             self._client.close()
             if self._closed.is_set():
                 return
+            self._in_sight = False
             _log.warning("%s: %s", self._client.name, reason)
             self.notify(f"The drone is out of sight: {reason}", level="error")
             if self._reconnect is None or not self._find_again():
@@ -190,10 +234,7 @@ class LiveSession(Steerable):
         while not self._closed.wait(_RETRY):
             with contextlib.suppress(UserError):
                 client = self._reconnect()
-                with self._lock:
-                    self._client = client
-                    self._kept.clear()
-                    self._epoch += 1
+                self._client, self._in_sight = client, True
                 self.notify("The drone is in sight again.")
                 return True
         return False
@@ -203,16 +244,34 @@ class LiveSession(Steerable):
             self._notices.publish(item)
             return
         with self._lock:
-            self._kept.append(item)
-            if self._playing or self._shown is None:
+            self._arrived = time.monotonic()
+            another = bool(self._kept) and self._kept[-1].source is not item.source  # connected again
+            if not self._playing and (another or len(self._kept) >= 2 * _KEPT):
+                self._waiting = item  # what is held to be studied stays
+            else:
+                if another:
+                    self._kept.clear()
+                    self._epoch += 1
+                self._kept.append(item)
+                while self._playing and len(self._kept) > _KEPT:
+                    self._kept.popleft()
+            if self._playing or self._chosen is None:
                 self._show(item)
+
+    def _watch_age(self) -> None:
+        """Tell the page, where no frame comes, how old the newest one is; and that it no longer is."""
+        while not self._closed.wait(_LOOK):
+            with self._lock:
+                if self._chosen is not None and self._told_age != self._age():
+                    self._show(self._chosen)
 
     def close(self) -> None:
         """End the connection and the sinks."""
         self._closed.set()
         self._client.close()
-        if self._thread.is_alive():
-            self._thread.join(timeout=5.0)
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(timeout=5.0)
         self.close_sinks()
 
 

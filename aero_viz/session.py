@@ -32,7 +32,8 @@ class Session(Steerable):
     """Owns a source, a planner and the clock.
 
     Either call `tick` yourself, as fast as you like, or `start` a thread that keeps time and control it from any thread
-    with `play`, `pause`, `step`, `seek`, `speed` and the setters. Commands take effect between two ticks.
+    with `play`, `pause`, `step`, `seek`, `speed` and the setters. Commands take effect between two ticks; those that
+    come after `close` are cancelled.
 
     Args:
         source: where sweeps and states come from; closed with the session.
@@ -48,8 +49,11 @@ class Session(Steerable):
         super().__init__()
         self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
         self._clock = Clock()
-        self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None] = queue.SimpleQueue()
+        self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._closed = False
+        # Who uses the engine holds it, until a thread is started that alone does.
+        self._lock = threading.RLock()
         self._told_end: int | None = None
 
     # --- what anyone may read ---------------------------------------------------------------------------------------
@@ -104,7 +108,7 @@ class Session(Steerable):
             if count < 0:
                 self._engine.step_back(-count)
             for _ in range(count):
-                self.tick()
+                self._tick()
 
         return self._post(command)
 
@@ -139,16 +143,26 @@ class Session(Steerable):
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise ValueError(f"goal is {position!r}; it must be three finite numbers [m].")
 
-        return self._post(lambda: self._engine.set_goal(goal), quiet=quiet)
+        def command() -> None:
+            self._engine.set_goal(goal)
+            if self.source.outcome is None:
+                self._told_end = None  # a flight that goes on ends once more
+
+        return self._post(command, quiet=quiet)
 
     def set_source(self, source: Source) -> Future[Any]:
-        """Go on with another source from its start. If its first tick fails, the present one stays."""
+        """Go on with another source from its start. If its first tick fails, the present one stays.
+
+        The session closes the source, also one that it does not take.
+        """
 
         def command() -> None:
             self._engine.exchange(source)
             self._clock.restart(self._engine.next_time)
 
-        return self._post(command)
+        future = self._post(command)
+        future.add_done_callback(lambda done: source.close() if done.cancelled() else None)
+        return future
 
     def set_samples(self, wanted: bool) -> Future[Any]:
         """Let frames carry the Stage I samples or not."""
@@ -183,10 +197,14 @@ class Session(Steerable):
         return config
 
     def _post(self, command: Callable[[], Any], *, quiet: bool = False) -> Future[Any]:
-        """Run `command` between two ticks; at once when no thread keeps the time."""
+        """Run `command` between two ticks; where no thread keeps the time and no other ticks just now, at once."""
         future: Future[Any] = Future()
 
         def run() -> None:
+            if self._closed:
+                future.cancel()
+            if not future.set_running_or_notify_cancel():
+                return
             try:
                 future.set_result(command())
             except Exception as error:
@@ -194,11 +212,22 @@ class Session(Steerable):
                 if not (quiet and isinstance(error, _EXPECTED)):
                     self._report(error)
 
-        if self._thread is None or threading.current_thread() is self._thread:
-            run()
-        else:
-            self._commands.put((run, future))
+        self._commands.put(run)
+        if self._closed:
+            future.cancel()
+        self._run_waiting()
         return future
+
+    def _run_waiting(self) -> None:
+        """Run the commands so far, where no thread of the session does. Who ticks just now runs them afterwards: to
+        wait for the lock instead could take long, as a loop of ticks hardly lets go of it."""
+        while self._thread is None and not self._commands.empty() and self._lock.acquire(blocking=False):
+            try:
+                while self._thread is None and not self._commands.empty():
+                    if (command := self._commands.get()) is not None:
+                        command()
+            finally:
+                self._lock.release()
 
     def _report(self, error: Exception) -> None:
         self.notify(str(error) or type(error).__name__, level="error")
@@ -212,7 +241,23 @@ class Session(Steerable):
     # --- keeping time -----------------------------------------------------------------------------------------------
 
     def tick(self) -> Frame:
-        """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
+        """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again.
+
+        Raises:
+            RuntimeError: the session was started, so that its own thread ticks, or it is closed.
+        """
+        try:
+            with self._lock:
+                if self._closed:
+                    raise RuntimeError("the session is closed; make another one.")
+                if self._thread is not None:
+                    raise RuntimeError("the session was started and ticks by itself; use step(), play() and pause().")
+                self._run_waiting()
+                return self._tick()
+        finally:
+            self._run_waiting()
+
+    def _tick(self) -> Frame:
         frame = self._engine.tick()
         if self.source.outcome is not None:
             self._set_playing(False)
@@ -223,11 +268,12 @@ class Session(Steerable):
         return frame
 
     def start(self, *, play: bool = True) -> None:
-        """Start the thread that keeps time."""
-        if self._thread is not None:
-            raise RuntimeError("the session was already started.")
-        self._thread = threading.Thread(target=self._run, args=(play,), name="aero-viz-session", daemon=True)
-        self._thread.start()
+        """Start the thread that keeps time; RuntimeError when the session was started before or is closed."""
+        with self._lock:
+            if self._thread is not None or self._closed:
+                raise RuntimeError(f"the session {'is closed' if self._closed else 'was already started'}.")
+            self._thread = threading.Thread(target=self._run, args=(play,), name="aero-viz-session", daemon=True)
+            self._thread.start()
 
     def _run(self, play: bool) -> None:
         if self._try_tick() and play and self.source.outcome is None:
@@ -236,18 +282,18 @@ class Session(Steerable):
         while True:
             delay = self._clock.delay_until(self._engine.next_time) if self._playing else None
             try:
-                item = self._commands.get(timeout=delay)
+                command = self._commands.get(timeout=delay)
             except queue.Empty:
                 self._keep_up()
                 self._try_tick()
                 continue
-            if item is None:
+            if command is None:
                 return
-            item[0]()
+            command()
 
     def _try_tick(self) -> bool:
         try:
-            self.tick()
+            self._tick()
         except Exception as error:
             self._set_playing(False)
             self._report(error)
@@ -255,26 +301,24 @@ class Session(Steerable):
         return True
 
     def _keep_up(self) -> None:
-        """When planning takes too long, a recording skips ticks and a flight runs slower; both are counted."""
+        """When planning takes too long, a recording skips ticks and a flight runs slower."""
         late = self._clock.now() - self._engine.next_time
         if self.source.times is not None:
             self._engine.skip_to(self._clock.now())
         elif late > max(self.source.period, _CATCH_UP * self.speed):
-            self._engine.dropped_ticks += int(late / self.source.period)
             self._clock.restart(self._engine.next_time)
 
     def close(self) -> None:
         """End the thread, the sinks, the source and the planner."""
+        with self._lock:
+            self._closed = True
+        self._run_waiting()
         if self._thread is not None:
             self._commands.put(None)
             self._thread.join(timeout=10.0)
-            self._thread = None
-        # Who waits for a command that comes too late must not wait forever.
-        while not self._commands.empty():
-            if (item := self._commands.get()) is not None:
-                item[1].cancel()
         self.close_sinks()
-        self._engine.close()
+        if self._thread is None or not self._thread.is_alive():
+            self._engine.close()  # never under a thread that is still planning with it
 
 
 _OUTCOMES = {

@@ -29,13 +29,17 @@ class Sink:
         self._busy = False
         self._closed = False
         self.dropped = 0
+        """Items that were never delivered."""
         self.failures = 0
+        """Items that the callback raised at."""
         self._thread = threading.Thread(target=self._run, name=f"aero-viz-{name}", daemon=True)
         self._thread.start()
 
     def put(self, item: Any) -> None:
-        """Hand over an item without waiting."""
+        """Hand over an item without waiting; a closed sink takes none."""
         with self._changed:
+            if self._closed:
+                return
             self.dropped += len(self._items) == self._items.maxlen
             self._items.append(item)
             self._changed.notify_all()
@@ -61,13 +65,16 @@ class Sink:
         with self._changed:
             return self._changed.wait_for(lambda: self._closed or not (self._items or self._busy), timeout)
 
-    def close(self) -> None:
-        """Deliver nothing more."""
+    def close(self, timeout: float | None = 2.0) -> None:
+        """Deliver nothing more: what still waits is dropped. An item that is being delivered is waited for up to
+        `timeout` [s], with None until it is."""
         with self._changed:
             self._closed = True
+            self.dropped += len(self._items)
+            self._items.clear()
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=2.0)
+            self._thread.join(timeout)
 
 
 class Publisher:
@@ -90,11 +97,15 @@ class Publisher:
         for sink in self._sinks:
             sink.put(item)
 
-    def unsubscribe(self, sink: Sink) -> None:
-        """Close a sink and forget it."""
-        sink.close()
+    def unsubscribe(self, sink: Sink, *, patience: float = 0.0) -> None:
+        """Forget a sink and close it, when it has delivered what waits or `patience` [s] is over."""
         with self._lock:
+            if sink not in self._sinks:
+                return
             self._sinks = tuple(other for other in self._sinks if other is not sink)
+        if patience:
+            sink.drain(patience)
+        sink.close()
 
     def close(self) -> None:
         """Close all sinks."""

@@ -87,11 +87,9 @@ def snapshot(
     if not all(16 <= length <= 8192 for length in size):
         source.close()
         raise UserError(f"The size is {size[0]} x {size[1]} pixels; width and height must be in [16, 8192].")
-    if path is not None and not Path(path).parent.is_dir():  # said before the flight, not after it
+    if path is not None and (reason := _why_not(Path(path))):  # said before the flight, not after it
         source.close()
-        raise UserError(
-            f"The picture {path} cannot be written: there is no folder {Path(path).parent}; create it first."
-        )
+        raise UserError(f"The picture {path} cannot be written: {reason}.")
     with contextlib.ExitStack() as stack:
         session = Session(source, config=config, device=device, seed=seed)
         stack.callback(session.close)
@@ -136,7 +134,7 @@ def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tupl
     if isinstance(camera, str):
         if camera not in VIEWS:
             raise UserError(f"Unknown camera {camera!r}; known: {', '.join(VIEWS)}, or a position and a look-at.")
-        state = frame.observation.true_state or frame.observation.state
+        state = frame.observation.actual_state
         return named_view(camera, np.asarray(state.position), np.asarray(frame.observation.goal.position))
     position, look_at = (np.asarray(point, dtype=np.float64) for point in camera)
     if position.shape != (3,) or look_at.shape != (3,) or np.allclose(position, look_at):
@@ -174,6 +172,15 @@ def _first_client(dashboard: Dashboard, page: Page) -> Any:
             raise UserError("The browser did not open the page within 60 s; look whether `aero-viz doctor` finds it.")
         page.wait_for_timeout(50)
     return next(iter(dashboard.server.get_clients().values()))
+
+
+def _why_not(path: Path) -> str:
+    """Return what keeps a picture from being written there, empty for nothing that can be seen beforehand."""
+    if path.is_dir():
+        return f"it is a folder; give the name of a file, such as {path / 'picture.png'}"
+    if path.suffix.lower() != ".png":
+        return f"pictures are PNG files; name it {path.with_suffix('.png')}"
+    return "" if path.parent.is_dir() else f"there is no folder {path.parent}; create it first"
 
 
 def _write(image: NDArray[np.uint8], path: Path) -> None:

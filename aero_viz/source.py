@@ -13,7 +13,7 @@ from aero_planner import Goal, Plan, VehicleState
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["Observation", "Scenery", "Source"]
+__all__ = ["Observation", "Opener", "Scenery", "Source"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +35,11 @@ class Observation:
     true_state: VehicleState | None = None
     """True state of a simulated vehicle, None on a recording."""
 
+    @property
+    def actual_state(self) -> VehicleState:
+        """Where the drone is, as well as can be known: the true state, else the estimated one."""
+        return self.true_state or self.state
+
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
@@ -48,6 +53,11 @@ class Scenery:
     """Recorded positions [m], shape [n, 3]."""
     notices: tuple[str, ...] = field(default=())
     """Sentences the user should see, such as "open loop: the plan is shown, not flown"."""
+
+    @property
+    def ground_height(self) -> float | None:
+        """Height of the flat ground [m]; None where there is none, or none is known of."""
+        return None if self.world is None else self.world.ground_height
 
 
 class Source(Protocol):
@@ -85,7 +95,8 @@ class Source(Protocol):
 
     @property
     def explanation(self) -> str | None:
-        """In one sentence what ended it; None while running and where the outcome says it all."""
+        """In one sentence what ended a flight, or what of a recording could not be read so far; None where there is
+        nothing to tell beyond the outcome."""
         ...
 
     def observe(self) -> Observation:
@@ -118,4 +129,16 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Release files and device memory."""
+        ...
+
+
+class Opener(Protocol):
+    """Makes a source from what a user names."""
+
+    def __call__(self, spec: str, /, *, seed: int) -> Source:
+        """Open a recording, a world or a scene, with the `seed` of the scene, the LiDAR and all noise.
+
+        Raises:
+            UserError: what is named does not exist or cannot be used.
+        """
         ...

@@ -99,6 +99,10 @@ def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str]
         (["inspect", "missing.bag"], "missing.bag"),
         (["play", "missing.bag"], "missing.bag"),
         (["play", "world.json"], "aero-viz demo world.json"),
+        (["play", "forest"], "forest is a scene, not a recording; fly it with: aero-viz demo forest"),
+        (["demo", "--host", "203.0.113.7"], "no address of this machine; choose another one with --host"),
+        (["fly", "forest", "--speed", "abc"], "--speed: 'abc' is no number"),
+        (["snapshot", "forest", "/"], "/ cannot be written: it is a folder"),
         (["demo", "forrest"], "forest"),
         (["snapshot", "forrest", "out.png"], "forest"),
         (["nonsense"], "nonsense"),
@@ -349,3 +353,29 @@ def test_help_needs_no_heavy_import() -> None:
     code += "print([m for m in ('viser', 'open3d', 'playwright', 'trimesh') if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ, check=True)
     assert result.stdout.splitlines()[-1] == "[]"
+
+
+START = {
+    "the script": "from aero_viz.cli import main; sys.exit(main())",
+    "the module": "import runpy; runpy.run_module('aero_viz.cli', run_name='__main__')",
+}
+CTRL_C = """
+import os, signal, sys
+
+class Interruption:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interruption())
+sys.argv = ["aero-viz", "demo", "--port", "0"]
+{start}
+"""
+
+
+@pytest.mark.parametrize("start", START.values(), ids=START)
+@pytest.mark.parametrize("module", ["warp", "tyro", "aero_viz.cli_page", "viser"])
+def test_ctrl_c_while_it_is_still_being_imported_ends_without_a_word(start: str, module: str) -> None:
+    code = CTRL_C.format(module=module, start=start)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

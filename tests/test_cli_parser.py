@@ -22,6 +22,8 @@ def paint(
     coats: int = 1,
     place: tuple[float, float, float] | None = None,
     colour: Literal["red", "green"] = "red",
+    gloss: float | None = None,
+    layers: int | None = None,
 ) -> None:
     """Paint a wall.
 
@@ -30,8 +32,10 @@ def paint(
         coats: how many, and as this text is long enough to be broken by any box that it is drawn into, in two lines.
         place: where.
         colour: of the paint.
+        gloss: of the paint.
+        layers: of the paint.
     """
-    CALLS.append((wall, coats, place, colour))
+    CALLS.append((wall, coats, place, colour, gloss, layers))
 
 
 def wash(*, soap: str) -> None:
@@ -63,7 +67,7 @@ def test_parsing_does_not_call_yet() -> None:
     assert CALLS == []
     verb()
     call("wash", "--soap", "hard")()
-    assert CALLS == [("north", 2, (1.0, -2.0, 30.0), "red"), ("wash", "hard")]
+    assert CALLS == [("north", 2, (1.0, -2.0, 30.0), "red", None, None), ("wash", "hard")]
 
 
 @pytest.mark.parametrize(
@@ -73,6 +77,8 @@ def test_parsing_does_not_call_yet() -> None:
         ("paint north south", "Unrecognized options: south; see house paint --help."),
         ("paint", "Missing from house paint: WALL; see house paint --help."),
         ("paint north --coats two", "Error parsing --coats: 'two' is no whole number; see house paint --help."),
+        ("paint north --layers two", "Error parsing --layers: 'two' is no whole number; see house paint --help."),
+        ("paint north --gloss much", "Error parsing --gloss: 'much' is no number; see house paint --help."),
         ("paint north --place 1 2", "Error parsing --place: '1', '2' must be FLOAT FLOAT FLOAT; see house paint"),
         (
             "paint north --colour blue",

@@ -48,6 +48,45 @@ def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatc
     assert history.go(-1) == PlannerConfig()
 
 
+FAILED = {"sampling.samples": 2000}
+
+
+def test_what_failed_is_forgotten_and_undo_leads_behind_what_is_good() -> None:
+    history = ConfigHistory(PlannerConfig())
+    good = history.change({"costs.q_track": 1.0})
+    version = history.present[1]
+    history.drop(history.change(FAILED), good)
+    assert history.present[0] == good and history.present[1] > version
+    assert history.go(+1) == good
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_what_failed_on_the_way_back_is_forgotten_too() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change(FAILED)
+    good = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
+    history.drop(history.go(-1), good)
+    assert history.present[0] == good
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_a_slider_drawn_until_it_fails_goes_back_to_what_was_good_last() -> None:
+    history = ConfigHistory(PlannerConfig())
+    good = history.change({"sampling.samples": 8})
+    history.drop(history.change(FAILED), good)  # within the same second: one step of undo
+    assert history.present[0] == good
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_a_change_made_while_another_fails_stays() -> None:
+    history = ConfigHistory(PlannerConfig())
+    failed = history.change(FAILED)
+    newer = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
+    history.drop(failed, PlannerConfig())
+    assert history.present[0] == newer
+    assert history.go(-1) == PlannerConfig()
+
+
 def test_an_equal_configuration_is_no_change() -> None:
     history = ConfigHistory(PlannerConfig())
     history.change(PlannerConfig())

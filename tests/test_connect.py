@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -19,8 +21,13 @@ from aero_planner.onboard.safety import Cause, Change, State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.onboard.wire import Kind, encode
+from aero_viz import live_session
 from aero_viz.connect import NodeClient
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.layers import apply
+from aero_viz.dashboard.panels.goal import GoalPanel
+from aero_viz.dashboard.panels.playback import PlaybackPanel
+from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame, Notice
 from aero_viz.live_session import LiveSession
@@ -94,9 +101,20 @@ def live(telemetry: Telemetry) -> Iterator[tuple[LiveSession, Watcher]]:
 def show(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
     """Send plans one after the other, each when the one before has been shown."""
     for record in records:
-        count = len(watcher.frames)
         telemetry.plan(record)
-        assert watcher.wait(lambda count=count: len(watcher.frames) > count)
+        assert watcher.wait(lambda number=record.number: watcher.frames and watcher.frames[-1].index == number)
+
+
+def send(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
+    """Send plans to a session that holds still, and wait until it has them."""
+    for record in records:
+        sent = telemetry.sent
+        telemetry.plan(record)
+        while telemetry.sent == sent:
+            time.sleep(0.001)
+    count = len(watcher.notices)
+    telemetry.change(Change(1.0, State.READY, State.FLYING, Cause.ENGAGED))
+    assert watcher.wait(lambda: len(watcher.notices) > count)  # what was sent before has come before
 
 
 def test_frames_are_what_the_drone_planned(telemetry: Telemetry, records: list[PlanRecord]):
@@ -152,6 +170,108 @@ def test_a_session_follows_holds_and_goes_back(
     assert session.playing and session.frame.index == records[5].number
 
 
+def test_the_moment_of_a_pause_stays_however_long_it_lasts(
+    telemetry: Telemetry,
+    live: tuple[LiveSession, Watcher],
+    records: list[PlanRecord],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(live_session, "_KEPT", 3)
+    session, watcher = live
+    numbers = [record.number for record in records]
+    show(telemetry, watcher, records[:5])
+    session.pause()
+    send(telemetry, watcher, records[5:])
+    visited = []
+    for step in (0, -1, -1, -1, 1, 1, 1, 1, 1, 1, 1):
+        session.step(step)
+        assert session.frame is not None
+        visited.append(session.frame.index)
+    kept = numbers[2:8]  # three up to the pause, and three after it
+    assert visited == [kept[i] for i in (2, 1, 0, 0, 1, 2, 3, 4, 5, 5, 5)]
+    session.play()
+    assert session.frame is not None and session.frame.index == numbers[-1]
+    session.step(-1)  # nothing is left that lies on the other side of a gap
+    assert session.frame.index == numbers[-1]
+
+
+def test_a_pause_outlasts_the_connection(records: list[PlanRecord]):
+    first = serve()
+    port = first.port
+    session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
+    watcher = Watcher(session)
+    session.start()
+    show(first, watcher, records[:4])
+    session.pause()
+    first.close()
+    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    second = serve(port)
+    assert watcher.wait(lambda: any("in sight again" in notice.text for notice in watcher.notices))
+    send(second, watcher, records[:2])  # a node that was started anew counts from the beginning
+    session.step(-1)
+    held = session.frame
+    assert held is not None and held.index == records[2].number
+    session.play()
+    assert session.frame is not None and session.frame.index == records[1].number
+    assert session.frame.epoch > held.epoch and session.frame.source is not held.source
+    session.close()
+    second.close()
+
+
+def test_the_age_of_the_newest_plan_is_told_when_no_other_comes(
+    telemetry: Telemetry, live: tuple[LiveSession, Watcher], records: list[PlanRecord]
+):
+    session, watcher = live
+    show(telemetry, watcher, records[:2])
+    fresh = watcher.frames[-1]
+    assert fresh.explanation is not None and fresh.rate > 0.0
+    assert watcher.wait(lambda: watcher.frames[-1].explanation != fresh.explanation)
+    assert watcher.frames[-1].explanation == f"{fresh.explanation} The newest plan is 2 s old."
+    assert watcher.frames[-1].rate == 0.0 and watcher.frames[-1].index == fresh.index
+    assert watcher.frames[-1].epoch == fresh.epoch
+    session.pause()
+    send(telemetry, watcher, records[2:3])
+    assert watcher.wait(lambda: watcher.frames[-1].explanation == fresh.explanation)
+    assert session.frame is not None and session.frame.index == fresh.index
+
+
+_LOST_LINK = """
+import socket, subprocess, threading
+from aero_planner import PlannerConfig
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.wire import Kind, encode
+from aero_viz.connect import NodeClient
+from aero_viz.errors import UserError
+
+subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+hello = encode(Kind.HELLO, {"planner": PlannerConfig().to_dict(), "onboard": OnboardConfig().to_dict()})
+server, connections = socket.create_server(("127.0.0.1", 0)), []
+
+def accept():
+    connections.append(server.accept()[0])
+    connections[0].sendall(hello)
+
+threading.Thread(target=accept).start()
+client = NodeClient("127.0.0.1", server.getsockname()[1])
+subprocess.run(["ip", "link", "set", "lo", "down"], check=True)
+try:
+    print(list(client))
+except UserError as error:
+    print(error)
+"""
+
+
+def test_a_link_that_is_lost_without_a_word_is_noticed():
+    """Packets simply stop, in a network of the test's own: no FIN, no RST."""
+    alone = ["unshare", "--user", "--map-root-user", "--net"]
+    if not shutil.which("unshare") or not shutil.which("ip") or subprocess.run([*alone, "true"]).returncode:
+        pytest.skip("needs Linux's user and network namespaces, and iproute2")
+    command = [*alone, sys.executable, "-c", _LOST_LINK]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"the connection to 127\.0\.0\.1:\d+ is lost: .+\.\n", done.stdout), done.stdout
+
+
 def test_nothing_reaches_the_drone(live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]):
     session, watcher = live
     for attempt in (lambda: session.configure({"costs.q_track": 1.0}), session.undo, session.redo):
@@ -174,7 +294,7 @@ def test_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry
     _, watcher = live
     telemetry.change(Change(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
     assert watcher.wait(lambda: watcher.notices)
-    assert watcher.notices[0] == Notice("error", "FLYING → BRAKING: no points from the LiDAR")
+    assert watcher.notices[0] == Notice("error", f"FLYING → BRAKING: {Cause.CLOUD_STALE.value}")
 
 
 def test_a_drone_out_of_sight_is_found_again(records: list[PlanRecord]):
@@ -210,6 +330,43 @@ def test_the_dashboard_shows_a_drone(
         assert any("steers nothing" in text for text in shown)
     finally:
         dashboard.close()
+
+
+def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
+    live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
+):
+    session, watcher = live
+    dashboard = Dashboard(session, port=0)
+    try:
+        assert dashboard.drain()
+        (status,) = (panel for panel in dashboard._panels if isinstance(panel, StatusPanel))
+        assert f"Connected to 127.0.0.1:{telemetry.port}, which has not planned yet" in status._html.content
+        assert not any(isinstance(panel, GoalPanel) for panel in dashboard._panels)
+        placed = [dashboard.layers[name]._pose for name in ("goal", "drone")]  # type: ignore[attr-defined]
+        assert not any(pose.visible for pose in placed), "where they are is not known yet"
+        (play,) = (panel._play for panel in dashboard._panels if isinstance(panel, PlaybackPanel))
+        assert play.label == "Pause"
+        session.pause()
+        assert dashboard.drain() and play.label == "Play"
+        session.play()
+        show(telemetry, watcher, records[:1])
+        frame = session.frame
+        assert frame is not None
+        apply(dashboard._changes(frame))
+        assert all(pose.visible for pose in placed) and "has not planned yet" not in status._html.content
+    finally:
+        dashboard.close()
+
+
+def test_a_drone_that_is_lost_before_it_has_planned_is_not_said_to_be_connected():
+    telemetry = serve()
+    session = LiveSession(NodeClient("127.0.0.1", telemetry.port))
+    watcher = Watcher(session)
+    session.start()
+    telemetry.close()
+    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    assert "out of sight" in session.waiting and "Connected" not in session.waiting
+    session.close()
 
 
 def test_the_verb_serves_the_page_until_it_is_told_to_end(telemetry: Telemetry):

@@ -19,7 +19,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config_file import load_config
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource, fly
-from aero_viz.logs import FlightLog, fly_and_log, record
+from aero_viz.logs import FlightLog, flight_log, fly_and_log, record
 from aero_viz.logs.flight_log import new_points
 from aero_viz.recordings import RecordingSource, inspect, open_recording
 from aero_viz.scenes import World, scene
@@ -38,8 +38,8 @@ def session():
     session.close()
 
 
-def write(path, frames, *, world=None) -> None:
-    log = FlightLog(path, world=world)
+def write(path, frames) -> None:
+    log = FlightLog(path)
     for frame in frames:
         log.write(frame)
     log.close()
@@ -77,7 +77,7 @@ def test_messages_hold_what_the_frames_hold(session, tmp_path):
     topics = decoded(tmp_path / "a.mcap")
     assert {name: len(messages) for name, messages in topics.items()} == {
         "/odometry": 12, "/tf": 12, "/sweep": 12, "/plan": 12, "/plan/best": 12, "/plan/guides": 12,
-        "/plan/rollouts": 12,
+        "/plan/rollouts": 12, "/goal": 1,
     }  # fmt: skip
     frame, plan = frames[7], frames[7].plan
     stamp, odometry = topics["/odometry"][7]
@@ -139,20 +139,58 @@ def test_new_points():
         assert whole and points is sweeps[1]
 
 
-def test_configurations_and_world_are_attached(session, tmp_path):
+def test_configurations_world_and_settings_are_attached(session, tmp_path):
     world = session.source.scenery.world
     first = session.tick()
     session.configure({"costs.q_track": 7.5})
     frames = [first, session.tick(), session.tick()]
-    write(tmp_path / "a.mcap", frames, world=world)
+    write(tmp_path / "a.mcap", frames)
     files = attachments(tmp_path / "a.mcap")
     names = [f"config_{frame.config_version}.yaml" for frame in frames[:2]]
-    assert set(files) == {"world.json", *names} and names[0] != names[1]
+    assert set(files) == {"world.json", "flight.json", *names} and names[0] != names[1]
     assert World.from_dict(json.loads(files["world.json"])).to_dict() == world.to_dict()
     for name, config in zip(names, (frames[0].config, frames[1].config), strict=True):
         (tmp_path / name).write_text(files[name], encoding="utf-8")
         assert load_config(tmp_path / name) == config
     assert metadata(tmp_path / "a.mcap")["flight_log"] == {"frames": "3", "dropped": "0"}
+
+
+def test_what_the_page_changes_on_the_way_is_logged(session, tmp_path):
+    """Another goal, a goal that is taken back by going back in time, another world, and a recording of all that."""
+    worlds = [session.source.scenery.world, scene("wall", seed=1)]
+    path = tmp_path / "a.mcap"
+    with record(session, path):
+        frames = [session.tick() for _ in range(3)]
+        session.set_goal([30.0, 4.0, 2.5]).result()
+        frames += [session.frame, session.tick()]
+        session.step(-2)
+        frames.append(session.frame)
+        session.set_source(FlightSource(worlds[1], lidar=LIDAR, seed=9)).result()
+        frames += [session.frame, session.tick()]
+    topics = decoded(path)
+    assert [len(topics[topic]) for topic in ("/plan", "/goal")] == [8, 4]
+    goals = [(message.pose.position, message.header) for _, message in topics["/goal"]]
+    expected = [frames[i].observation.goal.position for i in (0, 3, 5, 6)]
+    np.testing.assert_array_equal([[p.x, p.y, p.z] for p, _ in goals], expected)
+    assert {header.frame_id for _, header in goals} == {"world"}
+    np.testing.assert_array_equal(expected[3], worlds[1].goal)
+    assert topics["/goal"][1][0] == topics["/plan"][3][0]
+
+    with path.open("rb") as file:
+        attached = {item.name: item for item in make_reader(file).iter_attachments()}
+    assert set(attached) == {"world.json", "flight.json", "world_1.json", "flight_1.json", "config_0.yaml"}
+    for suffix, world, seed, plan in (("", worlds[0], 4, 0), ("_1", worlds[1], 9, 6)):
+        item, settings = attached[f"world{suffix}.json"], json.loads(attached[f"flight{suffix}.json"].data)
+        assert World.from_dict(json.loads(item.data)).to_dict() == world.to_dict()
+        assert (settings["source"], settings["seed"]) == (world.name, seed)
+        assert item.log_time == topics["/plan"][plan][0]
+
+    with record(session, tmp_path / "b.mcap"):
+        session.set_source(RecordingSource(open_recording(path))).result()
+    files = attachments(tmp_path / "b.mcap")
+    assert set(files) == {"world.json", "flight.json", "flight_1.json", "config_0.yaml"}
+    assert json.loads(files["flight_1.json"]) == {"source": session.source.name}
+    assert inspect(path).pose_topic == "/odometry"
 
 
 def test_play_sees_the_flight_that_was_logged(tmp_path):
@@ -215,6 +253,23 @@ def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path, 
     assert wait_for(lambda: any("cannot keep up" in notice.text for notice in notices))
 
 
+def test_frames_that_wait_at_the_end_for_too_long_are_counted_and_announced(session, tmp_path, monkeypatch):
+    monkeypatch.setattr(flight_log, "_PATIENCE", 0.1)
+    notices = []
+    session.subscribe_notices(notices.append)
+    gate, path = threading.Event(), tmp_path / "a.mcap"
+    with record(session, path) as log:
+        write = log.write
+        monkeypatch.setattr(log, "write", lambda frame: (gate.wait(), write(frame)))
+        for _ in range(20):
+            session.tick()
+        threading.Timer(2.5, gate.set).start()  # longer than the end of a sink is waited for elsewhere
+    kept = {name: int(value) for name, value in metadata(path)["flight_log"].items()}
+    assert kept == {"frames": 1, "dropped": 19} and len(decoded(path)["/plan"]) == 1
+    said = f"The flight log {path} lacks 19 frames: the disk was too slow for them."
+    assert wait_for(lambda: any(notice.text == said for notice in notices))
+
+
 def test_a_full_disk_ends_the_log_and_not_the_flight(session, tmp_path):
     resource = pytest.importorskip("resource", reason="files of limited size need POSIX")
     notices = []
@@ -239,7 +294,7 @@ def test_a_file_that_cannot_be_written(tmp_path):
         FlightLog(tmp_path / "none" / "a.mcap")
     if Path("/dev/full").exists():
         with pytest.raises(UserError, match="Cannot write the flight log /dev/full: No space left on device"):
-            FlightLog("/dev/full", world=scene("wall"))
+            FlightLog("/dev/full")
     with pytest.raises(UserError, match="Cannot write"):
         fly_and_log(scene("wall"), tmp_path / "a.mcap", lidar=LIDAR, trajectory=tmp_path / "none" / "a.csv")
 

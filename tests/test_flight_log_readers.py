@@ -35,6 +35,7 @@ KINDS = {
     "/odometry": "nav_msgs/msg/Odometry",
     "/tf": "tf2_msgs/msg/TFMessage",
     "/sweep": "sensor_msgs/msg/PointCloud2",
+    "/goal": "geometry_msgs/msg/PoseStamped",
     "/plan": "aero_viz_msgs/msg/Plan",
     "/plan/best": "nav_msgs/msg/Path",
     "/plan/guides": "visualization_msgs/msg/MarkerArray",
@@ -101,7 +102,8 @@ def test_rosbags_decodes_every_message_by_the_definitions_in_the_file(flown: tup
             assert header.stamp.sec * 10**9 + header.stamp.nanosec == message.log_time
         counts[channel.topic] += 1
     plans = counts["/plan"]
-    assert set(counts) == set(KINDS) and {counts[topic] for topic in KINDS if topic.startswith("/plan")} == {plans}
+    assert set(counts) == set(KINDS) and counts["/goal"] == 1
+    assert {counts[topic] for topic in KINDS if topic.startswith("/plan")} == {plans}
     assert counts["/odometry"] == counts["/tf"] == round(flown[1].flight_time_s / 0.02) + 1
     assert plans == -(-(counts["/odometry"] - 1) // 5) + 1
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -20,12 +21,25 @@ def test_there_are_five_short_examples() -> None:
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=range(len(EXAMPLES)))
-def test_an_example_runs(example: str, tmp_path: Path) -> None:
+def test_an_example_runs_and_prints_nothing_but_its_results(example: str, tmp_path: Path) -> None:
     result = subprocess.run(
-        [sys.executable, "-c", example], capture_output=True, text=True, cwd=tmp_path, timeout=300, check=False
+        [sys.executable, "-c", example], input="\n", capture_output=True, text=True, cwd=tmp_path, timeout=300
     )
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.strip()
+    assert (result.returncode, result.stderr) == (0, "")
+    assert result.stdout.strip() and "Warp" not in result.stdout and "Module" not in result.stdout
+
+
+def test_the_page_of_an_example_stays_until_enter() -> None:
+    (example,) = (example for example in EXAMPLES if "input(" in example)
+    command = [sys.executable, "-u", "-c", example]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert process.stdout.read(len("Enter ends it ")) == "Enter ends it "
+        with urllib.request.urlopen(address, timeout=20) as page:
+            assert page.status == 200
+        process.communicate("\n", timeout=60)
+    assert process.returncode == 0
 
 
 def test_every_command_named_exists() -> None:

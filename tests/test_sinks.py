@@ -52,6 +52,42 @@ def test_a_failing_callback_is_counted_and_goes_on() -> None:
     sink.close()
 
 
+def test_what_waits_at_the_end_counts_as_dropped_and_the_last_delivery_is_waited_for() -> None:
+    first, gate, seen = threading.Event(), threading.Event(), []
+
+    def slow(item: int) -> None:
+        first.set()
+        gate.wait(5.0)
+        seen.append(item)
+
+    sink = Sink(slow, capacity=3)
+    for i in range(3):
+        sink.put(i)
+    assert first.wait(5.0) and not sink.drain(0.05)
+    sink.close(timeout=0.05)
+    assert (seen, sink.dropped) == ([], 2)
+    sink.put(3)
+    threading.Timer(0.2, gate.set).start()
+    sink.close(timeout=None)
+    assert (seen, sink.dropped) == ([0], 2)
+
+
+def test_who_unsubscribes_can_wait_for_what_was_published_and_no_longer() -> None:
+    publisher, gate, seen = Publisher(), threading.Event(), []
+
+    def slow(item: int) -> None:
+        gate.wait(5.0)
+        seen.append(item)
+
+    sink = publisher.subscribe(slow, capacity=10, name="slow")
+    for i in range(3):
+        publisher.publish(i)
+    threading.Timer(0.2, gate.set).start()
+    publisher.unsubscribe(sink, patience=5.0)
+    publisher.publish(3)
+    assert (seen, sink.dropped) == ([0, 1, 2], 0)
+
+
 def test_publisher_reaches_all_until_they_unsubscribe() -> None:
     publisher, a, b = Publisher(), [], []
     sink_a = publisher.subscribe(a.append, capacity=10, name="a")

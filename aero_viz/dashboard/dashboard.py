@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import viser
 
@@ -19,7 +19,7 @@ from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame, Notice
 from aero_viz.sinks import Sink
-from aero_viz.source import Source
+from aero_viz.source import Opener, Source
 
 __all__ = ["Dashboard"]
 
@@ -33,8 +33,9 @@ class Dashboard:
         session: what to show; may be running, paused or ticked by hand.
         host: address to listen on. Everyone who reaches it can steer the session: there is no password.
         port: port to listen on; 0 takes any free one.
-        open_source: makes a source from a path or a scene's name; None hides the choice of the source.
+        open_source: makes a source from a path or a scene's name, and a seed; None hides the choice of the source.
         choices: (label, what `open_source` gets) of the sources on offer.
+        seed: what `open_source` gets until the page gives another.
 
     Raises:
         UserError: the port is taken.
@@ -46,8 +47,9 @@ class Dashboard:
         *,
         host: str = "127.0.0.1",
         port: int = 8080,
-        open_source: Callable[[str], Source] | None = None,
+        open_source: Opener | None = None,
         choices: Sequence[tuple[str, str]] = (),
+        seed: int = 0,
     ) -> None:
         self.server = LocalServer(host=host, port=port)
         self.layers: dict[str, Layer] = {layer.name: layer(self.server) for layer in LAYERS}
@@ -61,7 +63,7 @@ class Dashboard:
         self._panels_late = False
         self._sink: Sink | None = None
         page = Page(self.server, session, self.layers, self.refresh)
-        self._camera, self._panels = build(page, open_source=open_source, choices=choices)
+        self._camera, self._panels = build(page, open_source=open_source, choices=choices, seed=seed)
         self._sink = session.subscribe(self._show, name="dashboard")
         self._others = [
             session.subscribe_notices(self._notify),
@@ -80,11 +82,10 @@ class Dashboard:
         return 0 if self._sink is None else self._sink.failures
 
     def refresh(self) -> None:
-        """Show the newest frame again."""
-        frame = self._session.frame
-        if frame is not None and self._sink is not None:
+        """Show the newest frame again, or that there is none yet."""
+        if self._sink is not None:
             self._panels_due = 0.0
-            self._sink.put(frame)
+            self._sink.put(self._session.frame)
 
     def show_only(self, names: Sequence[str] | None) -> None:
         """Show these layers and no other; None shows those that are on by default.
@@ -122,11 +123,15 @@ class Dashboard:
             if self._camera.is_settling(client):
                 self.refresh()
 
-    def _show(self, frame: Frame) -> None:
+    def _show(self, frame: Frame | None) -> None:
         """Runs in the sink's thread: what waits meanwhile is the newest frame, so nothing old is ever shown.
 
         Does nothing while nobody looks; who connects asks for a refresh.
         """
+        frame = frame or self._session.frame  # the first may have come since
+        if frame is None:
+            apply(change for panel in self._panels for change in panel.wait())
+            return
         clients = list(self.server.get_clients().values())
         if not clients:
             apply(self._camera.follow(frame))

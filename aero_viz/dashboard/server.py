@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import logging
 import socket
@@ -42,8 +43,8 @@ class LocalServer(viser.ViserServer):
     @property
     def url(self) -> str:
         """Address of the page."""
-        host = self.get_host()
-        return f"http://{'127.0.0.1' if host in ('', '0.0.0.0', '::') else host}:{self.get_port()}"
+        host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.get_host(), self.get_host())
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuse: any client could ask for it, and the tunnel would put the page on the internet without a password."""
@@ -96,6 +97,9 @@ def _require_free(host: str, port: int) -> None:
 
 
 def _busy(host: str, port: int, error: Exception | None = None) -> UserError:
+    if isinstance(error, socket.gaierror) or getattr(error, "errno", None) == errno.EADDRNOTAVAIL:
+        here = "127.0.0.1 is for this machine alone, 0.0.0.0 for everyone who reaches it"
+        return UserError(f"{host} is no address of this machine; choose another one with --host: {here}.")
     reason = getattr(error, "strerror", None) or (str(error) if error else "it is in use")
     return UserError(f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any.")
 

@@ -53,7 +53,7 @@ def explain(
     if reason == "out_of_bounds":
         return f"The drone left the world's bounds, {_box(world.bounds)}, at {_point(place)}."
     if reason == "timeout":
-        return f"The {rules.time_limit:g} s of the flight were over {left:.1f} m before the goal, at {_point(place)}."
+        return f"The {rules.time_limit:g} s to reach the goal were over {left:.1f} m before it, at {_point(place)}."
     return f"It ends after {time:.2f} s, {left:.1f} m before the goal, at {_point(place)}."
 
 

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.parameter import live, structural
+from aero_planner.quiet import quieten
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.parameters import check_parameters
@@ -62,7 +63,7 @@ class FlightRules:
         "Stall: the smallest distance to the goal has not shrunk by this much within stall_time.",
     )
     stall_time: float = live(5.0, "s", 1e-3, 1e9, "Time within which the goal has to come stall_distance nearer.")
-    time_limit: float = live(60.0, "s", 1e-3, 1e9, "Timeout: the flight has taken this long.")
+    time_limit: float = live(60.0, "s", 1e-3, 1e9, "Timeout: the flight has taken this long since its goal was set.")
 
     def __post_init__(self) -> None:
         check_parameters(self, "rules")
@@ -106,6 +107,8 @@ class Record:
     """Distance to the goal when progress was last noted [m]."""
     progress_time: float
     """Time of that [s]."""
+    goal_tick: int
+    """Number of ticks until the goal was set."""
 
 
 @wp.kernel
@@ -184,7 +187,7 @@ def judge_kernel(
         outcome = OUT_OF_BOUNDS
     elif elapsed - r.progress_time >= rules.stall_time:
         outcome = STALL
-    elif elapsed >= rules.time_limit:
+    elif float(tick - r.goal_tick) * rules.period >= rules.time_limit:
         outcome = TIMEOUT
     outcomes[b] = outcome
     records[b] = r
@@ -239,6 +242,7 @@ class Simulator:
         self.rules, self.noise, self.seeds = rules, noise, tuple(seeds)
         self.tick = 0
         self.observers: list[Callable[[], None]] = []
+        quieten()
         self.device = wp.get_device(device)
         self._worlds = DeviceWorlds(worlds, device=self.device)
         starts = np.stack([world.start for world in worlds])
@@ -304,12 +308,14 @@ class Simulator:
         return [OUTCOMES[i] for i in self.outcome.numpy()]
 
     def set_goal(self, positions: ArrayLike) -> None:
-        """Move the goals to `positions` [m], [B, 3], world frame; flights that arrived or stalled go on."""
+        """Move the goals to `positions` [m], [B, 3], world frame; flights that arrived, stalled or ran out of time go
+        on, and have the whole time limit again."""
         records, outcome = self.records(), self.outcome.numpy().copy()
         records["goal"] = positions
         records["nearest_goal"] = np.linalg.norm(records["goal"] - self.vehicle.position.numpy(), axis=1)
         records["progress_time"] = self.time
-        outcome[np.isin(outcome, (ARRIVED, STALL))] = FLYING
+        records["goal_tick"] = self.tick
+        outcome[np.isin(outcome, (ARRIVED, STALL, TIMEOUT))] = FLYING
         self.record.assign(wp.array(records, dtype=Record, device="cpu"))
         self.outcome.assign(outcome)
 

@@ -205,7 +205,8 @@ class FlightSource:
         raise TypeError("a flight has no time line to seek in; restore one of its checkpoints.")
 
     def set_goal(self, position: ArrayLike) -> None:
-        """Move the goal to `position` [m], shape [3], world frame; a flight that arrived or stalled goes on.
+        """Move the goal to `position` [m], shape [3], world frame; a flight that arrived, stalled or ran out of
+        time goes on.
 
         Raises:
             UserError: the position is not three finite numbers, lies inside an obstacle, below the ground or outside

@@ -6,9 +6,10 @@ import contextlib
 import dataclasses
 import importlib.metadata
 import json
+import logging
 import statistics
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.progress import share_of_way
 from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.frame import Frame
-from aero_viz.logs.messages import body_rates, encode_plan, encode_sweep, true_state
+from aero_viz.logs.messages import body_rates, encode_goal, encode_plan, encode_sweep
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
@@ -36,35 +37,37 @@ from aero_viz.source import Source
 
 __all__ = ["FlightLog", "flight_settings", "fly_and_log", "new_points", "record"]
 
+_log = logging.getLogger(__name__)
+
 _CHUNK_BYTES = 1 << 20
 _FLUSH_PERIOD = 1.0  # of wall time [s]: a killed process loses no more than this
 _SWEEP_STEP = 1000  # between the sweeps of a cloud that is logged whole [ns]
+_PATIENCE = 10.0  # with a disk that is behind at the end [s]
 
 
 class FlightLog:
-    """Writes frames to an MCAP file with the messages of the drone's own log, and each configuration as an attachment.
+    """Writes frames to an MCAP file with the messages of the drone's own log.
 
-    Time in the file starts at the wall time of opening and runs on where the source's jumps back. A sweep is written
-    once, when it is new; of the cloud at the start (and after a jump) all sweeps are. Use it from one thread.
+    Attachments hold each configuration, and for each source its world and settings: world.json and flight.json of the
+    first, world_1.json and flight_1.json of the next. The goal is written at the start and whenever it moves. Time in
+    the file starts at the wall time of opening and runs on where the source's jumps back. A sweep is written once, when
+    it is new; of the cloud at the start (and after a jump) all sweeps are. Use it from one thread.
 
     Args:
         path: file to write; replaced.
-        world: kept in the file as the attachment world.json.
-        settings: kept as the attachment flight.json.
 
     Raises:
         UserError: the file cannot be written.
     """
 
-    def __init__(
-        self, path: str | Path, *, world: World | None = None, settings: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.frames = 0
         """Frames written so far."""
         self._channels: dict[str, int] = {}
         self._base = self._stamp = time.time_ns()
         self._last: Frame | None = None
+        self._sources = 0  # so far
         self._pose: tuple[int, float, VehicleState] | None = None  # epoch, time [s] and state of the last pose
         self._torn = False
         self._cloud: NDArray[np.float32] | None = None
@@ -72,9 +75,6 @@ class FlightLog:
             self._file = self.path.open("wb")
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
             self._writer.start(profile="ros2", library=f"aero-viz {importlib.metadata.version('aero-viz')}")
-            for name, content in (("world.json", world and world.to_dict()), ("flight.json", settings)):
-                if content is not None:
-                    self._attach(name, "application/json", json.dumps(content))
             self._flush()
         except OSError as error:
             raise UserError(f"Cannot write the flight log {path}: {error.strerror or error}.") from error
@@ -95,11 +95,15 @@ class FlightLog:
     def _write(self, frame: Frame) -> None:
         before = self._last
         stamp = self._next_stamp(frame)
+        if before is None or before.source is not frame.source:
+            self._attach_source(frame.source)
         if before is None or before.config is not frame.config:
             self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(frame.config))
         if before is None or before.epoch != frame.epoch or before.time != frame.time:
-            self._write_pose(frame.time, true_state(frame), stamp, epoch=frame.epoch)
+            self._write_pose(frame.time, frame.observation.actual_state, stamp, epoch=frame.epoch)
             self._write_sweeps(frame, stamp)
+        if before is None or not np.array_equal(before.observation.goal.position, frame.observation.goal.position):
+            self._add(encode_goal(frame, stamp), stamp)
         for message in encode_plan(frame, stamp):
             self._add(message, stamp)
         self._last = frame
@@ -153,6 +157,14 @@ class FlightLog:
             self._channels[message.topic] = self._writer.register_channel(message.topic, "cdr", schema)
         self._writer.add_message(self._channels[message.topic], stamp, message.data, stamp)
 
+    def _attach_source(self, source: Source) -> None:
+        suffix = f"_{self._sources}.json" if self._sources else ".json"
+        self._sources += 1
+        world = source.scenery.world
+        if world is not None:
+            self._attach(f"world{suffix}", "application/json", json.dumps(world.to_dict(), allow_nan=False))
+        self._attach(f"flight{suffix}", "application/json", json.dumps(flight_settings(source), allow_nan=False))
+
     def _attach(self, name: str, media_type: str, text: str) -> None:
         self._writer.add_attachment(self._stamp, self._stamp, name, media_type, text.encode())
 
@@ -181,9 +193,10 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
     """Log every frame of a session from a thread of its own, while the context lasts.
 
     The engine never waits: frames that the disk cannot keep up with are dropped, counted in the file and announced. A
-    disk that takes no more is announced, too, and ends the log, not the flight.
+    disk that takes no more is announced, too, and ends the log, not the flight. At the end, a disk that is behind has
+    ten seconds to catch up; frames that wait even then are dropped like the others.
     """
-    log = FlightLog(path, world=session.source.scenery.world, settings=flight_settings(session.source))
+    log = FlightLog(path)
     sinks: list[Sink] = []  # empty while the first frame may already be on its way
     failed = announced = False
 
@@ -205,8 +218,12 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
     try:
         yield log
     finally:
-        sink.drain()
-        session.unsubscribe(sink)
+        session.unsubscribe(sink, patience=_PATIENCE)
+        sink.close(timeout=None)  # until the last write has ended, the file is that thread's
+        if sink.dropped:
+            text = f"The flight log {path} lacks {sink.dropped} frames: the disk was too slow for them."
+            session.notify(text, level="error")
+            _log.warning(text)  # the page may be closed by now
         with contextlib.suppress(OSError):
             log.close(dropped=sink.dropped)
 
@@ -255,8 +272,7 @@ def fly_and_log(
     try:
         with contextlib.ExitStack() as stack:
             session = stack.enter_context(contextlib.closing(Session(source, config=config, device=device, seed=seed)))
-            opened = FlightLog(log, world=world, settings=flight_settings(source))
-            flight_log = stack.enter_context(contextlib.closing(opened))
+            flight_log = stack.enter_context(contextlib.closing(FlightLog(log)))
             write_row = stack.enter_context(trajectory_file(trajectory))
             pressed = stack.enter_context(deferred_interrupt())
             simulator, drone = source.simulator, source.simulator.vehicle
@@ -285,10 +301,10 @@ def fly_and_log(
     return result
 
 
-def flight_settings(source: Source) -> dict[str, Any] | None:
-    """Return what repeats a flight, besides its world and configurations; None for a recording."""
+def flight_settings(source: Source) -> dict[str, Any]:
+    """Return the name of a source and, of a flight, what repeats it besides its world, goals and configurations."""
     if not isinstance(source, FlightSource):
-        return None
+        return {"source": source.name}
     simulator = source.simulator
     parts = {
         "lidar": simulator.lidar.model,
@@ -297,6 +313,7 @@ def flight_settings(source: Source) -> dict[str, Any] | None:
         "rules": simulator.rules,
     }
     return {
+        "source": source.name,
         "seed": simulator.seeds[0],
         "device": simulator.device.alias,
         **{name: None if part is None else dataclasses.asdict(part) for name, part in parts.items()},

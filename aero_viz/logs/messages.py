@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import VehicleState
-from aero_planner.onboard.messages import Encoded, plan_messages, sweep
+from aero_planner.onboard.messages import Encoded, goal_message, plan_messages, sweep
 from aero_viz.frame import Frame
 from aero_viz.recordings.rotations import matrices
 
-__all__ = ["body_rates", "encode_plan", "encode_sweep", "true_state"]
+__all__ = ["body_rates", "encode_goal", "encode_plan", "encode_sweep"]
 
 
 def body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArray[np.float64]:
@@ -24,20 +24,20 @@ def body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArra
     return v * (2.0 * np.arctan2(sine, abs(w)) / (sine * time)) if sine > 0.0 else v
 
 
-def true_state(frame: Frame) -> VehicleState:
-    """Return the true state where it is known, else the estimated one."""
-    return frame.observation.true_state or frame.observation.state
-
-
 def encode_sweep(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encoded:
     """Return /sweep: `points` [m], shape [P, 3], world frame, as the drone sees them at `stamp` [ns].
 
     They have no times of their own: where they lie no longer depends on when each was measured, and a reader that
     moved them once more would smear them.
     """
-    state = true_state(frame)
+    state = frame.observation.actual_state
     seen = (points - np.asarray(state.position, float)) @ matrices(np.asarray(state.quaternion, float))
     return sweep(seen.astype(np.float32), stamp)
+
+
+def encode_goal(frame: Frame, stamp: int) -> Encoded:
+    """Return /goal: where the plan leads to; `stamp` in [ns]."""
+    return goal_message(frame.observation.goal, stamp)
 
 
 def encode_plan(frame: Frame, stamp: int) -> Iterator[Encoded]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from aero_viz.errors import UserError
 from aero_viz.recordings.contents import Topic, read_contents
-from aero_viz.recordings.recording import Recording
+from aero_viz.recordings.recording import Recording, require_topics
 from aero_viz.recordings.storage import open_storage, readable
 
 __all__ = ["PointsPerSweep", "RecordingInfo", "inspect"]
@@ -70,12 +70,14 @@ class RecordingInfo:
 def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: str | None = None) -> RecordingInfo:
     """Report what is in a recording; what keeps it from being played becomes one of the report's `problems`.
 
-    Raises UserError when there is no recording at `path` or nothing in it can be read.
+    Raises UserError when there is no recording at `path`, nothing in it can be read, or a topic that is named is not
+    there or of the wrong type.
     """
     storage = open_storage(path)
     try:
         with readable(storage.path):
             contents = read_contents(storage)
+            require_topics(contents, points_topic=points_topic, pose_topic=pose_topic)
             try:
                 recording = Recording(storage, contents, points_topic, pose_topic)
             except UserError as error:

@@ -20,9 +20,11 @@ from aero_viz.recordings.rotations import matrices
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
-__all__ = ["PointSweep", "Recording", "open_recording"]
+__all__ = ["PointSweep", "Recording", "open_recording", "require_topics"]
 
 _CACHED_SWEEPS = 4
+_ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which gives no poses")}
+"""Types of message that topics of each role have, and what to say of another."""
 
 
 class PointSweep(NamedTuple):
@@ -107,6 +109,14 @@ class Recording:
         self.extrinsic: Transform = poses.extrinsic if poses else IDENTITY
         """Position [m] and quaternion of the sensor in the body frame."""
 
+    @property
+    def damage(self) -> str | None:
+        """In one sentence which playable sweeps turned out to be unreadable so far; None while there are none."""
+        if not self.damaged_sweeps:
+            return None
+        counts = f"{len(self.damaged_sweeps)} of {len(self._entries)} sweeps"
+        return f"{counts} could not be read and played without points: {_ranges(sorted(self.damaged_sweeps))}."
+
     def sweep(self, index: int) -> PointSweep:
         """Return playable sweep `index`; the last few are kept. An unreadable one comes back without points."""
         if index in self._cache:
@@ -159,13 +169,17 @@ def open_recording(path: str | Path, *, points_topic: str | None = None, pose_to
         raise
 
 
+def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: str | None) -> None:
+    """Raise UserError when a topic that is named is not there or of the wrong type; None names none."""
+    for name, role in ((points_topic, "points"), (pose_topic, "pose")):
+        if name is not None:
+            _named(contents, name, role)
+
+
 def _cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     topics = sorted(contents.of_types(CLOUD_TYPES), key=lambda topic: (-len(topic.clouds), topic.name))
     if name is not None:
-        topic = _named(contents, name, "points")
-        if topic.type not in CLOUD_TYPES:
-            raise UserError(f"{name} of {contents.path} is a {topic.type}, not a point cloud{_offer(topics)}")
-        topics = [topic]
+        topics = [_named(contents, name, "points")]
     if not topics:
         held = ", ".join(f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics) or "no topics"
         raise UserError(f"{contents.path} has no PointCloud2 topic with messages; it holds {held}")
@@ -177,11 +191,7 @@ def _cloud_topic(contents: Contents, name: str | None) -> TopicContents:
 
 def _pose_topics(contents: Contents, frame: str, name: str | None) -> list[TopicContents]:
     if name is not None:
-        topic = _named(contents, name, "pose")
-        if topic.type not in (*POSE_TYPES, *TF_TYPES):
-            offered = contents.of_types((*POSE_TYPES, *TF_TYPES))
-            raise UserError(f"{name} of {contents.path} is a {topic.type}, which gives no poses{_offer(offered)}")
-        return [topic]
+        return [_named(contents, name, "pose")]
     topics = [topic for topic in contents.of_types(POSE_TYPES) if len(topic.poses)]
     moving = contents.transforms.track(frame, stamped=True) is not None
     return topics + (contents.of_types(TF_TYPES)[:1] if moving else [])
@@ -247,13 +257,17 @@ def _build_track(contents: Contents, topic: TopicContents, frame: str, start: in
 
 
 def _named(contents: Contents, name: str, role: str) -> TopicContents:
+    types, lack = _ROLES[role]
+    fitting = contents.of_types(types)
     found = [topic for topic in contents.topics if topic.name == name]
-    if found:
-        return max(found, key=lambda topic: topic.count)
-    names = [topic.name for topic in contents.topics]
-    close = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
-    advice = f"did you mean {' or '.join(close)}?" if close else f"it holds {', '.join(names) or 'no topics'}"
-    raise UserError(f"{contents.path} has no {role} topic {name}; {advice}")
+    if not found:
+        close = difflib.get_close_matches(name, [topic.name for topic in fitting], n=3, cutoff=0.4)
+        advice = f"; did you mean {' or '.join(close)}?" if close else _offer(fitting) or ", nor any other"
+        raise UserError(f"{contents.path} has no {role} topic {name}{advice}")
+    topic = max(found, key=lambda topic: (topic.type in types, topic.count))
+    if topic.type not in types:
+        raise UserError(f"{name} of {contents.path} is a {topic.type}, {lack}{_offer(fitting)}")
+    return topic
 
 
 def _others(contents: Contents, topic: TopicContents) -> str:

@@ -73,7 +73,6 @@ class RecordingSource:
     """
 
     closed_loop = False
-    explanation = None
 
     def __init__(self, recording: Recording, *, goal_ahead: float = 15.0, sweeps: int = 10):
         if sweeps < 1:
@@ -83,12 +82,8 @@ class RecordingSource:
         self.goal_ahead = goal_ahead
         track = recording.poses
         self._ticks: NDArray[np.float64] = recording.sweep_times
-        self.notice: str | None = None
-        """What the user should know about this recording's poses, None when all is well."""
         self._path: RecordedPath | None = None
-        if track is None:
-            self.notice = "the recording has no poses: the sensor is taken to stand still at the origin, level"
-        else:
+        if track is not None:
             inside = (track.times >= 0.0) & (track.times <= recording.sweep_times[-1] + POSE_TOLERANCE)
             if inside.any():
                 self._ticks = track.times[inside]
@@ -118,6 +113,11 @@ class RecordingSource:
         if not (np.isfinite(distance) and distance > 0):
             raise UserError(f"goal_ahead must be a positive number of metres, not {distance}")
         self._goal_ahead = float(distance)
+
+    @property
+    def explanation(self) -> str | None:
+        """In one sentence which sweeps could not be read so far; None while all could."""
+        return self.recording.damage
 
     def observe(self) -> Observation:
         """Return what the planner sees at this tick."""

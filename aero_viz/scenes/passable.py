@@ -20,6 +20,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.quiet import quieten
 from aero_viz.scenes.triangles import TriangleTree, mesh_distance
 from aero_viz.scenes.world import World, primitive_bounds
 from aero_viz.sensors.geometry import Primitive, device_primitives, primitive_distance
@@ -162,6 +163,7 @@ class ClearanceGrid:
         if math.prod(shape) > _POINTS:
             raise ValueError(f"a grid of {shape} points is too large; make the cell larger than {cell:g} m.")
         corner = world.start + first * cell
+        quieten()
         distance = wp.full(shape, reach, dtype=float, device="cpu")
         bounds = primitive_bounds(world.cylinders, world.boxes, world.spheres)
         around = [wp.array(b, dtype=wp.vec3, device="cpu") for b in (bounds[0] - reach, bounds[1] + reach)]

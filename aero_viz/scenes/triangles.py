@@ -15,6 +15,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.quiet import quieten
+
 __all__ = ["TriangleTree", "mesh_distance", "mesh_range", "read_triangles"]
 
 wp.set_module_options({"enable_backward": False})
@@ -67,6 +69,7 @@ class TriangleTree:
 
     def __init__(self, triangles: Triangles, *, device: Any = "cpu") -> None:
         corners = np.asarray(triangles, dtype=np.float32).reshape(-1, 3)
+        quieten()
         with wp.ScopedDevice(device):
             points = wp.array(corners, dtype=wp.vec3)
             self._mesh = wp.Mesh(points=points, indices=wp.array(np.arange(len(corners)), dtype=int))

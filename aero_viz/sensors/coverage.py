@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner.quiet import quieten
 from aero_viz.sensors.lidar import Beams, LidarModel, beam_direction, pack_beams
 
 __all__ = ["coverage"]
@@ -50,6 +51,7 @@ def coverage(
     seen = (edges[:-1] >= model.elevation_min - 1e-9) & (edges[1:] <= model.elevation_max + 1e-9)
     if not seen.any():
         raise ValueError(f"the cell of {cell:g} deg does not fit the field of view of {model.name!r}; make it smaller.")
+    quieten()
     hits = wp.zeros((rows, 2 * rows), dtype=int, device="cpu")
     shares, first = [], 0
     for time in times:

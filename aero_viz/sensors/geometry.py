@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner.quiet import quieten
 from aero_viz.scenes.triangles import TriangleTree, mesh_distance
 from aero_viz.scenes.world import World, primitive_bounds
 
@@ -173,6 +174,7 @@ class DeviceWorlds:
             TriangleTree(world.triangles, device=device) if len(world.triangles) else None for world in unique
         ]
 
+        quieten()
         self.device = wp.get_device(device)
         with wp.ScopedDevice(self.device):
             self.index = wp.array([position[id(world)] for world in worlds], dtype=int)

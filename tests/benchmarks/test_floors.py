@@ -1,6 +1,10 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -9,6 +13,7 @@ from benchmarks.floors import MACHINES, floors, main
 from benchmarks.operations import Count, Latency, nominal_controls, partition_point, rollout
 
 LATENCY = Latency(arithmetic=4, special=20)
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_product_is_fused_with_its_sum():
@@ -84,3 +89,12 @@ def test_another_processor_has_floors_only(capsys: pytest.CaptureFixture[str]):
     assert all(row["measured us"] is None for row in report["stages"].values())
     assert main([*SHORT[:-1], "--floor-of", "h100"]) == 0
     assert "3.35 TB/s" in capsys.readouterr().out
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as broken:
+        command = [sys.executable, "-m", "benchmarks.floors", "--points", "1000", "--samples", "4", "--repeat", "1"]
+        done = subprocess.run(command, stdout=broken, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    assert (done.returncode, done.stderr) == (141, "")

@@ -10,6 +10,9 @@ from aero_planner import PlannerConfig
 from aero_planner.config_file import format_config, load_config
 from tests.browser.desk import Desk
 
+DEFAULT = PlannerConfig().replace({"costs.floor": 0.0})
+"""What the forest is flown with: the default, told of its ground."""
+
 
 def open_folder(desk: Desk, name: str, inside: str) -> None:
     """Open a folder of the panel unless `inside`, one of its controls, can be seen."""
@@ -40,12 +43,34 @@ def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_
     assert load_config(path) == saved
 
     desk.click("reset all")
-    desk.wait_for(lambda: desk.session.config == PlannerConfig(), "the defaults")
+    desk.wait_for(lambda: desk.session.config == DEFAULT, "the defaults")
     upload(desk, path)
     desk.wait_for(lambda: desk.session.frame.config == saved, "a plan with the configuration of the file")
     field = desk.control("q_track").locator("input.mantine-NumberInput-input")
     desk.wait_for(lambda: float(field.input_value()) == 7.5, "the slider to show it")
     assert desk.console == []
+
+
+def test_presets_and_resets_keep_the_ground_of_the_world(fresh_desk):
+    desk = fresh_desk
+    desk.session.configure(DEFAULT)
+    desk.open_tab("Tune")
+    preset = desk.control("Preset").locator("input").first
+    desk.wait_for(lambda: preset.input_value() == "default", "the default, in which nothing was changed")
+
+    desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
+    desk.wait_for(lambda: preset.input_value() == "(changed)", "the changes to be seen")
+    desk.click("Reset costs")
+    desk.wait_for(lambda: desk.session.config == DEFAULT.replace({"candidates.brake": False}), "the default's costs")
+    desk.click("reset all")
+    desk.wait_for(lambda: desk.session.config == DEFAULT, "the default")
+
+    for name, floor in (("fast-cpu", 0.0), ("paper", -1000.0), ("default", 0.0)):
+        preset.click()
+        desk.page.get_by_role("option", name=name, exact=True).click()
+        chosen = PlannerConfig.preset(name).replace({"costs.floor": floor})
+        desk.wait_for(lambda: desk.session.config == chosen, name)  # noqa: B023
+        desk.wait_for(lambda: preset.input_value() == name, f"{name} to be shown")  # noqa: B023
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     after = desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
     assert (before != after).any(axis=-1).sum() > 200
     desk.page.get_by_role("button", name="undo").click()
-    desk.wait_for(lambda: desk.session.config.costs.q_track < desk.session.frame.config.costs.q_track + 1e-9, "undo")
+    desk.wait_for(lambda: desk.session.config.costs.q_track == value, "the weight before")
 
 
 def test_a_value_that_contradicts_another_is_refused_with_a_reason(desk):
@@ -73,6 +73,12 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     desk.wait_for(lambda: not desk.session.playing, "the pause")
     stopped = desk.session.frame.index
     desk.page.wait_for_timeout(300)
+    assert desk.session.frame.index == stopped
+
+    desk.click("Restart")
+    desk.wait_for(lambda: desk.session.frame.time == 0.0, "the beginning")
+    assert not desk.session.playing
+    desk.session.seek(desk.session.time_range[1]).result()
     assert desk.session.frame.index == stopped
 
     row = desk.control("Time")
@@ -147,6 +153,18 @@ def test_the_camera_goes_where_the_button_says(desk, camera):
         return {"top": away[2] > 15.0, "side": abs(away[1]) > 6.0, "follow": away[0] < -3.0 and away[2] < 4.0}[camera]
 
     desk.wait_for(there, camera)
+
+
+def test_a_free_camera_stays_where_it_is(desk):
+    desk.click("top")
+    client = next(iter(desk.dashboard.server.get_clients().values()))
+    drone = np.asarray(desk.session.frame.observation.state.position)
+    desk.wait_for(lambda: client.camera.position[2] - drone[2] > 15.0, "top")
+    desk.click("free")
+    for _ in range(5):
+        desk.page.wait_for_timeout(100)
+        assert desk.dashboard.drain()
+    assert client.camera.position[2] - drone[2] > 15.0
 
 
 def test_nothing_was_wrong_on_the_console(desk):

@@ -48,6 +48,8 @@ def test_a_picture_holds_every_layer_and_repeats(browser, tmp_path):
         ({"time": -1.0}, "not negative"),
         ({"size": (0, 400)}, "0 x 400 pixels"),
         ({"path": "no/such/folder/a.png"}, "there is no folder no/such/folder"),
+        ({"path": "/"}, "it is a folder; give the name of a file, such as /picture.png"),
+        ({"path": "forest.txt"}, "pictures are PNG files; name it forest.png"),
     ],
 )
 def test_mistakes_are_said_before_a_browser_starts(arguments, words):

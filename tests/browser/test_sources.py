@@ -39,6 +39,12 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     desk.click("+1")
     desk.wait_for(lambda: desk.session.frame.index == index + 1, "a tick in the room")
 
+    field = desk.control("Seed").locator("input")
+    field.fill("3")
+    field.press("Enter")
+    choose(desk, "forest")
+    desk.wait_for(lambda: desk.session.frame.source.name == "forest-100-3", "another forest")
+
     path = tmp_path / "gate.json"
     gate = np.array([[4.0, y, 0.0, 0.0, 0.0, 1.0, 0.3, 4.0] for y in (-1.5, 1.5)])
     World("two posts", np.array([0.0, 0.0, 2.0]), np.array([9.0, 0.0, 2.0]), cylinders=gate).save(path)
@@ -48,6 +54,23 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     desk.page.get_by_text("two posts").first.wait_for(timeout=10_000)
     assert differing(solids(desk), room) > 20_000
     assert desk.console == []
+    assert desk.dashboard.failures == 0
+
+
+def test_a_mesh_is_seen_from_both_sides_and_its_ground_is_told(fresh_desk, tmp_path):
+    desk = fresh_desk
+    desk.session.configure({"costs.floor": 0.0})  # as `demo` tells of the forest
+    wall = np.array([[5.0, -3.0, -10.0, 5.0, 3.0, -10.0, 5.0, 0.0, -4.0]])
+    ground = np.array([[5.0, 0.0, -10.5, 60.0, 60.0, 1.0, 0.0]])
+    ends = np.array([[0.0, 0.0, -8.0], [10.0, 0.0, -8.0]])
+    World("one triangle", *ends, boxes=ground, triangles=wall).save(path := tmp_path / "mesh.json")
+    desk.control("Path").locator("input").fill(str(path))
+    desk.click("Open path")
+    desk.wait_for(lambda: desk.session.frame.source.name == "one triangle", "the mesh")
+    assert desk.session.frame.config.costs.floor == -10.0
+    desk.dashboard.show_only(["obstacles"])
+    for end, other in (ends, ends[::-1]):
+        desk.wait_for(lambda: (desk.render(end, other)[..., 3] > 128).sum() > 5000, f"the wall from {end}")  # noqa: B023
     assert desk.dashboard.failures == 0
 
 

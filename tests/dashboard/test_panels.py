@@ -78,5 +78,5 @@ def test_an_empty_path_opens_nothing(server, monkeypatch):
     opened: Any = []
     monkeypatch.setattr(source_panel, "notify", lambda server, text, **options: said.append(text))
     page: Any = SimpleNamespace(server=server, session=None)
-    SourcePanel(page, cast(Any, opened.append), [])._open("", None)
+    SourcePanel(page, cast(Any, opened.append), [], seed=0)._open("", None)
     assert said == ["Give the path of a recording or a world first."] and not opened

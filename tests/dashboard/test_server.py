@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
 import time
+import urllib.request
 
 import msgspec
 import pytest
@@ -33,6 +35,26 @@ def test_the_page_is_only_for_this_machine_unless_asked(server):
     assert server.get_host() == "127.0.0.1"
 
 
+@pytest.mark.parametrize(("host", "shown"), [("::1", "[::1]"), ("::", "[::1]"), ("0.0.0.0", "127.0.0.1")])
+def test_the_address_shown_is_one_that_opens_the_page(host, shown):
+    if ":" in host and not has_ipv6():
+        pytest.skip("this machine has no IPv6")
+    server = LocalServer(host=host, port=0)
+    try:
+        assert server.url == f"http://{shown}:{server.get_port()}"
+        with urllib.request.urlopen(server.url, timeout=10.0) as answer:
+            assert answer.status == 200
+    finally:
+        server.stop()
+
+
+def has_ipv6() -> bool:
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET6) as probe:
+        probe.bind(("::1", 0))
+        return True
+    return False
+
+
 def test_a_taken_port_is_an_error_that_names_it():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -42,9 +64,16 @@ def test_a_taken_port_is_an_error_that_names_it():
             LocalServer(port=port)
 
 
-@pytest.mark.parametrize(("host", "port"), [("203.0.113.7", 0), ("127.0.0.1", 70_000)])
-def test_an_impossible_address_is_an_error(host, port):
-    with pytest.raises(UserError, match=host):
+@pytest.mark.parametrize(
+    ("host", "port", "words"),
+    [
+        ("203.0.113.7", 0, r"203\.0\.113\.7 is no address of this machine; choose another one with --host"),
+        ("nobody.invalid", 0, r"nobody\.invalid is no address of this machine; choose another one with --host"),
+        ("127.0.0.1", 70_000, r"Port 70000 on 127\.0\.0\.1 .*; choose another one with --port"),
+    ],
+)
+def test_an_impossible_address_is_an_error_that_tells_which_flag_to_change(host, port, words):
+    with pytest.raises(UserError, match=words):
         LocalServer(host=host, port=port)
 
 

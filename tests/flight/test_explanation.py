@@ -45,7 +45,7 @@ def test_a_start_in_an_obstacle_is_a_collision_that_says_so(tables, sentence) ->
         ("stall", 1.0, "The drone came no 1 m nearer to the goal within 5 s and is at (3, 0, 0.2), 6.3 m before it."),
         ("out_of_bounds", 1.0, "The drone left the world's bounds, x -35 to 45, y -40 to 40, z -11 to 12, "
          "at (3, 0, 0.2)."),
-        ("timeout", 1.0, "The 60 s of the flight were over 6.3 m before the goal, at (3, 0, 0.2)."),
+        ("timeout", 1.0, "The 60 s to reach the goal were over 6.3 m before it, at (3, 0, 0.2)."),
         (None, 1.0, "It ends after 3.00 s, 6.3 m before the goal, at (3, 0, 0.2)."),
     ],
 )  # fmt: skip

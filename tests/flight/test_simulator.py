@@ -152,6 +152,21 @@ def test_moving_the_goal_resumes_an_arrived_flight():
     assert simulator.records()[0]["nearest_goal"] == pytest.approx(30.0)
 
 
+def test_the_time_limit_runs_from_the_goal_that_was_set_last():
+    simulator = simulate(world(), time_limit=1.0)
+    fly(simulator, HOVER, 40)
+    simulator.set_goal([[0.0, 30.0, 2.0]])
+    fly(simulator, HOVER, 49)
+    assert simulator.outcomes() == [None]
+    fly(simulator, HOVER, 1)
+    assert simulator.outcomes() == ["timeout"] and simulator.records()[0]["ticks"] == 90
+    simulator.set_goal([[20.0, 0.0, 2.0]])
+    fly(simulator, HOVER, 49)
+    assert simulator.outcomes() == [None]
+    fly(simulator, HOVER, 1)
+    assert simulator.outcomes() == ["timeout"] and simulator.records()[0]["ticks"] == 140
+
+
 def test_restored_simulator_continues_bit_for_bit():
     simulator = simulate(world(spheres=[[5.0, 2.0, 3.0, 1.0]]))
     fly(simulator, (10.0, 0.2, 0.3, 0.1), 13)

@@ -70,6 +70,19 @@ def test_named_topics(bags, mcap_of):
         open_recording(path, pose_topic="/points")
 
 
+def test_a_topic_that_is_named_wrongly_is_a_mistake_and_only_fitting_ones_are_offered(bags, mcap_of):
+    path = mcap_of([*bags.drive(2), bags.text(0.5)])
+    with pytest.raises(UserError, match=r"no points topic /lidar; choose /points$"):
+        inspect(path, points_topic="/lidar")
+    with pytest.raises(UserError, match=r"no pose topic /xyz; choose /odom$"):
+        inspect(path, pose_topic="/xyz")
+    with pytest.raises(UserError, match=r"/note .* not a point cloud; choose /points"):
+        inspect(path, points_topic="/note")
+    bare = mcap_of([bags.text(0.5)])
+    with pytest.raises(UserError, match=r"no points topic /points, nor any other$"):
+        inspect(bare, points_topic="/points")
+
+
 @pytest.mark.parametrize("harm", ["cut", "flip"])
 @pytest.mark.parametrize("name", ["mcap-zstd", "mcap-plain", "mcap-unchunked", "db3", "rosbag1", "rosbag1-lz4"])
 def test_damaged_files_play_or_say_why_not(bags, tmp_path, name, harm):

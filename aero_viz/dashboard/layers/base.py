@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 from aero_viz.source import Source
 
 __all__ = ["Change", "Layer", "Lines", "apply", "polylines"]

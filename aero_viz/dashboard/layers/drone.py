@@ -8,7 +8,7 @@ import viser
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
 from aero_viz.dashboard.quadrotor import quadrotor
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 
 __all__ = ["DroneLayer", "TrailLayer"]
 
@@ -22,7 +22,7 @@ class DroneLayer(Layer):
     name, title = "drone", "Drone"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._pose = scene.add_frame("/drone/body", show_axes=False)
+        self._pose = scene.add_frame("/drone/body", show_axes=False, visible=False)
         for name, (mesh, color, opacity) in quadrotor().items():
             scene.add_mesh_simple(
                 f"/drone/body/{name}",
@@ -35,10 +35,11 @@ class DroneLayer(Layer):
             )
 
     def update(self, frame: Frame) -> list[Change]:
-        state = frame.observation.true_state or frame.observation.state
+        state = frame.observation.actual_state
         return [
             (self._pose, "position", np.asarray(state.position, dtype=np.float64)),
             (self._pose, "wxyz", np.asarray(state.quaternion, dtype=np.float64)),
+            (self._pose, "visible", True),
         ]
 
 

@@ -7,7 +7,7 @@ import viser
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 
 __all__ = ["GoalLayer"]
 
@@ -18,7 +18,7 @@ class GoalLayer(Layer):
     name, title = "goal", "Goal"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._pose = scene.add_frame("/goal/pose", show_axes=False)
+        self._pose = scene.add_frame("/goal/pose", show_axes=False, visible=False)
         scene.add_icosphere("/goal/pose/ball", radius=0.3, color=palette.GOAL, subdivisions=3)
         angle = 2.0 * np.pi * np.arange(49) / 48
         ring = 0.8 * np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
@@ -26,4 +26,5 @@ class GoalLayer(Layer):
         apply(Lines(scene, "/goal/pose/ring", thickness=3.0).show(segments, palette.unmapped(palette.GOAL)))
 
     def update(self, frame: Frame) -> list[Change]:
-        return [(self._pose, "position", np.asarray(frame.observation.goal.position, dtype=np.float64))]
+        goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
+        return [(self._pose, "position", goal), (self._pose, "visible", True)]

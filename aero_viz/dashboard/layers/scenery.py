@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply, polylines
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 from aero_viz.source import Source
 
 __all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer"]
 
-_SHAPES = ("cylinders", "boxes", "spheres")
+_SHAPES = ("cylinders", "boxes", "spheres", "triangles")
 _MOST_PATH_SEGMENTS = 2048
 _RECORDED = palette.unmapped(palette.RECORDED)
 
@@ -27,7 +27,13 @@ class ObstacleLayer(Layer):
         empty, face = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
         self._nodes = {
             shape: scene.add_mesh_simple(
-                f"/obstacles/{shape}", empty, face, color=palette.OBSTACLE, material="toon5", visible=False
+                f"/obstacles/{shape}",
+                empty,
+                face,
+                color=palette.OBSTACLE,
+                material="toon5",
+                side="double" if shape == "triangles" else "front",  # which way they face is anyone's guess
+                visible=False,
             )
             for shape in _SHAPES
         }
@@ -59,12 +65,12 @@ class GroundLayer(Layer):
         apply(Lines(scene, "/ground/grid/coarse", thickness=1.0).show(coarse, palette.unmapped(palette.GRID_SECTION)))
 
     def enter(self, source: Source) -> list[Change]:
-        self._height = 0.0 if source.scenery.world is not None else None
+        self._height = source.scenery.ground_height
         return []
 
     def update(self, frame: Frame) -> list[Change]:
         if self._height is None:
-            # A recording does not say where its ground is: below nearly all points of its first cloud.
+            # Nobody says where the ground is: below nearly all points of the first cloud.
             heights = frame.observation.points[::8, 2]
             heights = heights[np.isfinite(heights)]
             if not len(heights):

@@ -9,11 +9,13 @@ from typing import Any
 
 import viser
 
+from aero_planner import PlannerConfig
 from aero_viz.broadcast import Steerable
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
 from aero_viz.frame import Frame
+from aero_viz.ground import preset_above
 from aero_viz.source import Source
 
 __all__ = ["Page", "Panel"]
@@ -30,6 +32,11 @@ class Page:
     layers: Mapping[str, Layer]
     refresh: Callable[[], None]
     """Show the newest frame again: after a change that brings no frame of its own."""
+
+    def preset(self, name: str) -> PlannerConfig:
+        """Return a preset that is told of the ground of what is shown."""
+        frame = self.session.frame
+        return preset_above(name, None if frame is None else frame.source.scenery.ground_height)
 
     def attempt(self, action: Callable[[], Any], client: viser.ClientHandle | None = None) -> bool:
         """Run `action`; a user's mistake becomes a notification. Returns whether it went well."""
@@ -69,6 +76,10 @@ class Panel:
 
     def close(self) -> None:
         """End what runs on its own."""
+
+    def wait(self) -> list[Change]:
+        """Return the changes that tell that there is no frame yet."""
+        return []
 
     def update(self, frame: Frame) -> list[Change]:
         """Return the changes that show `frame` and the session's present settings; called a few times per second."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 from aero_viz.source import Source
 
 __all__ = ["FIELD_OF_VIEW", "VIEWS", "CameraPanel", "orientation", "view"]
@@ -37,7 +37,10 @@ def view(
 
 
 class CameraPanel(Panel):
-    """Follow keeps the distance and direction that the viewer has chosen; free leaves the camera alone."""
+    """Follow keeps the distance and direction that the viewer has chosen; free leaves the camera alone.
+
+    Another source brings every camera to where it starts.
+    """
 
     def create(self, gui: viser.GuiApi) -> None:
         self._mode = "follow"
@@ -50,7 +53,10 @@ class CameraPanel(Panel):
         @modes.on_click
         async def _(_: viser.GuiEvent) -> None:
             self._mode = modes.value
-            self._settled.clear()
+            if self._mode in VIEWS:
+                self._settled.clear()
+            else:  # whoever looks on stays there, also who was just on the way to another view
+                self._settled = dict.fromkeys(self._settled, -np.inf)
             self.page.refresh()
 
     def enter(self, source: Source) -> list[Change]:
@@ -59,7 +65,7 @@ class CameraPanel(Panel):
 
     def follow(self, frame: Frame) -> list[Change]:
         """Return the changes that keep the cameras with the drone; for every frame shown."""
-        state = frame.observation.true_state or frame.observation.state
+        state = frame.observation.actual_state
         position = np.asarray(state.position, dtype=np.float64)
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         start, target = view(self._mode if self._mode in VIEWS else "follow", position, goal)

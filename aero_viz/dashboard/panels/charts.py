@@ -1,9 +1,9 @@
-"""The last seconds as curves."""
+"""The flight as curves."""
 
 from __future__ import annotations
 
-from collections import deque
-from typing import Any
+import bisect
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -12,7 +12,8 @@ import viser.uplot
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
+from aero_viz.source import Source
 
 __all__ = ["ChartPanel"]
 
@@ -25,37 +26,91 @@ _AXIS: Any = {
 }
 
 
+class _Row(NamedTuple):
+    """What is drawn of a tick."""
+
+    time: float
+    speed: float
+    clearance: float
+    reach: float
+    """Where the clearance is cut off."""
+    plan_ms: float
+
+
 class ChartPanel(Panel):
-    """Speed and clearance, and the time of a plan, over the source's time."""
+    """Speed and clearance, and the time of a plan, over the source's time, with a mark at the present."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._epoch = -1
-        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=_ROWS)
-        self._motion = _chart(gui, ("speed [m/s]", palette.TRAIL), ("clearance [m]", palette.CHOSEN))
-        self._plan = _chart(gui, ("plan [ms]", palette.GUIDE))
+        self._rows: list[_Row] = []
+        self._frame: Frame | None = None
+        self._reach = self.session.config.costs.distance_max
+        self._motion = _chart(gui, _motion_series(self._reach))
+        self._plan = _chart(gui, (_curve("plan [ms]", palette.GUIDE), _MARK))
+
+    def enter(self, source: Source) -> list[Change]:
+        self._rows, self._frame = [], None
+        return []
 
     def update(self, frame: Frame) -> list[Change]:
-        if frame.epoch != self._epoch:
-            self._epoch = frame.epoch
-            self._rows.clear()
-        if self._rows and frame.time <= self._rows[-1][0]:
+        before, self._frame = self._frame, frame
+        if frame is before:
             return []
-        state = frame.observation.true_state or frame.observation.state
-        speed = float(np.linalg.norm(np.asarray(state.velocity)))
-        clearance = float(frame.plan.clearance[int(frame.plan.best)].min())
-        self._rows.append((frame.time, speed, clearance, frame.timings_ms.get("plan", 0.0)))
-        time, speeds, clearances, plan = np.array(self._rows).T
-        return [(self._motion, "data", (time, speeds, clearances)), (self._plan, "data", (time, plan))]
+        changes: list[Change] = [(self._motion, "visible", True), (self._plan, "visible", True)]
+        row = _row(frame)
+        if row.reach != self._reach:
+            self._reach = row.reach
+            changes.append((self._motion, "series", (_TIME, *_motion_series(self._reach))))
+        # Who goes back may look at what comes after; it is another flight's once this one goes on from there.
+        goes_on = before is not None and frame.epoch == before.epoch and frame.time > before.time
+        self._rows = [r for r in self._rows if r.time < row.time or (r.time > row.time and not goes_on)]
+        if len(self._rows) >= _ROWS:
+            time = np.array([r.time for r in self._rows])
+            del self._rows[1 + int(np.argmin(time[2:] - time[:-2]))]  # where they lie closest
+        bisect.insort(self._rows, row)
+        # The mark is a spike; and the page would keep the axis of before if one had no length.
+        rows = self._rows if len(self._rows) > 1 else [row, row._replace(time=row.time + frame.source.period)]
+        here = rows.index(row)
+        time, speed, clearance, reach, plan = np.array([*rows[:here], row, row, *rows[here:]]).T
+        mark = (np.arange(len(time)) == here + 1).astype(np.float64)
+        changes.append((self._motion, "data", (time, speed, clearance, reach, mark)))
+        return [*changes, (self._plan, "data", (time, plan, mark))]
 
 
-def _chart(gui: viser.GuiApi, *curves: tuple[str, palette.Rgb]) -> viser.GuiUplotHandle:
-    nothing = np.zeros(1)
-    series = [viser.uplot.Series(label="t [s]")]
-    series += [viser.uplot.Series(label=label, stroke=palette.css(color), width=1.5) for label, color in curves]
+def _row(frame: Frame) -> _Row:
+    return _Row(
+        time=frame.time,
+        speed=float(np.linalg.norm(np.asarray(frame.observation.actual_state.velocity))),
+        clearance=float(frame.plan.clearance[int(frame.plan.best)].min()),
+        reach=frame.config.costs.distance_max,
+        plan_ms=frame.timings_ms.get("plan", 0.0),
+    )
+
+
+def _curve(label: str, color: palette.Rgb, **options: Any) -> viser.uplot.Series:
+    return viser.uplot.Series(label=label, stroke=palette.css(color), width=1.5, **options)
+
+
+_TIME = viser.uplot.Series(label="t [s]")
+_MARK = viser.uplot.Series(
+    label="now", scale="mark", stroke=palette.css(palette.DRONE), width=1.0, points={"show": False}
+)
+
+
+def _motion_series(reach: float) -> tuple[viser.uplot.Series, ...]:
+    return (
+        _curve("speed [m/s]", palette.TRAIL),
+        _curve("clearance [m]", palette.CHOSEN),
+        _curve(f"≥ {reach:.2f} m", palette.MUTED, dash=(4, 4), points={"show": False}),
+        _MARK,
+    )
+
+
+def _chart(gui: viser.GuiApi, series: tuple[viser.uplot.Series, ...]) -> viser.GuiUplotHandle:
     return gui.add_uplot(
-        (nothing,) * len(series),
-        tuple(series),
-        scales={"x": viser.uplot.Scale(time=False)},
+        (np.zeros(2),) * (1 + len(series)),
+        (_TIME, *series),
+        scales={"x": viser.uplot.Scale(time=False), "mark": viser.uplot.Scale(range=(0.02, 1.0))},
         axes=(_AXIS, _AXIS),
         height=130,
+        visible=False,
     )

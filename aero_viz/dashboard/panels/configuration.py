@@ -11,7 +11,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config_file import format_config, load_config
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 
 __all__ = ["ConfigurationPanel"]
 
@@ -33,16 +33,14 @@ class ConfigurationPanel(Panel):
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None and self._preset.value != _OWN:
-                self.page.attempt(
-                    lambda: self.session.configure(PlannerConfig.preset(self._preset.value)), event.client
-                )
+                self.page.attempt(lambda: self.session.configure(self.page.preset(self._preset.value)), event.client)
 
         @steps.on_click
         async def _(event: viser.GuiEvent) -> None:
             actions = {
                 "undo": self.session.undo,
                 "redo": self.session.redo,
-                "reset all": lambda: self.session.configure(PlannerConfig()),
+                "reset all": lambda: self.session.configure(self.page.preset("default")),
             }
             self.page.attempt(actions[steps.value], event.client)
 
@@ -58,7 +56,9 @@ class ConfigurationPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         config = self.session.config
-        name = next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), _OWN)
+        floor = {"costs.floor": config.costs.floor}  # is the world's, and no change of a preset
+        presets = PlannerConfig.presets()
+        name = next((name for name in presets if PlannerConfig.preset(name).replace(floor) == config), _OWN)
         return [(self._preset, "value", name)]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import viser
 
@@ -16,13 +16,13 @@ from aero_viz.dashboard.panels.parameters import LiveParameterPanel, StructurePa
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
-from aero_viz.source import Source
+from aero_viz.source import Opener
 
 __all__ = ["build"]
 
 
 def build(
-    page: Page, *, open_source: Callable[[str], Source] | None, choices: Sequence[tuple[str, str]]
+    page: Page, *, open_source: Opener | None, choices: Sequence[tuple[str, str]], seed: int
 ) -> tuple[CameraPanel, list[Panel]]:
     """Make all panels: the controls docked on the right, the status floating at the lower left."""
     gui = page.server.gui
@@ -34,9 +34,10 @@ def build(
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if open_source is not None:
             with gui.add_folder("Source"):
-                panels.append(SourcePanel(page, open_source, choices))
-        with gui.add_folder("Goal"):
-            panels.append(GoalPanel(page))
+                panels.append(SourcePanel(page, open_source, choices, seed=seed))
+        if not page.session.read_only:
+            with gui.add_folder("Goal"):
+                panels.append(GoalPanel(page))
         panels.append(ChartPanel(page))
     with tabs.add_tab("Layers", viser.Icon.STACK_2):
         panels.append(LayerPanel(page))

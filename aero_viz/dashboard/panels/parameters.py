@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,8 @@ import viser
 from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo, Value, parameters
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Panel
-from aero_viz.session import Frame
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.frame import Frame
 
 __all__ = ["LiveParameterPanel", "StructureParameterPanel"]
 
@@ -90,12 +90,26 @@ def _nice(value: float) -> float:
     return next(float(f"{step * power:.6g}") for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
 
 
-class LiveParameterPanel(Panel):
+class _ParameterPanel(Panel):
+    """Controls that show the session's configuration, whoever changes it."""
+
+    def __init__(self, page: Page) -> None:
+        self._shown: PlannerConfig | None = None
+        self._controls: list[Control] = []
+        super().__init__(page)
+
+    def update(self, frame: Frame) -> list[Change]:
+        config = self.session.config
+        if config is self._shown:
+            return []
+        self._shown = config
+        return [change for control in self._controls for change in _differing(control, config)]
+
+
+class LiveParameterPanel(_ParameterPanel):
     """Sliders that act at once, in the folders of the configuration."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._shown: PlannerConfig | None = None
-        self._controls: list[Control] = []
         live = [info for info in parameters() if info.live]
         for section in dict.fromkeys(info.section for info in live):
             infos = [info for info in live if info.section == section]
@@ -103,7 +117,7 @@ class LiveParameterPanel(Panel):
                 for info in infos:
                     self._add(gui, info)
                 reset = gui.add_button(f"Reset {section}", icon=viser.Icon.RESTORE, color="gray")
-                self._on_reset(reset, {info.path: info.default for info in infos})
+                self._on_reset(reset, [info.path for info in infos])
 
     def _add(self, gui: viser.GuiApi, info: ParameterInfo) -> None:
         control = add_control(gui, info, self.session.config.get(info.path))
@@ -116,24 +130,17 @@ class LiveParameterPanel(Panel):
             ):
                 self._shown = None
 
-    def _on_reset(self, button: viser.GuiButtonHandle, defaults: dict[str, Value]) -> None:
+    def _on_reset(self, button: viser.GuiButtonHandle, paths: Sequence[str]) -> None:
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
-            self.page.attempt(lambda: self.session.configure(defaults), event.client)
-
-    def update(self, frame: Frame) -> list[Change]:
-        config = self.session.config
-        if config is self._shown:
-            return []
-        self._shown = config
-        return [change for control in self._controls for change in _differing(control, config)]
+            default = self.page.preset("default")
+            self.page.attempt(lambda: self.session.configure({p: default.get(p) for p in paths}), event.client)
 
 
-class StructureParameterPanel(Panel):
+class StructureParameterPanel(_ParameterPanel):
     """Numbers that size the planner's buffers, applied together with a button."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._shown: PlannerConfig | None = None
         with gui.add_form("Structure", expand_by_default=False) as form:
             infos = [info for info in parameters() if not info.live]
             self._controls = [add_control(gui, info, self.session.config.get(info.path)) for info in infos]
@@ -145,13 +152,6 @@ class StructureParameterPanel(Panel):
             if not self.page.attempt(lambda: self.session.configure(changes), event.client):
                 self._shown = None
             form.submit()
-
-    def update(self, frame: Frame) -> list[Change]:
-        config = self.session.config
-        if config is self._shown:
-            return []
-        self._shown = config
-        return [change for control in self._controls for change in _differing(control, config)]
 
 
 def _differing(control: Control, config: PlannerConfig) -> list[Change]:

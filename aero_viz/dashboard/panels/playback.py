@@ -9,7 +9,7 @@ import viser
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 from aero_viz.sinks import Sink
 from aero_viz.source import Source
 
@@ -25,7 +25,11 @@ class PlaybackPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = -_HOLD
-        self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="green")
+        self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray")
+        self._restart = gui.add_button(
+            "Restart", icon=viser.Icon.PLAYER_SKIP_BACK, color="gray", hint="Go back to the beginning.",
+            visible=not self.session.read_only,
+        )  # fmt: skip
         self._steps = gui.add_button_group(
             "Step", ("-10", "-1", "+1", "+10"), hint="Pause and go some ticks back or on."
         )
@@ -44,6 +48,10 @@ class PlaybackPanel(Panel):
         @self._play.on_click
         async def _(_: viser.GuiEvent) -> None:
             self._toggle()
+
+        @self._restart.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            session.seek(session.time_range[0])
 
         @self._steps.on_click
         async def _(_: viser.GuiEvent) -> None:
@@ -90,13 +98,16 @@ class PlaybackPanel(Panel):
     def enter(self, source: Source) -> list[Change]:
         return [(self._time, "step", max(round(source.period, 3), 0.001))]
 
-    def update(self, frame: Frame) -> list[Change]:
+    def wait(self) -> list[Change]:
         playing = self.session.playing
-        changes: list[Change] = [
+        return [
             (self._play, "label", "Pause" if playing else "Play"),
             (self._play, "icon", viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY),
             (self._play, "color", "gray" if playing else "green"),
         ]
+
+    def update(self, frame: Frame) -> list[Change]:
+        changes = self.wait()
         if time.monotonic() - self._touched > _HOLD:
             first, last = self.session.time_range
             changes += [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import viser
 
@@ -12,7 +14,7 @@ from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer, cost_scale
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.session import Frame
+from aero_viz.frame import Frame
 
 __all__ = ["StatusPanel"]
 
@@ -23,13 +25,22 @@ _STATUS = {
 }
 _OUTCOMES = {"arrived": palette.GOOD, "collision": palette.BAD, "end": palette.MUTED}
 _KEYS = {
-    "rollouts": ("chosen rollout", palette.CHOSEN),
-    "guides": ("guides", palette.GUIDE),
-    "anchors": ("refined anchors", palette.ANCHOR),
-    "trail": ("flown trail", palette.TRAIL),
-    "goal": ("goal", palette.GOAL),
-    "recorded_path": ("recorded path", palette.RECORDED),
+    "rollouts": (("chosen rollout", palette.CHOSEN),),
+    "guides": (("guides", palette.GUIDE),),
+    "anchors": (("initial endpoints", palette.ENDPOINT), ("refined anchors", palette.ANCHOR)),
+    "coarse_cells": (("coarse cells", palette.GRID_SECTION),),
+    "drone": (("drone", palette.DRONE),),
+    "trail": (("flown trail", palette.TRAIL),),
+    "recorded_path": (("recorded path", palette.RECORDED),),
+    "goal": (("goal", palette.GOAL),),
+    "obstacles": (("obstacles", palette.OBSTACLE),),
+    "ground": (("ground grid", palette.GRID_SECTION),),
 }
+"""What is drawn in one colour."""
+_SLOW = 1.1
+"""From which on a flight that lags behind is said to."""
+_SETTLED = 1.0
+"""How long `Frame.rate` remembers [s]: before, it tells of a pause or of another speed, too."""
 
 
 class StatusPanel(Panel):
@@ -37,6 +48,11 @@ class StatusPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._html = gui.add_html("")
+        self._pace: tuple[bool, float] | None = None
+        self._paced_since = 0.0
+
+    def wait(self) -> list[Change]:
+        return [(self._html, "content", markup.block(markup.text(self.session.waiting)))]
 
     def update(self, frame: Frame) -> list[Change]:
         return [(self._html, "content", markup.block(*self._parts(frame)))]
@@ -50,8 +66,8 @@ class StatusPanel(Panel):
             words.append(markup.pill(frame.outcome.replace("_", " "), _OUTCOMES.get(frame.outcome, palette.WARNING)))
         elif not self.session.playing:
             words.append(markup.pill("paused", palette.MUTED))
-        if frame.dropped_ticks:
-            words.append(markup.muted(f"{frame.dropped_ticks} ticks lost"))
+        if lag := self._lag(frame):
+            words.append(markup.muted(lag))
         told = (*frame.source.scenery.notices, *([frame.explanation] if frame.explanation else []))
         notices = "".join(
             f'<div style="color:{palette.css(palette.WARNING)};margin-top:3px">{markup.text(notice)}</div>'
@@ -59,6 +75,21 @@ class StatusPanel(Panel):
         )
         name = f"<b>{markup.text(frame.source.name)}</b> {markup.muted(f'{frame.time:.2f} s')}"
         return f'<div style="margin-bottom:5px">{name}</div>{"".join(words)}{notices}'
+
+    def _lag(self, frame: Frame) -> str:
+        """Return what it costs that ticks come late: a recording and a drone lose some, a flight takes its time."""
+        if frame.dropped_ticks:
+            return f"{frame.dropped_ticks} ticks lost"
+        pace = playing, speed = self.session.playing, self.session.speed
+        if pace != self._pace:
+            self._pace, self._paced_since = pace, time.monotonic()
+        flown = frame.source.closed_loop and not self.session.read_only
+        if not (flown and playing and frame.rate) or time.monotonic() - self._paced_since < _SETTLED:
+            return ""
+        slower = speed / (frame.rate * frame.source.period)
+        if slower < _SLOW:
+            return ""
+        return f"{slower:.1f} times slower than {'real time' if speed == 1.0 else 'asked for'}"
 
     def _costs(self, frame: Frame) -> str:
         plan, best = frame.plan, int(frame.plan.best)
@@ -79,21 +110,24 @@ class StatusPanel(Panel):
         return head + markup.bars(columns)  # type: ignore[arg-type]
 
     def _legend(self, frame: Frame) -> list[str]:
-        layers = self.page.layers
+        shown = {name: layer for name, layer in self.page.layers.items() if layer.visible and layer.available}
         parts = []
-        if layers["rollouts"].visible:
+        if "rollouts" in shown:
             cost = frame.plan.stage2_cost
-            parts.append(
-                markup.scale("rollouts: Stage II cost", f"{cost.max():.4g}", f"{cost.min():.4g} (best)", palette.COST)
-            )
-        cloud = layers["cloud"]
-        if isinstance(cloud, CloudLayer) and cloud.visible and cloud.scale is not None:
-            label, low, high, table = cloud.scale
-            parts.append(markup.scale(label, low, high, table))
-        parts.append(
-            markup.key(value for name, value in _KEYS.items() if layers[name].visible and layers[name].available)
-        )
-        return parts
+            by = "rank" if self._rollouts.color_by == "rank" else "logarithm"
+            label = f"rollouts: {by} of the Stage II cost"
+            parts.append(markup.scale(label, f"worst: {cost.max():.4g}", f"best: {cost.min():.4g}", palette.COST))
+        if "samples" in shown:
+            parts.append(markup.scale("samples: rank of the Stage I cost", "worst", "best", palette.VIRIDIS[51:]))
+        cloud = shown.get("cloud")
+        if isinstance(cloud, CloudLayer) and cloud.scale is not None:
+            parts.append(markup.scale(*cloud.scale))
+        reach = f"{frame.config.partition.range_max:g} m"
+        if "fine_cells" in shown:
+            parts.append(markup.scale("occupied cells: range", "0 m", reach, palette.NEAR_TO_FAR))
+        if "coarse_cells" in shown:
+            parts.append(markup.scale("safe directions: free range", "0 m", reach, palette.VIRIDIS))
+        return [*parts, markup.key(entry for name, entries in _KEYS.items() if name in shown for entry in entries)]
 
     @property
     def _rollouts(self) -> RolloutLayer:
@@ -103,7 +137,7 @@ class StatusPanel(Panel):
 
 
 def _figures(frame: Frame) -> str:
-    state = frame.observation.true_state or frame.observation.state
+    state = frame.observation.actual_state
     position = np.asarray(state.position)
     away = np.linalg.norm(np.asarray(frame.observation.goal.position) - position)
     clearance, reach = float(frame.plan.clearance[int(frame.plan.best)].min()), frame.config.costs.distance_max

@@ -1,0 +1,101 @@
+"""Figures and legend, without a browser."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import pytest
+from small_source import small_config, small_source
+
+from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.panels import status
+from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.frame import Frame
+from aero_viz.session import Session
+
+
+@pytest.fixture
+def dashboard() -> Iterator[Dashboard]:
+    session = Session(small_source(), config=small_config())
+    session.tick()
+    dashboard = Dashboard(session, port=0)
+    yield dashboard
+    dashboard.close()
+    session.close()
+
+
+@pytest.fixture
+def tell(dashboard: Dashboard) -> Callable[..., str]:
+    """Returns what the panel says of the present frame, some of whose fields are others."""
+    (panel,) = (panel for panel in dashboard._panels if isinstance(panel, StatusPanel))
+
+    def tell(**fields: object) -> str:
+        frame = panel.session.frame
+        assert isinstance(frame, Frame)
+        ((_, _, content),) = panel.update(dataclasses.replace(frame, **fields))  # type: ignore[arg-type]
+        return str(content)
+
+    return tell
+
+
+def test_a_flight_that_does_not_keep_up_is_slower_and_loses_nothing(dashboard, tell, monkeypatch):
+    monkeypatch.setattr(status, "_SETTLED", 0.0)
+    session = dashboard._session
+    nominal = 1.0 / session.source.period
+    assert "slower" not in tell(rate=nominal / 1.8), "while time stands still nothing is late"
+    session._set_playing(True)
+    assert "1.8 times slower than real time" in tell(rate=nominal / 1.8)
+    assert "slower" not in tell(rate=0.95 * nominal)
+    session.set_speed(4.0)
+    assert "2.0 times slower than asked for" in tell(rate=2.0 * nominal)
+
+
+def test_a_rate_from_before_the_speed_was_changed_is_not_taken_for_a_lag(dashboard, tell, monkeypatch):
+    monkeypatch.setattr(status, "_SETTLED", 1e6)
+    session = dashboard._session
+    session._set_playing(True)
+    session.set_speed(4.0)
+    assert "slower" not in tell(rate=1.0 / session.source.period)
+
+
+def test_ticks_that_are_lost_are_told(tell):
+    assert "lost" not in tell()
+    assert "12 ticks lost" in tell(dropped_ticks=12)
+
+
+@pytest.mark.parametrize(
+    ("layer", "words"),
+    [
+        ("rollouts", ["chosen rollout", "rank of the Stage II cost"]),
+        ("samples", ["rank of the Stage I cost"]),
+        ("guides", ["guides</span></div>"]),
+        ("anchors", ["initial endpoints", "refined anchors"]),
+        ("cloud", ["cloud: height"]),
+        ("fine_cells", ["occupied cells"]),
+        ("coarse_cells", ["coarse cells", "safe directions"]),
+        ("drone", ["drone"]),
+        ("trail", ["flown trail"]),
+        ("goal", ["goal</span></div>"]),
+        ("obstacles", ["obstacles"]),
+        ("ground", ["ground grid"]),
+    ],
+)
+def test_the_legend_has_a_key_for_every_layer_that_is_shown(dashboard, tell, layer, words):
+    def show(names: list[str]) -> str:
+        dashboard.show_only(names)
+        dashboard._changes(dashboard._session.frame)
+        return tell()
+
+    assert not any(word in show([]) for word in words)
+    assert all(word in show([layer]) for word in words)
+
+
+def test_no_layer_is_without_a_case_above(dashboard):
+    (mark,) = test_the_legend_has_a_key_for_every_layer_that_is_shown.pytestmark
+    assert set(dashboard.layers) == {layer for layer, _ in mark.args[1]} | {"recorded_path"}
+
+
+def test_the_rollouts_scale_says_what_they_are_coloured_by(dashboard, tell):
+    dashboard.layers["rollouts"].color_by = "log cost"
+    assert "log cost of" not in tell() and "rollouts: logarithm of the Stage II cost" in tell()
