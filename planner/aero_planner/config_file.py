@@ -32,6 +32,7 @@ __all__ = [
     "config_from_name",
     "format_config",
     "format_value",
+    "is_empty",
     "load_config",
     "parse_config",
     "parse_line",
@@ -68,6 +69,11 @@ def read_text(path: str | os.PathLike[str]) -> str:
         ) from error
     except OSError as error:
         raise ValueError(f"{path} can't be read: {error.strerror or error}.") from error
+
+
+def is_empty(content: str) -> bool:
+    """Return whether a configuration file holds nothing but blank lines and comments."""
+    return all(not line.strip() or line.lstrip().startswith("#") for line in content.split("\n"))
 
 
 def split_onboard(content: str, path: str) -> tuple[str, str, bool]:

@@ -8,6 +8,7 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_planner.config_file import format_config, load_config
+from aero_planner.onboard.settings_file import load_flight_config
 from tests.browser.desk import Desk
 
 DEFAULT = PlannerConfig().replace({"costs.floor": 0.0})
@@ -51,6 +52,21 @@ def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_
     assert desk.console == []
 
 
+def test_settings_of_the_drone_come_back_with_the_file(fresh_desk, tmp_path):
+    desk = fresh_desk
+    flight = tmp_path / "flight.yaml"
+    flight.write_text("costs:\n  q_track: 7.5\nonboard:\n  thrust:\n    hover_thrust: 0.42\n")
+    desk.open_tab("Tune")
+    upload(desk, flight)
+    desk.wait_for(lambda: desk.session.config.costs.q_track == 7.5, "the configuration of the file")
+    desk.session.configure({"costs.q_track": 8.5})
+    with desk.page.expect_download() as download:
+        desk.click("Download YAML")
+    download.value.save_as(flight)
+    planner, onboard = load_flight_config(flight)
+    assert planner.costs.q_track == 8.5 and onboard.thrust.hover_thrust == 0.42
+
+
 def test_presets_and_resets_keep_the_ground_of_the_world(fresh_desk):
     desk = fresh_desk
     desk.session.configure(DEFAULT)
@@ -79,9 +95,11 @@ def test_presets_and_resets_keep_the_ground_of_the_world(fresh_desk):
         ("costs: [1, 2", "bad.yaml"),
         ("costs:\n  q_trak: 3\n", "q_trak"),
         ("costs:\n  q_track: -3\n", "q_track"),
+        ("onboard:\n  lidr:\n    port: 1\n", "lidr"),
+        ("", "sets nothing"),
         (b"\xff\xfe\x00\x81", "bad.yaml"),
     ],
-    ids=["no YAML", "unknown name", "out of bounds", "no text"],
+    ids=["no YAML", "unknown name", "out of bounds", "unknown section of the node", "empty", "no text"],
 )
 def test_a_malformed_file_is_refused_with_a_reason(desk, tmp_path, content, words):
     before, version = desk.session.config, desk.session.frame.config_version

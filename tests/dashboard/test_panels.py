@@ -12,6 +12,7 @@ import viser
 from aero_planner import PlannerConfig
 from aero_planner.config import find_parameter, parameters
 from aero_planner.config_file import format_config
+from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels import source as source_panel
@@ -64,7 +65,11 @@ def test_a_slider_over_the_logarithm_stays_in_its_bounds(server):
 
 def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
     config = PlannerConfig.preset("paper")
-    assert _uploaded(viser.UploadedFile("mine.yaml", format_config(config).encode())) == config
+    assert _uploaded(viser.UploadedFile("mine.yaml", format_config(config).encode())) == (config, OnboardConfig())
+    with pytest.raises(ValueError, match=r"^mine\.yaml.*lidr"):
+        _uploaded(viser.UploadedFile("mine.yaml", b"onboard:\n  lidr:\n    port: 1\n"))
+    with pytest.raises(ValueError, match=r"^mine\.yaml sets nothing"):
+        _uploaded(viser.UploadedFile("mine.yaml", b"# nothing\n\n"))
     with pytest.raises(ValueError, match=r"^mine\.yaml.*q_trak"):
         _uploaded(viser.UploadedFile("../../mine.yaml", b"costs:\n  q_trak: 3\n"))
 

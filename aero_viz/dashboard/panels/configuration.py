@@ -8,7 +8,9 @@ from pathlib import Path
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config_file import format_config, load_config
+from aero_planner.config_file import format_config, is_empty, read_text
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.settings_file import format_onboard, load_flight_config
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.frame import Frame
@@ -19,9 +21,14 @@ _OWN = "(changed)"
 
 
 class ConfigurationPanel(Panel):
-    """Presets, undo and redo, download and upload."""
+    """Presets, undo and redo, download and upload.
+
+    Settings of the drone's node, under `onboard:` in an uploaded file, are not for the page; what is downloaded has
+    them again.
+    """
 
     def create(self, gui: viser.GuiApi) -> None:
+        self._onboard = OnboardConfig()
         presets = PlannerConfig.presets()
         hint = " ".join(f"{name}: {help}" for name, help in presets.items())
         self._preset = gui.add_dropdown("Preset", (*presets, _OWN), initial_value=_OWN, hint=hint)
@@ -47,12 +54,19 @@ class ConfigurationPanel(Panel):
         @save.on_click
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                content = format_config(self.session.config).encode()
-                event.client.send_file_download("aero-planner.yaml", content, save_immediately=True)
+                content = format_config(self.session.config)
+                if self._onboard != OnboardConfig():
+                    content += f"\n{format_onboard(self._onboard)}"
+                event.client.send_file_download("aero-planner.yaml", content.encode(), save_immediately=True)
 
         @load.on_upload
         async def _(event: viser.GuiEvent) -> None:
-            self.page.attempt(lambda: self.session.configure(_uploaded(load.value)), event.client)
+            self.page.attempt(lambda: self._take(load.value), event.client)
+
+    def _take(self, file: viser.UploadedFile) -> None:
+        config, onboard = _uploaded(file)
+        self.session.configure(config)
+        self._onboard = onboard
 
     def update(self, frame: Frame) -> list[Change]:
         config = self.session.config
@@ -62,13 +76,15 @@ class ConfigurationPanel(Panel):
         return [(self._preset, "value", name)]
 
 
-def _uploaded(file: viser.UploadedFile) -> PlannerConfig:
-    """Read a configuration that a browser sent; errors name the file as the user does."""
+def _uploaded(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:
+    """Read a file that a browser sent, the planner's part and the node's; errors name it as the user does."""
     name = Path(file.name).name or "upload.yaml"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(file.content)
         try:
-            return load_config(path)
+            if is_empty(read_text(path)):
+                raise ValueError(f"{path} sets nothing; the configuration stays. 'reset all' brings the default.")
+            return load_flight_config(path)
         except ValueError as error:
             raise ValueError(str(error).replace(str(path), name)) from error

@@ -159,6 +159,8 @@ FAULTS = (
 REACTIONS_TO: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
     # Of a plan that is not safe the controls are the planner's own way to brake, chosen by what is in the way.
     (State.BRAKING, (Cause.UNSAFE,)): Reaction.BRAKE_AS_PLANNED,
+    # So it is with a stale cloud, which the plan has noticed: trees stand where they stood.
+    (State.BRAKING, (Cause.CLOUD_STALE, Cause.UNSAFE)): Reaction.BRAKE_AS_PLANNED,
 }
 """In the place of `REACTIONS` where these faults, and no others, stand against flying."""
 

@@ -66,11 +66,17 @@ def format_failsafes(config: OnboardConfig | None = None) -> str:
 
 def _reactions(state: State) -> str:
     others = [
-        f"; {reaction.name} where nothing is wrong but: {', '.join(_words(cause) for cause in causes)}"
-        for (where, causes), reaction in REACTIONS_TO.items()
-        if where is state
+        f"{reaction.name} where nothing is wrong but: {' or '.join(names)}"
+        for reaction in Reaction
+        if (
+            names := [
+                " and ".join(_words(cause) for cause in causes)
+                for (where, causes), other in REACTIONS_TO.items()
+                if where is state and other is reaction
+            ]
+        )
     ]
-    return REACTIONS[state].name + "".join(others)
+    return "; ".join((REACTIONS[state].name, *others))
 
 
 def _words(cause: Cause) -> str:

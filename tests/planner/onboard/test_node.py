@@ -13,7 +13,7 @@ from aero_planner import Plan, Planner, PlanStatus, VehicleState
 from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.plan_track import FlyablePlan
 from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import State
+from aero_planner.onboard.safety import Reaction, State
 from tests.planner.onboard.simulated import GOAL, LANE, PLACES, WORLD, Simulation, in_flight, spoiled
 
 PERIOD = 0.02
@@ -181,6 +181,18 @@ def test_a_dead_lidar_brakes_in_time_and_hands_back(flight: Simulation):
     count = len(flight.link.sent)
     flight.run(1.0)
     assert len(flight.link.sent) == count and not flight.link.offboard and clearance(flight) > 0.0
+
+
+def test_with_a_stale_cloud_it_brakes_as_planned(flight: Simulation):
+    flight.lidar.alive = False
+    assert flight.run_until(lambda: flight.node.safety.reaction is Reaction.BRAKE_AS_PLANNED, 1.0)
+    assert flight.node.state is State.BRAKING and flight.motion.speed > 2.0
+    flight.planning_alive = False  # so that the plan stays
+    flight.run(3 * PERIOD)
+    sent, command = flight.link.sent[-1]
+    np.testing.assert_allclose(command, flight.node._track.command(sent), atol=1e-6)
+    flight.planning_alive = True
+    assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
 
 
 def test_a_lidar_that_comes_back_is_flown_with(flight: Simulation):
