@@ -190,7 +190,9 @@ def test_with_a_stale_cloud_it_brakes_as_planned(flight: Simulation):
     flight.planning_alive = False  # so that the plan stays
     flight.run(3 * PERIOD)
     sent, command = flight.link.sent[-1]
-    np.testing.assert_allclose(command, flight.node._track.command(sent), atol=1e-6)
+    planned = flight.node._track.command(sent)
+    assert planned is not None
+    np.testing.assert_allclose(command, planned, atol=1e-6)
     flight.planning_alive = True
     assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
 
