@@ -22,6 +22,7 @@ from small_source import small_source
 from aero_planner.config import parameters
 from aero_viz.cli import main
 from aero_viz.recordings import inspect as inspect_recording
+from tests.planner.interruption import interrupted_at_import
 
 FLIGHT_FIELDS = {
     "arrived", "reason", "flight_time_s", "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance",
@@ -359,23 +360,10 @@ START = {
     "the script": "from aero_viz.cli import main; sys.exit(main())",
     "the module": "import runpy; runpy.run_module('aero_viz.cli', run_name='__main__')",
 }
-CTRL_C = """
-import os, signal, sys
-
-class Interruption:
-    def find_spec(self, name, path=None, target=None):
-        if name == {module!r}:
-            os.kill(os.getpid(), signal.SIGINT)
-
-sys.meta_path.insert(0, Interruption())
-sys.argv = ["aero-viz", "demo", "--port", "0"]
-{start}
-"""
 
 
 @pytest.mark.parametrize("start", START.values(), ids=START)
 @pytest.mark.parametrize("module", ["warp", "tyro", "aero_viz.cli_page", "viser"])
 def test_ctrl_c_while_it_is_still_being_imported_ends_without_a_word(start: str, module: str) -> None:
-    code = CTRL_C.format(module=module, start=start)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = interrupted_at_import(module, start, "aero-viz", "demo", "--port", "0")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import run
 from small_source import small_source
 
 from aero_planner.config_file import load_config
-from aero_viz.cli import main
 from aero_viz.scenes import scene
 
 SMALL = ["--sampling.samples", "16", "--lidar.points-per-sweep", "1000"]
@@ -30,17 +30,6 @@ def poles(tmp_path: Path) -> str:
     path = tmp_path / "poles.json"
     world.save(path)
     return str(path)
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    capsys.readouterr()  # what fixtures printed
-    code = 0
-    try:
-        main(list(arguments))
-    except SystemExit as end:
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_what_is_found_is_told_and_written_and_flies(

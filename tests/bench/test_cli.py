@@ -7,23 +7,13 @@ import sys
 import time
 
 import pytest
+from command_line import run
 
 from aero_viz.bench import BENCHMARKS, Benchmark, Row
-from aero_viz.cli import main
 from aero_viz.scenes import scene
 from aero_viz.scenes.passable import is_passable
 
 SMALL = ["--sampling.samples", "8", "--sampling.steps", "10"]
-
-
-def run(capsys, *arguments: str) -> tuple[int, str, str]:
-    code = 0
-    try:
-        main(list(arguments))
-    except SystemExit as end:
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_fly_export_score_and_include(capsys, tmp_path):

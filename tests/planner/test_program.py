@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
+
+from tests.planner.interruption import interrupted_at_import
 
 START = {
     "the script": "from aero_planner.cli import main; sys.exit(main())",
     "the module": "import runpy; runpy.run_module('aero_planner', run_name='__main__')",
 }
-CTRL_C = """
-import os, signal, sys
-
-class Interruption:
-    def find_spec(self, name, path=None, target=None):
-        if name == {module!r}:
-            os.kill(os.getpid(), signal.SIGINT)
-
-sys.meta_path.insert(0, Interruption())
-sys.argv = ["aero-planner", *{call!r}.split()]
-{start}
-"""
 
 
 @pytest.mark.parametrize("start", START.values(), ids=START)
@@ -36,6 +23,5 @@ sys.argv = ["aero-planner", *{call!r}.split()]
     ],
 )
 def test_ctrl_c_while_it_is_still_being_imported_ends_without_a_word(start: str, call: str, module: str):
-    code = CTRL_C.format(call=call, module=module, start=start)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = interrupted_at_import(module, start, "aero-planner", *call.split())
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

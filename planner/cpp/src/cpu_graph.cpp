@@ -79,11 +79,6 @@ public:
 
     ~CpuGraph() override { unload(); }
 
-    size_t bytes(const char* name) const override
-    {
-        return wp_apic_get_param_ptr(graph_, name) ? wp_apic_get_param_size(graph_, name) : 0;
-    }
-
     void put(const char* name, const void* values, size_t size) override
     {
         std::memcpy(wp_apic_get_param_ptr(graph_, name), values, size);
@@ -137,7 +132,6 @@ private:
             clang().unload(module.c_str());
     }
 
-    APICGraph* graph_ = nullptr;
     std::vector<std::string> modules_;
 };
 

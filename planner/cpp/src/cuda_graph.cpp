@@ -33,11 +33,6 @@ public:
 
     ~CudaGraph() override { release(); }
 
-    size_t bytes(const char* name) const override
-    {
-        return wp_apic_get_param_ptr(graph_, name) ? wp_apic_get_param_size(graph_, name) : 0;
-    }
-
     void put(const char* name, const void* values, size_t size) override
     {
         Copy* copy = find(name);
@@ -124,7 +119,6 @@ private:
 
     void* context_;
     void* stream_ = nullptr;
-    APICGraph* graph_ = nullptr;
     std::map<std::string, Copy, std::less<>> copies_;
 };
 

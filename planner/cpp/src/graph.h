@@ -16,7 +16,10 @@ public:
     virtual ~Graph() = default;
 
     // Size of an array; 0 where there is none of that name.
-    virtual size_t bytes(const char* name) const = 0;
+    size_t bytes(const char* name) const
+    {
+        return wp_apic_get_param_ptr(graph_, name) ? wp_apic_get_param_size(graph_, name) : 0;
+    }
 
     // Overwrite the beginning of an array.
     virtual void put(const char* name, const void* values, size_t size) = 0;
@@ -26,6 +29,9 @@ public:
 
     // What an array holds, nullptr where there is none of that name; stays where it is until the graph is gone.
     virtual const void* get(const char* name) = 0;
+
+protected:
+    APICGraph* graph_ = nullptr;
 };
 
 // What a graph was captured for, as `target.txt` beside it says.
