@@ -22,10 +22,11 @@ test: setup-dev check  ## all checks and tests
 test-lowest: setup-dev  ## the planner's tests with the lowest versions that its wheel allows
 	@$(PYTHON_BIN) scripts/lowest.py $(ARGS)
 
-check: setup-dev  ## style and types
+check: setup-dev  ## style, types, and the direction of imports
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/pyright
+	.venv/bin/lint-imports
 
 format: setup-dev  ## rewrite the sources in the project's style
 	.venv/bin/ruff check --fix .

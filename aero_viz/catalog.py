@@ -6,7 +6,7 @@ from pathlib import Path
 
 from aero_planner.config import find_parameter
 from aero_viz.errors import UserError
-from aero_viz.source import Source
+from aero_viz.session.source import Source
 
 __all__ = ["is_map", "load_world", "open_source", "source_choices"]
 

@@ -1,7 +1,7 @@
 """Parameters of the simulation: fields with default, unit, bounds and help, made as those of the planner are.
 
-A dataclass whose fields come from `aero_planner.parameter` is the one home of what is known of them: it checks its own
-values, and flags and documentation derive from it.
+A dataclass whose fields come from `aero_planner.config.parameter` is the one home of what is known of them: it checks
+its own values, and flags and documentation derive from it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from aero_planner.parameter import ParameterInfo
+from aero_planner.config.parameter import ParameterInfo
 
 __all__ = ["check_parameters", "parameters_of"]
 

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Sequence
 from typing import Any
 
-from aero_planner.program import run_command
+from aero_planner.cli_util import run_command
 from benchmarks.common import machine, positive
 
 __all__ = ["first_plan", "main"]

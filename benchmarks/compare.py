@@ -18,7 +18,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner import Planner
-from aero_planner.program import run_command
+from aero_planner.cli_util import run_command
 from benchmarks.common import machine, positive, situation
 from benchmarks.comparison.problem import Problem, make_problem, problem_config
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.buffers import fine_shape
-from aero_planner.config_file import config_from_name
-from aero_planner.guides import BRAKES
-from aero_planner.mppi import PROBES
-from aero_planner.program import run_command
+from aero_planner.arrays import fine_shape
+from aero_planner.cli_util import run_command
+from aero_planner.config.file import config_from_name
+from aero_planner.kernels.guides import BRAKES
+from aero_planner.kernels.mppi import PROBES
 from benchmarks.common import elapsed_ms, machine, positive, situation
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
 

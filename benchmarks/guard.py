@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.config_file import config_from_name
-from aero_planner.program import run_command
+from aero_planner.cli_util import run_command
+from aero_planner.config.file import config_from_name
 from benchmarks.common import elapsed_ms, machine, positive, situation
 from benchmarks.naive import NaivePlanner
 

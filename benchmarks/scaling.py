@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.program import run_command
+from aero_planner.cli_util import run_command
 from benchmarks.common import elapsed_ms, machine, positive, situation
 
 __all__ = ["Row", "main", "superlinear", "sweep", "time_plan"]

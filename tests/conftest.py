@@ -44,8 +44,8 @@ def device(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """Chromium, one for all tests; in CI a missing one is a failure."""
+    from aero_viz.dashboard.snapshot import launch_chromium
     from aero_viz.errors import UserError
-    from aero_viz.snapshot import launch_chromium
 
     with contextlib.ExitStack() as stack:
         try:

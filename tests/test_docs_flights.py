@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from aero_viz.bench import BENCHMARKS
 from aero_viz.cli import main
+from aero_viz.evaluation.bench import BENCHMARKS
 from aero_viz.flight import FlightResult, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.simulator import OUTCOMES
 from aero_viz.parameters import parameters_of

@@ -45,7 +45,7 @@ def test_the_page_of_an_example_stays_until_enter() -> None:
 def test_every_command_named_exists() -> None:
     verbs = set(re.findall(r"^aero-viz (\w+)", README, flags=re.MULTILINE))
     help = subprocess.run(
-        [sys.executable, "-m", "aero_viz.cli", "--help"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "aero_viz", "--help"], capture_output=True, text=True, check=False
     ).stdout
     assert verbs and all(verb in help for verb in verbs)
 

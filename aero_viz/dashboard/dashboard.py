@@ -10,16 +10,16 @@ from collections.abc import Sequence
 
 import viser
 
-from aero_viz.broadcast import Steerable
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.pace import Pace
 from aero_viz.dashboard.panels import Page
 from aero_viz.dashboard.panels.layout import build
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
-from aero_viz.frame import Frame, Notice
-from aero_viz.sinks import Sink
-from aero_viz.source import Opener, Source
+from aero_viz.session.broadcast import Steerable
+from aero_viz.session.frame import Frame, Notice
+from aero_viz.session.sinks import Sink
+from aero_viz.session.source import Opener, Source
 
 __all__ = ["Dashboard"]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.parameter import live
+from aero_planner.config.parameter import live
 from aero_viz.flight.vehicle import Vehicle
 from aero_viz.parameters import check_parameters
 

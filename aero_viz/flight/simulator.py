@@ -10,13 +10,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.parameter import live, structural
-from aero_planner.quiet import quieten
+from aero_planner.config.parameter import live, structural
+from aero_planner.warp_init import quieten
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.parameters import check_parameters
+from aero_viz.scenes.geometry import DeviceWorlds, Geometry, world_distance
 from aero_viz.scenes.world import World
-from aero_viz.sensors.geometry import DeviceWorlds, Geometry, world_distance
 from aero_viz.sensors.lidar import Lidar, LidarModel
 
 __all__ = ["OUTCOMES", "FlightRules", "Record", "Simulator"]

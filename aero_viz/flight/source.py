@@ -20,7 +20,7 @@ from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel, livox_mid360
-from aero_viz.source import Observation, Scenery
+from aero_viz.session.source import Observation, Scenery
 
 __all__ = ["KEPT_BYTES", "FlightSource"]
 
@@ -65,7 +65,7 @@ class _Checkpoint:
 
 
 class FlightSource:
-    """A simulated flight in a world; implements `aero_viz.source.Source`.
+    """A simulated flight in a world; implements `aero_viz.session.source.Source`.
 
     Checkpoints take about a kilobyte each: they hold no points, but the poses from which the points are measured again.
 

@@ -11,7 +11,7 @@ import warp as wp
 
 from aero_planner import PlannerConfig
 from aero_planner.config import VehicleConfig
-from aero_planner.parameter import live
+from aero_planner.config.parameter import live
 from aero_viz.parameters import check_parameters
 
 __all__ = ["PLANNED", "Vehicle", "VehicleModel"]

@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig, VehicleState
-from aero_planner.config_file import format_config
+from aero_planner.config.file import format_config
 from aero_planner.onboard.messages import DEFINITIONS, Encoded, pose_messages
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightInterrupted, FlightResult, FlightRules, FlightSource, StateNoise, VehicleModel
@@ -27,13 +27,13 @@ from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.progress import share_of_way
 from aero_viz.flight.trajectory import trajectory_file
-from aero_viz.frame import Frame
 from aero_viz.logs.messages import body_rates, encode_goal, encode_plan, encode_sweep
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
-from aero_viz.sinks import Sink
-from aero_viz.source import Source
+from aero_viz.session.frame import Frame
+from aero_viz.session.sinks import Sink
+from aero_viz.session.source import Source
 
 __all__ = ["FlightLog", "flight_settings", "fly_and_log", "new_points", "record"]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from aero_planner import VehicleState
 from aero_planner.onboard.messages import Encoded, goal_message, plan_messages, sweep
-from aero_viz.frame import Frame
 from aero_viz.recordings.rotations import matrices
+from aero_viz.session.frame import Frame
 
 __all__ = ["body_rates", "encode_goal", "encode_plan", "encode_sweep"]
 

@@ -13,7 +13,7 @@ from aero_viz.errors import UserError
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
 from aero_viz.recordings.recording import PointSweep, Recording
 from aero_viz.recordings.rotations import matrices, rotate
-from aero_viz.source import Observation, Scenery
+from aero_viz.session.source import Observation, Scenery
 
 __all__ = ["MAX_POINTS", "RecordedPath", "RecordingSource"]
 

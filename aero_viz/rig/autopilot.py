@@ -16,15 +16,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.frames import (
-    attitude_to_ned,
-    flu_from_frd,
-    frd_from_flu,
-    ned_from_world,
-    rotate,
-)
+from aero_planner.onboard.frames import attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.thrust import force_from_signal, signal_from_force
+from aero_planner.quaternions import rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.faults import Channel
 

@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: an argument is out of range, or pymavlink is missing; one sentence.
     """
-    from aero_planner.quiet import quieten
+    from aero_planner.warp_init import quieten
     from aero_viz.errors import UserError
 
     options = _parser().parse_args(arguments)

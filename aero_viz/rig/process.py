@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from aero_planner import PlannerConfig
-from aero_planner.config_file import format_config
+from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.settings_file import format_onboard
 

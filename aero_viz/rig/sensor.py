@@ -9,12 +9,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.onboard.frames import quaternion_from_angles, rotate
 from aero_planner.onboard.livox import CARTESIAN_MM, encode_packet
+from aero_planner.quaternions import quaternion_from_angles, rotate
 from aero_viz.flight.vehicle import Vehicle
 from aero_viz.rig.faults import Channel
 from aero_viz.scenes import World
-from aero_viz.sensors.geometry import DeviceWorlds
+from aero_viz.scenes.geometry import DeviceWorlds
 from aero_viz.sensors.lidar import Lidar, LidarModel
 
 __all__ = ["PACKET_POINTS", "SimulatedMid360"]

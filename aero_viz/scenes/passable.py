@@ -20,10 +20,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.quiet import quieten
+from aero_planner.warp_init import quieten
+from aero_viz.scenes.geometry import Primitive, device_primitives, primitive_distance
 from aero_viz.scenes.triangles import TriangleTree, mesh_distance
 from aero_viz.scenes.world import World, primitive_bounds
-from aero_viz.sensors.geometry import Primitive, device_primitives, primitive_distance
 
 __all__ = ["ClearanceGrid", "is_passable", "widest_radius"]
 

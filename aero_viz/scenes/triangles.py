@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.quiet import quieten
+from aero_planner.warp_init import quieten
 
 __all__ = ["TriangleTree", "mesh_distance", "mesh_range", "read_triangles"]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.parameter import did_you_mean
+from aero_planner.config.parameter import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.scenes.mesh import Mesh, to_meshes
 

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.quiet import quieten
+from aero_planner.warp_init import quieten
 from aero_viz.sensors.lidar import Beams, LidarModel, beam_direction, pack_beams
 
 __all__ = ["coverage"]

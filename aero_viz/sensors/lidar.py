@@ -12,10 +12,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.parameter import choice, live, structural
+from aero_planner.config.parameter import choice, live, structural
 from aero_viz.errors import UserError
 from aero_viz.parameters import check_parameters
-from aero_viz.sensors.geometry import DeviceWorlds, Geometry
+from aero_viz.scenes.geometry import DeviceWorlds, Geometry
 from aero_viz.sensors.raycast import ray_range
 
 __all__ = ["LIDARS", "Lidar", "LidarModel", "full_sphere", "lidar_model", "livox_mid360", "spinning64"]

@@ -11,8 +11,8 @@ import math
 
 import warp as wp
 
+from aero_viz.scenes.geometry import BOX, CYLINDER, FAR, DeviceWorlds, Geometry, Primitive, rotate_z
 from aero_viz.scenes.triangles import mesh_range
-from aero_viz.sensors.geometry import BOX, CYLINDER, FAR, DeviceWorlds, Geometry, Primitive, rotate_z
 
 __all__ = ["cast", "primitive_range", "ray_range"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.params import Params
+from aero_planner.kernels.params import Params
 from benchmarks.naive.model import clamp_control, rk4, rotate_back, rotation, yaw
 
 __all__ = ["BRAKES", "guides", "nominal_controls", "write_brake"]

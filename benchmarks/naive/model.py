@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.params import Params
+from aero_planner.kernels.params import Params
 
 __all__ = [
     "attitude_cost",

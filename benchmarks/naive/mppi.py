@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.mppi import NOISE_STEP
-from aero_planner.params import Params
+from aero_planner.kernels.mppi import NOISE_STEP
+from aero_planner.kernels.params import Params
 from benchmarks.naive.model import (
     PROBES,
     blocked_cost,
@@ -43,7 +43,7 @@ def draw_noise(
     table: wp.array3d(dtype=float),
     noise: wp.array3d(dtype=wp.vec4),
 ):
-    """White noise of unit variance, shape [B M, K, N], as `aero_planner.mppi` draws it from its table [N, 4, rows]:
+    """White noise of unit variance, shape [B M, K, N], as `kernels.mppi` draws it from its table [N, 4, rows]:
     successive rows from a random multiple of NOISE_STEP on, with random signs. Launched over [B M, K]."""
     i, k = wp.tid()
     b = i // instances

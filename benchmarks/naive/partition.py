@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.params import Params
+from aero_planner.kernels.params import Params
 from benchmarks.naive.model import rotate, rotate_back, yaw
 
 __all__ = ["cells_of_points", "coarse_cells", "complete_goal", "fine_cells", "initial_anchors", "refined_anchors"]

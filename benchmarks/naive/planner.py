@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner import Planner
-from aero_planner.params import Params, pack
+from aero_planner.kernels.params import Params, pack
 from benchmarks.naive import guides, mppi, partition, stage2
 from benchmarks.naive.model import PROBES
 

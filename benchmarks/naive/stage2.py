@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.params import Params
+from aero_planner.kernels.params import Params
 from benchmarks.naive.guides import BRAKES, write_brake
 from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost
 from benchmarks.naive.mppi import collision_and_blocked, distance_to

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from aero_planner.lazy_import import lazy_exports
 
 if TYPE_CHECKING:
-    from aero_planner.ahead import compile_ahead, warmup
     from aero_planner.config import PlannerConfig
+    from aero_planner.deploy.aot import compile_ahead, warmup
     from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
     from aero_planner.planner import Planner
 
@@ -22,22 +23,12 @@ __all__ = [
     "warmup",
 ]
 
-_HOMES = {
-    "config": ("PlannerConfig",),
-    "plan": ("Goal", "Plan", "PlanStatus", "VehicleState"),
-    "planner": ("Planner",),
-    "ahead": ("compile_ahead", "warmup"),
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its home when it is first asked for: the command line starts, and ends, without Warp."""
-    for home, names in _HOMES.items():
-        if name in names:
-            value = globals()[name] = getattr(importlib.import_module(f"{__name__}.{home}"), name)
-            return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "config": ("PlannerConfig",),
+        "plan": ("Goal", "Plan", "PlanStatus", "VehicleState"),
+        "planner": ("Planner",),
+        "deploy.aot": ("compile_ahead", "warmup"),
+    },
+)

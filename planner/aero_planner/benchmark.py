@@ -14,11 +14,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner.cli_util import run_command
 from aero_planner.config import PlannerConfig
-from aero_planner.config_file import config_from_name
+from aero_planner.config.file import config_from_name
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
-from aero_planner.program import run_command
 
 __all__ = ["forest_cloud", "main", "measure"]
 

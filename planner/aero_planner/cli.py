@@ -18,11 +18,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from aero_planner.program import INTERRUPTED, abandon_output
+from aero_planner.cli_util import INTERRUPTED, abandon_output
 
 if TYPE_CHECKING:
-    from aero_planner.bundle import Bundle
     from aero_planner.config import PlannerConfig
+    from aero_planner.deploy.bundle import Bundle
     from aero_planner.onboard.node import Node
     from aero_planner.onboard.record import Observer
     from aero_planner.onboard.settings import OnboardConfig
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Imported here, so that Ctrl-C ends this quietly as well.
         from importlib.metadata import entry_points
 
-        from aero_planner.parameter import did_you_mean
+        from aero_planner.config.parameter import did_you_mean
 
         given = list(sys.argv[1:] if arguments is None else arguments)
         others = {point.name: point for point in entry_points(group=GROUP)}
@@ -148,7 +148,7 @@ def _bundle(options: argparse.Namespace, stack: contextlib.ExitStack) -> Bundle 
     """Return the bundle that the options name, until the stack unwinds; its configuration is the default then."""
     if options.bundle is None:
         return None
-    from aero_planner.bundle import open_bundle
+    from aero_planner.deploy.bundle import open_bundle
 
     bundle = stack.enter_context(open_bundle(options.bundle))
     options.config = options.config or str(bundle.config_file)
@@ -158,7 +158,7 @@ def _bundle(options: argparse.Namespace, stack: contextlib.ExitStack) -> Bundle 
 def _load(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
     """Return the configurations that the options name."""
     from aero_planner.config import PlannerConfig
-    from aero_planner.config_file import config_from_name
+    from aero_planner.config.file import config_from_name
     from aero_planner.onboard.settings import OnboardConfig, check_together
     from aero_planner.onboard.settings_file import load_flight_config, load_onboard
 
@@ -174,7 +174,7 @@ def _load(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
 
 
 def _show(options: argparse.Namespace) -> int:
-    from aero_planner.config_file import format_config
+    from aero_planner.config.file import format_config
     from aero_planner.onboard.settings_file import format_onboard
 
     planner, onboard = _load(options)
@@ -223,10 +223,10 @@ def write_bundle(out: str | os.PathLike[str], *, config: str, architectures: Ite
     """Write a bundle and return the line that tells of it.
 
     Args:
-        out, config, cpu: as of `aero_planner.export.export`, which also says what is raised.
+        out, config, cpu: as of `aero_planner.deploy.export.export`, which also says what is raised.
         architectures: of GPUs, such as "sm_87".
     """
-    from aero_planner.export import export, parse_architecture
+    from aero_planner.deploy.export import export, parse_architecture
 
     began = time.monotonic()
     manifest = export(out, config=config, architectures=[parse_architecture(one) for one in architectures], cpu=cpu)

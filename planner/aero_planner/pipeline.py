@@ -18,9 +18,7 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner import anchors, clearance, guides, mppi, partition, stage2
-from aero_planner.blocks import Widths, widths
-from aero_planner.buffers import (
+from aero_planner.arrays import (
     as_values,
     as_vectors,
     fine_shape,
@@ -28,6 +26,8 @@ from aero_planner.buffers import (
     padded_samples,
 )
 from aero_planner.config import PlannerConfig
+from aero_planner.kernels import anchors, clearance, guides, mppi, partition, selection
+from aero_planner.kernels.kernel_tuning import Widths, widths
 
 __all__ = ["Pipeline", "made_kernels"]
 
@@ -50,10 +50,10 @@ def made_kernels(of: Widths) -> list[tuple[wp.Kernel, int]]:
         (clearance.query_clearance(crowd), 128),
         (mppi.improve(of), of.improve),
         (mppi.improve(crowd), crowd.improve),
-        (stage2.roll_out_best(of), 32),
-        (stage2.evaluate(of), 32),
-        (stage2.evaluate(crowd), 32),
-        (stage2.score(of), 32),
+        (selection.roll_out_best(of), 32),
+        (selection.evaluate(of), 32),
+        (selection.evaluate(crowd), 32),
+        (selection.score(of), 32),
     ]
 
 
@@ -228,19 +228,19 @@ class Pipeline:
         choose = serial(
             "stage2",
             launch(
-                stage2.roll_out_best(of), (B, rolled_out, of.steps), M, *state, params, w.nominal, o.controls,
+                selection.roll_out_best(of), (B, rolled_out, of.steps), M, *state, params, w.nominal, o.controls,
                 o.positions, o.velocities, o.quaternions, block_dim=32,
             ),
             launch(
-                stage2.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position, *goal, w.turn,
-                params, *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
+                selection.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position, *goal,
+                w.turn, params, *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(
-                stage2.score(of), (B, rolled_out, of.steps), i.goal_position, w.turn, params, o.positions, w.terms,
+                selection.score(of), (B, rolled_out, of.steps), i.goal_position, w.turn, params, o.positions, w.terms,
                 o.J_goal, o.J_col, o.S2, w.scores, block_dim=32,
             ),
             launch(
-                stage2.conclude, (B, N + 1), M, brake, i.time, params, i.cloud_age, i.goal_position, w.turn, w.terms,
+                selection.conclude, (B, N + 1), M, brake, i.time, params, i.cloud_age, i.goal_position, w.turn, w.terms,
                 w.scores, o.anchor, o.coefficient, o.guide, o.controls, o.positions, o.velocities, o.quaternions,
                 o.J_goal, o.J_col, o.S2, o.clearance, o.best, o.status, o.braked, w.tick, w.previous_controls,
                 w.previous_end, w.previous_turn, w.previous_time,

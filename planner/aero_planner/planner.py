@@ -13,13 +13,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.buffers import fine_shape, input_block, output_block, work_arrays
+from aero_planner.arrays import fine_shape, input_block, output_block, work_arrays
 from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
-from aero_planner.params import Params, pack
+from aero_planner.kernels.params import Params, pack
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
-from aero_planner.quiet import quieten
+from aero_planner.warp_init import quieten
 
 __all__ = ["History", "Planner"]
 

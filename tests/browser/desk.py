@@ -21,7 +21,7 @@ from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Session
-from aero_viz.source import Source
+from aero_viz.session.source import Source
 from tests.browser.pictures import Image, project
 
 __all__ = ["Desk", "open_desk"]

@@ -14,10 +14,10 @@ import numpy as np
 import psutil
 
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.snapshot import launch_chromium
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Session
-from aero_viz.snapshot import launch_chromium
 
 _ENGINE = ("aero-viz-session", "aero-planner")
 

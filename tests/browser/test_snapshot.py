@@ -11,10 +11,10 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
+from aero_viz.dashboard.snapshot import snapshot
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
-from aero_viz.snapshot import snapshot
 
 # Written by running this file.
 REFERENCE = Path(__file__).with_name("snapshot_reference.json")

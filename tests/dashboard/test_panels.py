@@ -11,7 +11,7 @@ import viser
 
 from aero_planner import PlannerConfig
 from aero_planner.config import find_parameter, parameters
-from aero_planner.config_file import format_config
+from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup

@@ -11,8 +11,8 @@ from small_source import small_config, small_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels import status
 from aero_viz.dashboard.panels.status import StatusPanel
-from aero_viz.frame import Frame
 from aero_viz.session import Session
+from aero_viz.session.frame import Frame
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
+from aero_viz.evaluation.score import load_trajectory
 from aero_viz.flight import FlightInterrupted, fly
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.progress import share_of_way
 from aero_viz.logs import fly_and_log
 from aero_viz.recordings import inspect
 from aero_viz.scenes import scene
-from aero_viz.score import load_trajectory
 from aero_viz.sensors import LidarModel
 
 OPTIONS = {

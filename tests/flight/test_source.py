@@ -15,7 +15,7 @@ from aero_viz.flight import FlightRules, FlightSource, StateNoise
 from aero_viz.flight.source import KEPT_BYTES
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
-from aero_viz.source import Source
+from aero_viz.session.source import Source
 
 LIDAR = LidarModel("small", points_per_sweep=2000)
 

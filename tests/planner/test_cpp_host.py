@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
-from aero_planner.export import export, makes_graphs, parse_architecture
+from aero_planner.deploy.export import export, makes_graphs, parse_architecture
 from aero_planner.onboard.settings import above_fence
 from aero_planner.onboard.settings_file import load_flight_config
 

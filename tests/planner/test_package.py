@@ -18,7 +18,9 @@ def test_every_public_name_is_there():
 
 
 def test_a_name_stays_a_function_whatever_was_imported_before():
-    code = "import aero_planner.export; from aero_planner import *; assert callable(warmup) and callable(Planner)"
+    code = (
+        "import aero_planner.deploy.export; from aero_planner import *; assert callable(warmup) and callable(Planner)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

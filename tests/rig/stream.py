@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.livox import LivoxSource
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.settings_file import load_flight_config
+from aero_planner.quaternions import rotate
 
 PERIOD = 0.02
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from aero_planner.onboard.frames import quaternion_from_angles, rotate
 from aero_planner.onboard.livox import CARTESIAN_CM, CARTESIAN_MM, decode_points, parse_packet
+from aero_planner.quaternions import quaternion_from_angles, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.autopilot import PERIOD
 from aero_viz.rig.sensor import PACKET_POINTS, SimulatedMid360

@@ -10,8 +10,8 @@ import trimesh
 import warp as wp
 
 from aero_planner import PlannerConfig
-from aero_viz.bench.surface import surface_points
 from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.surface import surface_points
 from aero_viz.flight import FlightBatch, FlightRules, fly
 from aero_viz.scenes import World
 from aero_viz.scenes.passable import is_passable, widest_radius

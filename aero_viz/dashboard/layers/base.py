@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from aero_viz.frame import Frame
-from aero_viz.source import Source
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import Source
 
 __all__ = ["Change", "Layer", "Lines", "apply", "polylines"]
 

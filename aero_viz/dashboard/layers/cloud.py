@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["CloudLayer"]
 

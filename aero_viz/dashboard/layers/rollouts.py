@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from aero_planner import Plan
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["RolloutLayer", "cost_scale"]
 

@@ -7,7 +7,7 @@ import viser
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["SampleLayer"]
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply, polylines
-from aero_viz.frame import Frame
-from aero_viz.source import Source
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import Source
 
 __all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer"]
 

@@ -10,13 +10,13 @@ from typing import Any
 import viser
 
 from aero_planner import PlannerConfig
-from aero_viz.broadcast import Steerable
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
-from aero_viz.frame import Frame
-from aero_viz.ground import preset_above
-from aero_viz.source import Source
+from aero_viz.session.broadcast import Steerable
+from aero_viz.session.frame import Frame
+from aero_viz.session.ground import preset_above
+from aero_viz.session.source import Source
 
 __all__ = ["Page", "Panel"]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.frame import Frame
-from aero_viz.source import Source
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import Source
 
 __all__ = ["FIELD_OF_VIEW", "VIEWS", "CameraPanel", "orientation", "view"]
 

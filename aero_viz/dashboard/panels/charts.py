@@ -12,8 +12,8 @@ import viser.uplot
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.frame import Frame
-from aero_viz.source import Source
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import Source
 
 __all__ = ["ChartPanel"]
 

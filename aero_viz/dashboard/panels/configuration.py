@@ -8,12 +8,12 @@ from pathlib import Path
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config_file import format_config, is_empty, read_text
+from aero_planner.config.file import format_config, is_empty, read_text
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.settings_file import format_onboard, load_flight_config
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["ConfigurationPanel"]
 

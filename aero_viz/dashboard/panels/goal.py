@@ -9,8 +9,8 @@ import viser
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.frame import Frame
-from aero_viz.sinks import Sink
+from aero_viz.session.frame import Frame
+from aero_viz.session.sinks import Sink
 
 __all__ = ["GoalPanel"]
 

@@ -9,7 +9,7 @@ from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import BEST, SampleLayer
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["LayerPanel"]
 

@@ -16,7 +16,7 @@ from aero_viz.dashboard.panels.parameters import LiveParameterPanel, StructurePa
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
-from aero_viz.source import Opener
+from aero_viz.session.source import Opener
 
 __all__ = ["build"]
 

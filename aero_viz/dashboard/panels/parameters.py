@@ -13,7 +13,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo, Value, parameters
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Page, Panel
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["LiveParameterPanel", "StructureParameterPanel"]
 

@@ -12,7 +12,7 @@ import viser
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.server import notify
-from aero_viz.source import Opener, Source
+from aero_viz.session.source import Opener, Source
 
 __all__ = ["SourcePanel"]
 

@@ -14,7 +14,7 @@ from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer, cost_scale
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.frame import Frame
+from aero_viz.session.frame import Frame
 
 __all__ = ["StatusPanel"]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.onboard.frames import advance
+from aero_planner.quaternions import advance
 
 __all__ = ["Fix", "jumped"]
 

@@ -20,18 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.clock import HostClock
-from aero_planner.onboard.frames import (
-    advance,
-    attitude_from_ned,
-    frd_from_flu,
-    rotate,
-    world_from_ned,
-)
+from aero_planner.onboard.frames import attitude_from_ned, frd_from_flu, world_from_ned
 from aero_planner.onboard.jumps import Fix, jumped
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.port import Port, open_port
 from aero_planner.onboard.thrust import signal_from_force
 from aero_planner.plan import VehicleState
+from aero_planner.quaternions import advance, rotate
 
 __all__ = ["MavlinkLink", "MavlinkSender", "load_dialect"]
 

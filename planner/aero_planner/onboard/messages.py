@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.safety import Change
 from aero_planner.plan import Goal, Plan, VehicleState
+from aero_planner.quaternions import rotate
 
 __all__ = [
     "BODY", "DEFINITIONS", "WORLD", "Encoded", "goal_message", "plan_messages", "pose_messages", "safety_change",

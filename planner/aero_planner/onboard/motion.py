@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.frames import advance, rotate
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.settings import BrakeSettings
+from aero_planner.quaternions import advance, rotate
 
 __all__ = ["DeadReckoning", "Motion", "StopController", "acceleration", "propagate"]
 

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.onboard.frames import quaternion_from_angles
 from aero_planner.onboard.lidar import PointPacket
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.motion import Motion, acceleration, propagate
 from aero_planner.onboard.plan_track import FlyablePlan, PlanTrack
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.sweeps import SweepBuffer
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
 from aero_planner.planner import Planner
-from aero_planner.sweeps import SweepBuffer
+from aero_planner.quaternions import quaternion_from_angles
 
 __all__ = ["MadePlan", "Planning", "Situation"]
 

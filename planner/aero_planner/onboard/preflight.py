@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.bundle import Bundle
 from aero_planner.config import PlannerConfig
+from aero_planner.deploy.bundle import Bundle
 from aero_planner.onboard.assemble import open_lidar, open_link
-from aero_planner.onboard.frames import quaternion_from_angles
 from aero_planner.onboard.guard import Guard
 from aero_planner.onboard.lidar import PointSource
 from aero_planner.onboard.link import VehicleLink, VehicleSample
 from aero_planner.onboard.safety import inside_fence
 from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.sweeps import SweepBuffer
 from aero_planner.onboard.thrust import force_from_signal
-from aero_planner.sweeps import SweepBuffer
+from aero_planner.quaternions import quaternion_from_angles
 
 __all__ = ["Check", "PreflightReport", "check_inputs", "preflight"]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from aero_planner.config import PlannerConfig, find_parameter
-from aero_planner.parameter import ParameterInfo, Value, did_you_mean, live, structural, switch
+from aero_planner.config.parameter import ParameterInfo, Value, did_you_mean, live, structural, switch
 
 __all__ = [
     "BrakeSettings",

@@ -18,7 +18,7 @@ import os
 import textwrap
 
 from aero_planner.config import PlannerConfig
-from aero_planner.config_file import (
+from aero_planner.config.file import (
     format_value,
     parse_config,
     parse_line,
@@ -26,8 +26,8 @@ from aero_planner.config_file import (
     read_text,
     split_onboard,
 )
+from aero_planner.config.parameter import Value, did_you_mean
 from aero_planner.onboard.settings import SECTIONS, OnboardConfig, TextInfo, find_setting, settings
-from aero_planner.parameter import Value, did_you_mean
 
 __all__ = ["format_onboard", "load_file", "load_flight_config", "load_onboard"]
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Plan, Planner, PlannerConfig, VehicleState
-from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.lidar import PointCounters, PointPacket
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.motion import Motion, StopController, propagate
@@ -23,6 +22,7 @@ from aero_planner.onboard.node import Node
 from aero_planner.onboard.record import Observer
 from aero_planner.onboard.safety import State
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.quaternions import rotate
 
 STEP = 0.005
 """Of the simulated vehicle [s]."""

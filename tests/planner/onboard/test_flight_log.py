@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from aero_planner import Planner, PlannerConfig, VehicleState
-from aero_planner.config_file import load_config
+from aero_planner.config.file import load_config
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.settings import OnboardConfig

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.frames import advance, rotate
 from aero_planner.onboard.jumps import Fix, jumped
 from aero_planner.onboard.safety import State
+from aero_planner.quaternions import advance, rotate
 from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import LANE, Simulation, in_flight, poles
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner, PlanStatus, VehicleState
-from aero_planner.onboard.frames import rotate
 from aero_planner.onboard.plan_track import FlyablePlan
 from aero_planner.onboard.record import Observer, PlanRecord
 from aero_planner.onboard.safety import Reaction, State
+from aero_planner.quaternions import rotate
 from tests.planner.onboard.simulated import GOAL, LANE, PLACES, WORLD, Simulation, in_flight, spoiled
 
 PERIOD = 0.02

@@ -10,7 +10,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
-from aero_planner.config_file import format_config
+from aero_planner.config.file import format_config
+from aero_planner.config.parameter import ParameterInfo
 from aero_planner.onboard.settings import (
     SECTIONS,
     OnboardConfig,
@@ -20,7 +21,6 @@ from aero_planner.onboard.settings import (
     settings,
 )
 from aero_planner.onboard.settings_file import format_onboard, load_file, load_flight_config, load_onboard
-from aero_planner.parameter import ParameterInfo
 
 NUMBERS = [info for info in settings() if not isinstance(info, TextInfo) and not isinstance(info.default, bool)]
 

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
-from aero_planner.onboard.frames import quaternion_from_angles, rotate
 from aero_planner.onboard.motion import Motion, StopController, propagate
 from aero_planner.onboard.settings import BrakeSettings
 from aero_planner.onboard.watchdog import Beat, Watchdog
+from aero_planner.quaternions import quaternion_from_angles, rotate
 
 PERIOD, DEADLINE, BLIND_TIME = 0.02, 0.1, 1.5
 VEHICLE = PlannerConfig().vehicle

@@ -1,0 +1,10 @@
+"""`python -m aero_viz` is `aero-viz`."""
+
+from __future__ import annotations
+
+from aero_viz.cli import main
+
+__all__: list[str] = []
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,0 @@
-"""Benchmarks: many flights in many worlds, the statistics of them, and a report."""
-
-from __future__ import annotations
-
-from aero_viz.bench.catalog import BENCHMARKS, Benchmark, Row
-from aero_viz.bench.runner import Run, run_benchmark
-
-__all__ = ["BENCHMARKS", "Benchmark", "Row", "Run", "run_benchmark"]

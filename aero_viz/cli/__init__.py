@@ -1,0 +1,36 @@
+"""The entry point of `aero-viz`. What it needs is imported inside, so that Ctrl-C can also end that quietly."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from aero_planner.cli_util import INTERRUPTED, abandon_output
+from aero_viz.errors import UserError
+
+__all__ = ["main"]
+
+_DESCRIPTION = "AERO-Viz: the AERO-MPPI planner, live in the browser."
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; exits with 0 when done, 2 for a user's mistake or unreadable input, 130 after Ctrl-C."""
+    try:
+        from aero_planner.warp_init import quieten
+        from aero_viz.cli.parser import parse
+        from aero_viz.cli.verbs import VERBS
+
+        wanted = sys.argv[1:] if arguments is None else arguments
+        verb = parse(VERBS, wanted, prog="aero-viz", description=_DESCRIPTION)
+        quieten()
+        verb()
+        sys.stdout.flush()
+    except (UserError, ValueError) as error:
+        if isinstance(error, ValueError) and os.environ.get("AERO_VIZ_DEBUG"):
+            raise
+        print(f"aero-viz: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except BrokenPipeError:
+        raise SystemExit(abandon_output()) from None
+    except KeyboardInterrupt:
+        raise SystemExit(INTERRUPTED) from None

@@ -1,0 +1,192 @@
+"""Pictures of any source at any time, rendered headless in Chromium."""
+
+from __future__ import annotations
+
+import contextlib
+import time as clock
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner import PlannerConfig
+from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
+from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, orientation
+from aero_viz.dashboard.panels.camera import view as named_view
+from aero_viz.dashboard.server import sky
+from aero_viz.errors import UserError
+from aero_viz.session import Session
+from aero_viz.session.source import Source
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+__all__ = ["launch_chromium", "snapshot"]
+
+
+@contextlib.contextmanager
+def launch_chromium() -> Iterator[Browser]:
+    """Run a headless Chromium that needs no graphics card.
+
+    Raises:
+        UserError: there is no Chromium, no Playwright, or it does not start.
+    """
+    program = find_chromium()
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise UserError("Pictures need Playwright, which is not installed; run: pip install playwright.") from error
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=program, args=list(CHROMIUM_FLAGS))
+        except Error as error:
+            reason = str(error).splitlines()[0]
+            raise UserError(f"{program} does not start: {reason}") from error
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+def snapshot(
+    source: Source,
+    *,
+    path: str | Path | None = None,
+    time: float = 0.0,
+    config: PlannerConfig | None = None,
+    camera: str | tuple[ArrayLike, ArrayLike] = "follow",
+    size: tuple[int, int] = (1280, 800),
+    layers: Sequence[str] | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+) -> NDArray[np.uint8]:
+    """Render the scene of `source` at `time`; the same arguments give the same picture, up to the edges of lines.
+
+    Args:
+        source: what to fly or play; is closed.
+        path: PNG file to write; None writes none.
+        time: when, in the source [s]: a flight is flown up to there, a recording is sought.
+        config: of the planner; None is the default.
+        camera: "follow", "top" or "side", or position and look-at [m], each shape [3], world frame.
+        size: width and height of the picture.
+        layers: names of the layers to show, see `Dashboard.layers`; None shows those that are on by default.
+        seed: of the planner's noise.
+        device: of the planner.
+
+    Returns:
+        The picture, shape [height, width, 3].
+
+    Raises:
+        UserError: no browser, an unknown layer or camera, a time beyond the end, a size out of range, or a file that
+            cannot be written.
+    """
+    if not all(16 <= length <= 8192 for length in size):
+        source.close()
+        raise UserError(f"The size is {size[0]} x {size[1]} pixels; width and height must be in [16, 8192].")
+    if path is not None and (reason := _why_not(Path(path))):  # said before the flight, not after it
+        source.close()
+        raise UserError(f"The picture {path} cannot be written: {reason}.")
+    with contextlib.ExitStack() as stack:
+        session = Session(source, config=config, device=device, seed=seed)
+        stack.callback(session.close)
+        _go_to(session, time)
+        dashboard = Dashboard(session, port=0)
+        stack.callback(dashboard.close)
+        dashboard.show_only(layers)
+        look = _camera(session, camera)
+        if layers is not None and "samples" in layers:
+            session.set_samples(True)
+        # Playwright wants a thread without an event loop; a notebook's has one.
+        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, look, size).result()
+    if path is not None:
+        _write(image, Path(path))
+    return image
+
+
+def _go_to(session: Session, time: float) -> None:
+    """Go to the tick at or before `time` without a clock."""
+    if not np.isfinite(time) or time < 0.0:
+        raise UserError(f"The time is {time:g} s; it must be a finite number that is not negative.")
+    frame = session.tick()
+    times = session.source.times
+    if times is not None:
+        if time > times[-1] + session.source.period:
+            raise UserError(f"{session.source.name} ends at {times[-1]:.2f} s; give an earlier time.")
+        session.seek(time).result()
+        return
+    half = 0.5 * session.source.period
+    while frame.time < time - half:
+        frame = session.tick()
+        if frame.outcome is not None and frame.time < time - half:
+            why = "" if frame.explanation is None else f" {frame.explanation}"
+            raise UserError(
+                f"{session.source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time.{why}"
+            )
+
+
+def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tuple[Any, Any]:
+    frame = session.frame
+    assert frame is not None
+    if isinstance(camera, str):
+        if camera not in VIEWS:
+            raise UserError(f"Unknown camera {camera!r}; known: {', '.join(VIEWS)}, or a position and a look-at.")
+        state = frame.observation.actual_state
+        return named_view(camera, np.asarray(state.position), np.asarray(frame.observation.goal.position))
+    position, look_at = (np.asarray(point, dtype=np.float64) for point in camera)
+    if position.shape != (3,) or look_at.shape != (3,) or np.allclose(position, look_at):
+        raise UserError("The camera must be a position and a look-at: two different points of three numbers each.")
+    return position, look_at
+
+
+def _render(dashboard: Dashboard, look: tuple[Any, Any], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Open the page and let it render the scene from `look`, without panels."""
+    with launch_chromium() as browser:
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page.goto(dashboard.url)
+        client = _first_client(dashboard, page)
+        assert dashboard.drain(), "the frame was not sent"
+        position, look_at = look
+        view: dict[str, Any] = {"wxyz": orientation(position, look_at), "position": position, "fov": FIELD_OF_VIEW}
+        view |= {"transport_format": "png", "timeout": 60.0}
+        before = None
+        for _ in range(20):  # the page builds its nodes over several frames
+            small = client.get_render(size[1] // 4, size[0] // 4, **view)
+            if before is not None and np.array_equal(small, before):
+                break
+            before = small
+            page.wait_for_timeout(100)
+        picture = client.get_render(size[1], size[0], **view)
+    # Where nothing was drawn the picture is transparent.
+    cover = picture[..., 3:].astype(np.float32) / 255.0
+    return (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
+
+
+def _first_client(dashboard: Dashboard, page: Page) -> Any:
+    deadline = clock.monotonic() + 60.0
+    while not dashboard.server.get_clients():
+        if clock.monotonic() > deadline:
+            raise UserError("The browser did not open the page within 60 s; look whether `aero-viz doctor` finds it.")
+        page.wait_for_timeout(50)
+    return next(iter(dashboard.server.get_clients().values()))
+
+
+def _why_not(path: Path) -> str:
+    """Return what keeps a picture from being written there, empty for nothing that can be seen beforehand."""
+    if path.is_dir():
+        return f"it is a folder; give the name of a file, such as {path / 'picture.png'}"
+    if path.suffix.lower() != ".png":
+        return f"pictures are PNG files; name it {path.with_suffix('.png')}"
+    return "" if path.parent.is_dir() else f"there is no folder {path.parent}; create it first"
+
+
+def _write(image: NDArray[np.uint8], path: Path) -> None:
+    import imageio.v3 as iio
+
+    try:
+        iio.imwrite(path, image, extension=".png")
+    except OSError as error:
+        raise UserError(f"The picture {path} cannot be written: {error.strerror or error}.") from error

@@ -1,0 +1,1 @@
+"""Many flights: benchmarks, parameter tuning, and scores of flights by other planners."""

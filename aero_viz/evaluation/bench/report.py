@@ -1,0 +1,260 @@
+"""Tables and figures of a run: flights.csv, summary.csv, summary.json, PNG plots and report.md."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.catalog import Benchmark
+from aero_viz.evaluation.bench.include import Included
+from aero_viz.evaluation.bench.plots import plot
+from aero_viz.evaluation.bench.published import PUBLISHED
+from aero_viz.evaluation.bench.runner import Run
+from aero_viz.evaluation.statistics import METRICS, Summary, summarise
+
+__all__ = ["OURS", "format_summaries", "format_worlds", "summaries_of", "world_records", "write_report"]
+
+OURS = "AERO-Viz"
+"""Planner's name in the lines of our own flights."""
+
+_PLAIN_TABLE = ("row", "planner", "success", "95 % interval", "passable", "mean speed", "ended by")
+
+
+def summaries_of(run: Run, included: Sequence[Included] = ()) -> list[Summary]:
+    """Return one line per row that has flights, then one per planner and kind of world that was included."""
+    lines = []
+    for row in run.benchmark.rows:
+        flights = [flight for flight in run.flights if flight["row"] == row.label]
+        if flights:
+            lines.append(summarise(flights, row=row.label, planner=OURS))
+    lines += [summarise(other.flights, row=other.kind, planner=other.planner) for other in included]
+    return lines
+
+
+def write_report(run: Run, folder: str | Path, *, included: Sequence[Included] = ()) -> list[Summary]:
+    """Write all files of a run into `folder` and return the lines of its table.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    folder = Path(folder)
+    summaries = summaries_of(run, included)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write_csv(folder / "flights.csv", run.flights)
+        _write_csv(folder / "worlds.csv", world_records(run))
+        _write_csv(folder / "summary.csv", [_flat(line) for line in summaries])
+        content = {**run.header, "complete": run.is_complete, "summary": [line.to_dict() for line in summaries]}
+        (folder / "summary.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        plots = plot(run.benchmark, summaries, folder, subtitle=_subtitle(run), ours=OURS) if summaries else []
+        (folder / "report.md").write_text(_markdown(run, summaries, plots), encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"Cannot write the report to {folder}: {error.strerror or error}.") from error
+    return summaries
+
+
+def format_summaries(summaries: Sequence[Summary]) -> str:
+    """Return the table as text for a terminal."""
+    rows: list[list[str]] = [list(_PLAIN_TABLE)]
+    for line in summaries:
+        rows.append([line.row, line.planner, f"{line.arrived}/{line.flights}", _interval(line),
+                     _percent(line.passable), _number(line.mean["mean_speed"]), _reasons(line)])  # fmt: skip
+    widths = [max(len(row[i]) for row in rows) for i in range(len(_PLAIN_TABLE))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def world_records(run: Run) -> list[dict[str, Any]]:
+    """Return what was flown in: one record per world with its kind, seed, and whether a path exists, in order."""
+    kinds = {row.label: row.name_prefix for row in run.benchmark.rows}
+    order = list(dict.fromkeys(kinds.values()))
+    found = {(kinds[flight["row"]], flight["world_seed"]): flight["passable"] for flight in run.flights}
+    ordered = sorted(found.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
+    return [{"kind": kind, "seed": seed, "passable": passable} for (kind, seed), passable in ordered]
+
+
+def format_worlds(run: Run) -> list[str]:
+    """Return a line per kind of world that says in which of them a path exists for the drone's radius."""
+    kinds: dict[str, dict[int, bool]] = {}
+    for record in world_records(run):
+        kinds.setdefault(record["kind"], {})[record["seed"]] = record["passable"]
+    lines = []
+    for kind, seeds in kinds.items():
+        closed = [str(seed) for seed, passable in seeds.items() if not passable]
+        line = (
+            f"{kind}, seeds {min(seeds)} to {max(seeds)}: a path exists in {sum(seeds.values())} of {len(seeds)} worlds"
+        )
+        lines.append(f"{line}, none with the seeds {', '.join(closed)}" if closed else line)
+    return lines
+
+
+def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> str:
+    benchmark, header = run.benchmark, run.header
+    own = {line.row: line for line in summaries if line.planner == OURS}
+    parts = [f"# {benchmark.title}", benchmark.note]
+    if not run.is_complete:
+        parts.append(f"**Incomplete: {len(run.flights)} of {run.total} flights.** `--resume` goes on.")
+    parts.append(_success_table(summaries))
+    parts += [f"![{path.stem}]({path.name})" for path in plots]
+    parts += ["## Arrived flights", _metrics_table(benchmark, summaries)]
+    if any(row.published for row in benchmark.rows):
+        parts.append(
+            "Published: Chen et al., AERO-MPPI, arXiv 2509.17340, 50 successful flights per line, simulated in MARSIM; "
+            "the other planners flew with lower velocity limits where they failed. Success rates are given there as "
+            "figures: above 80 % for AERO-MPPI at 7 m/s in all three scenes. How smoothness was discretised is not "
+            "said: ours is the sum of squared changes of the mean acceleration per tick over the tick, and much larger."
+        )
+    targets = _targets_table(benchmark, own)
+    if targets:
+        parts += ["## Targets", targets]
+    if benchmark.metric == "throughput":
+        parts += ["## Throughput", _throughput_table(run, own)]
+    radius = header["simulation"]["rules"]["radius"]
+    parts += [f"## Paths for a radius of {radius:g} m", "\n".join(f"- {line}" for line in format_worlds(run))]
+    parts += ["## How it was measured", _conditions(run), "### Configuration", _config(header)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _success_table(summaries: Sequence[Summary]) -> str:
+    rows = [
+        [line.row, line.planner, f"{line.arrived}/{line.flights}", _percent(line.success_rate), _interval(line),
+         _percent(line.passable), _reasons(line)]
+        for line in summaries
+    ]  # fmt: skip
+    header = ["row", "planner", "arrived", "success", "95 % interval", "worlds with a path", "ended by"]
+    return _table(header, rows)
+
+
+def _metrics_table(benchmark: Benchmark, summaries: Sequence[Summary]) -> str:
+    header = ["row", "planner", "mean speed [m/s]", "max speed [m/s]", "smoothness [m²/s⁵]", "length [m]",
+              "mean clearance [m]", "min clearance [m]", "time [s]", "plan of a batch [ms]"]  # fmt: skip
+    published = {row.label: row.published for row in benchmark.rows}
+    rows = []
+    for line in summaries:
+        values = [_mean_std(line, name) for name in METRICS]
+        rows.append([line.row, line.planner, *values, _number(line.plan_ms_median, 2)])
+        for other in PUBLISHED:
+            if line.planner == OURS and other.scene == published.get(line.row):
+                rows.append([line.row, f"{other.planner}, published", *(_number(value) for value in other[2:]), "", ""])
+    return _table(header, rows)
+
+
+def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
+    rows = []
+    for row in benchmark.rows:
+        line = own.get(row.label)
+        if row.target is None or line is None:
+            continue
+        rate, speed = row.target
+        reached = line.mean["mean_speed"]
+        met = line.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
+        wanted = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
+        at = "" if reached is None else f" at {_number(reached)} m/s"
+        rows.append([row.label, wanted, f"{_percent(line.success_rate)}{at}", _yes(met)])
+    return _table(["row", "target", "reached", "met"], rows) if rows else ""
+
+
+def _throughput_table(run: Run, own: dict[str, Summary]) -> str:
+    rows = []
+    for row in run.benchmark.rows:
+        flights = [flight for flight in run.flights if flight["row"] == row.label]
+        if not flights:
+            continue
+        line, first = own[row.label], flights[0]
+        rows.append([row.label, _number(line.flights_per_minute, 1), _number(first["run_s"], 1),
+                     _number(first["build_s"], 1), _number(line.plan_ms_median, 2)])  # fmt: skip
+    return _table(["row", "flights per minute", "flying [s]", "building [s]", "plan of a batch [ms]"], rows)
+
+
+def _conditions(run: Run) -> str:
+    header = run.header
+    first_world = header["seed"] + run.benchmark.first_seed
+    batches = {flight["batch"]: flight for flight in run.flights}
+    seconds = sum(batch["run_s"] + batch["build_s"] for batch in batches.values())
+    rows = [
+        ["date", header["date"]],
+        *([name.replace("_", " "), str(value)] for name, value in header["hardware"].items()),
+        *([f"version of {name}", value] for name, value in header["versions"].items()),
+        ["flights per row", str(header["flights"])],
+        ["seeds of the worlds", f"from {first_world}"],
+        ["LiDAR", header["lidar"] or ", ".join(dict.fromkeys(row.lidar for row in run.benchmark.rows))],
+        ["configuration", header["config_name"]],
+        ["flights in a batch", f"at most {header['batch']}"],
+        ["wall time", f"{seconds:.0f} s in {len(batches)} batches"],
+    ]
+    names = {"lidar": "changes of the LiDAR", "drone": "changes of the drone", "noise": "noise of the state estimate"}
+    for name, changes in header["simulation"].items():
+        text = ", ".join(f"{key} {value:g}" for key, value in (changes or {}).items())
+        rows += [[names.get(name, name), text]] if text else []
+    limits = ", ".join(f"{speed:g}" for speed in dict.fromkeys(row.speed for row in run.benchmark.rows))
+    rows.append(["velocity limit", f"{limits} m/s"])
+    return _table(["what", "value"], rows) + (
+        "\n\nA flight fails when the drone's centre comes closer to a surface than its radius, when it makes no "
+        'progress, leaves the world or takes too long. "Worlds with a path" counts those in which a ball of that '
+        "radius can move from start to goal in the band of heights around them. Means are over the flights that "
+        "arrived, ± one standard deviation."
+    )
+
+
+def _config(header: dict[str, Any]) -> str:
+    from aero_planner import PlannerConfig
+    from aero_planner.config.file import format_config
+
+    lines = format_config(PlannerConfig.from_dict(header["config"])).splitlines()
+    kept = [line for line in lines if line and not line.lstrip().startswith("#")]
+    return "\n".join(["```yaml", *kept, "```"])
+
+
+def _subtitle(run: Run) -> str:
+    header = run.header
+    lidar = header["lidar"] or " and ".join(dict.fromkeys(row.lidar for row in run.benchmark.rows))
+    return f"configuration {header['config_name']}, LiDAR {lidar}, {header['flights']} flights per row"
+
+
+def _flat(line: Summary) -> dict[str, Any]:
+    values = line.to_dict()
+    for kind in ("mean", "std"):
+        values |= {f"{name}_{kind}": value for name, value in values.pop(kind).items()}
+    values["reasons"] = _reasons(line)
+    return values
+
+
+def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        if rows:
+            writer = csv.DictWriter(file, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def _interval(line: Summary) -> str:
+    return f"{100 * line.success_low:.0f} to {100 * line.success_high:.0f} %"
+
+
+def _reasons(line: Summary) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in line.reasons.items())
+
+
+def _mean_std(line: Summary, name: str) -> str:
+    mean, std = line.mean[name], line.std[name]
+    return _number(mean) if std is None else f"{_number(mean)} ± {_number(std)}"
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{100 * value:.0f} %"
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

@@ -1,0 +1,23 @@
+"""The session: source -> planner -> Frame at a fixed tick, with sinks and commands from any thread. Headless."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aero_planner.lazy_import import lazy_exports
+
+if TYPE_CHECKING:
+    from aero_viz.session.frame import Frame, Notice
+    from aero_viz.session.session import Session
+    from aero_viz.session.source import Observation, Scenery, Source
+
+__all__ = ["Frame", "Notice", "Observation", "Scenery", "Session", "Source"]
+
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "frame": ("Frame", "Notice"),
+        "session": ("Session",),
+        "source": ("Observation", "Scenery", "Source"),
+    },
+)

@@ -1,0 +1,242 @@
+"""One tick after another: source -> planner -> Frame, and jumps in time. Single-threaded; `Session` adds threads."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner import Planner, PlannerConfig
+from aero_planner.planner import History
+from aero_viz.session.config_history import ConfigHistory
+from aero_viz.session.frame import Frame
+from aero_viz.session.ground import move_ground
+from aero_viz.session.source import Source
+from aero_viz.session.timeline import Mark, Timeline
+
+__all__ = ["Engine"]
+
+
+class Engine:
+    """Owns a source, a planner and the ticks so far.
+
+    Args:
+        source: where sweeps and states come from; closed with the engine.
+        configs: the newest configuration is used at every tick.
+        device, seed: of the planner.
+        publish: called with every frame.
+    """
+
+    def __init__(
+        self, source: Source, *, configs: ConfigHistory, device: str, seed: int, publish: Callable[[Frame], None]
+    ) -> None:
+        self.source = source
+        self.frame: Frame | None = None
+        self.samples = False
+        """Whether frames carry the Stage I samples."""
+        self.dropped_ticks = 0
+        self._configs = configs
+        self._config = configs.present[0]
+        self._planner = Planner(self._config, device=device, seed=seed)
+        self._publish_frame = publish
+        self._timeline = Timeline()
+        self._tick_ends: deque[float] = deque(maxlen=200)
+        self._epoch = 0
+
+    @property
+    def time_range(self) -> tuple[float, float]:
+        """First and last time that `seek` can reach [s]."""
+        times = self.source.times
+        return (float(times[0]), float(times[-1])) if times is not None and len(times) else self._timeline.time_range
+
+    @property
+    def planned_config(self) -> PlannerConfig:
+        """Configuration of the newest frame."""
+        return self._config
+
+    @property
+    def next_time(self) -> float:
+        """Source time of the next tick [s]."""
+        if self.frame is None:
+            return 0.0
+        times = self.source.times
+        if times is None:
+            return self.frame.time + self.source.period
+        return float(times[min(_row(times, self.frame.time) + 1, len(times) - 1)])
+
+    def tick(self) -> Frame:
+        """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
+        if self.frame is None or not self._timeline:
+            return self._plan()
+        if self.source.outcome is not None:
+            return self.frame
+        started = time.perf_counter()
+        self.source.advance(self.frame.plan)
+        advance_ms = 1e3 * (time.perf_counter() - started)
+        if self.source.outcome == "end":
+            # A recording that is over has no further tick: what is on screen stays.
+            return self._publish(dataclasses.replace(self.frame, outcome="end"))
+        return self._plan(advance_ms=advance_ms)
+
+    def replan(self) -> None:
+        """Plan the present tick again, as if for the first time."""
+        if self._timeline:
+            self._plan(history=self._timeline.present.history)
+
+    def set_goal(self, position: NDArray[np.float64]) -> None:
+        """Move the goal [m], shape [3], world frame; the present tick is planned again, and returned to with it.
+
+        If it cannot be planned to, the goal stays.
+        """
+        before = self.source.checkpoint()
+        self.source.set_goal(position)
+        try:
+            if self._timeline:
+                self._timeline.amend(self.source.checkpoint())
+            self.replan()
+        except Exception:
+            # Otherwise every further tick would fail in the same way.
+            self.source.restore(before)
+            if self._timeline:
+                self._timeline.amend(before)
+            raise
+
+    def seek(self, wanted: float) -> None:
+        """Go to the tick at or before `wanted` [s]; ValueError unless it is finite."""
+        if not np.isfinite(wanted):
+            raise ValueError(f"time is {wanted}; it must be a finite number [s].")
+        if self.source.times is not None:
+            self.source.seek(wanted)
+            self._forget()
+            self._plan()
+        elif self._timeline:
+            self._return_to(self._timeline.go_to_time(wanted))
+
+    def step_back(self, count: int) -> None:
+        """Go back by `count` ticks, or to the first."""
+        if self.source.times is not None and self.frame is not None and self._timeline.earlier < count:
+            self.seek(float(self.source.times[max(_row(self.source.times, self.frame.time) - count, 0)]))
+        elif self._timeline:
+            self._return_to(self._timeline.go_by(-count))
+
+    def skip_to(self, wanted: float) -> None:
+        """Drop the ticks of a recording before the one at or before `wanted` [s]; the next tick is that one."""
+        times = self.source.times
+        if times is None or self.frame is None or self.source.outcome is not None:
+            return
+        target = _row(times, wanted)
+        skipped = target - _row(times, self.frame.time) - 1
+        if skipped > 0:
+            self.source.seek(float(times[target - 1]))
+            self.dropped_ticks += skipped
+
+    def exchange(self, source: Source) -> None:
+        """Go on with another source from its start. If its first tick fails, it is closed and the present one stays."""
+        before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks)
+        left, ahead = self.source.scenery.ground_height, source.scenery.ground_height
+        self.source, self.dropped_ticks = source, 0
+        self._forget()
+        try:
+            with self._configs.amended(lambda config: move_ground(config, left, ahead)):
+                self._plan()
+        except Exception:
+            self.source, self._timeline, history, self.dropped_ticks = before
+            self._planner.restore(history)
+            source.close()
+            raise
+        before[0].close()
+
+    def _forget(self) -> None:
+        """Start anew at the source's present tick."""
+        self._planner.reset()
+        self._timeline = Timeline()
+        self._epoch += 1
+
+    def _return_to(self, mark: Mark) -> None:
+        self.source.restore(mark.checkpoint)
+        self._epoch += 1
+        self._plan(history=mark.history)
+
+    def _plan(self, *, history: History | None = None, advance_ms: float = 0.0) -> Frame:
+        """Plan and publish the source's present tick: a new one, or with `history` the timeline's present one again."""
+        mark = history is None
+        config, version = self._configs.present
+        started = time.perf_counter()
+        observation = self.source.observe()
+        observed = time.perf_counter()
+        if config is not self._config:
+            self._configure(config)
+        if history is None:
+            history = self._planner.history()
+        else:
+            # After `configure`: only a planner of the structure that the history comes from takes it up.
+            self._planner.restore(history)
+        plan = self._planner.plan(
+            observation.state,
+            observation.goal,
+            observation.points,
+            cloud_age=observation.cloud_age,
+            samples=self.samples,
+        )
+        planned = time.perf_counter()
+        if mark:
+            position = observation.actual_state.position
+            self._timeline.append(Mark(observation.time, self.source.checkpoint(), history), position)
+            self._tick_ends.append(planned)
+        times = self.source.times
+        frame = Frame(
+            index=self._timeline.index if times is None else _row(times, observation.time),
+            time=observation.time,
+            observation=observation,
+            plan=plan,
+            config=config,
+            config_version=version,
+            outcome=self.source.outcome,
+            explanation=self.source.explanation,
+            timings_ms={
+                "observe": 1e3 * (observed - started),
+                "plan": 1e3 * (planned - observed),
+                "advance": advance_ms,
+            },
+            rate=self._rate(),
+            dropped_ticks=self.dropped_ticks,
+            trail=self._timeline.trail(),
+            epoch=self._epoch,
+            source=self.source,
+        )
+        return self._publish(frame)
+
+    def _publish(self, frame: Frame) -> Frame:
+        self.frame = frame
+        self._publish_frame(frame)
+        return frame
+
+    def _configure(self, config: PlannerConfig) -> None:
+        try:
+            self._planner.configure(config)
+        except Exception:
+            # Otherwise every further tick would fail in the same way, and every undo would lead back to it.
+            self._configs.drop(config, self._config)
+            raise
+        self._config = config
+
+    def _rate(self) -> float:
+        if not self._tick_ends:
+            return 0.0
+        now = self._tick_ends[-1]
+        recent = [end for end in self._tick_ends if now - end <= 1.0]
+        return (len(recent) - 1) / (now - recent[0]) if len(recent) > 1 and now > recent[0] else 0.0
+
+    def close(self) -> None:
+        """Release the source and the planner."""
+        self.source.close()
+        self._planner.close()
+
+
+def _row(times: NDArray[np.float64], time: float) -> int:
+    """Return the row of a recording's last tick at or before `time` [s], -1 before the first."""
+    return int(np.searchsorted(times, time + 1e-9, side="right")) - 1

@@ -1,0 +1,1 @@
+"""Preparation of a drone that has no compiler: ahead-of-time kernels, bundles, export."""

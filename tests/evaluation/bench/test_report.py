@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import pytest
+
+from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.include import append_to_table, load_included
+from aero_viz.evaluation.bench.report import OURS, format_summaries, write_report
+from aero_viz.flight import FlightResult
+from aero_viz.scenes import scene
+
+PNG = b"\x89PNG\r\n"
+
+
+def result(world: str, *, arrived: bool = True, speed: float = 2.0) -> FlightResult:
+    return FlightResult(
+        arrived=arrived,
+        reason="arrived" if arrived else None,
+        flight_time_s=20.0,
+        mean_speed=speed,
+        max_speed=3.0,
+        smoothness=50.0,
+        length_m=46.0,
+        mean_clearance=1.0,
+        min_clearance=None,
+        plan_ms_median=None,
+        seed=0,
+        scene=world,
+        config="EGO",
+    )
+
+
+@pytest.fixture
+def table(tmp_path):
+    file = tmp_path / "ego.csv"
+    append_to_table(result("forest-4-100"), file)
+    append_to_table(result("forest-4-101", arrived=False, speed=9.0), file)
+    return file
+
+
+def test_report_has_all_files_and_numbers(fly, tmp_path, table):
+    run = fly()
+    included = load_included([f"EGO={table}"], run.benchmark)
+    summaries = write_report(run, tmp_path / "out", included=included)
+    assert [(line.row, line.planner, line.flights) for line in summaries] == [
+        ("slow", OURS, 2),
+        ("few samples", OURS, 2),
+        ("fast", OURS, 2),
+        ("forest-4", "EGO", 2),
+    ]
+    folder = tmp_path / "out"
+    for name in ("success.png", "speed.png"):
+        assert (folder / name).read_bytes().startswith(PNG)
+    with (folder / "flights.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["length_m"]) for row in rows] == [flight["length_m"] for flight in run.flights]
+    content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert content["seed"] == 0 and content["complete"] and content["summary"][3]["success_rate"] == 0.5
+    assert content["config"]["sampling"]["samples"] == 8
+    report = (folder / "report.md").read_text(encoding="utf-8")
+    assert "| forest-4 | EGO | 1/2 | 50 % | 9 to 91 % |  | 1 arrived, 1 incomplete |" in report
+    assert "| slow | AERO-MPPI (paper), published | 5.60 | 7.74 |" in report
+    assert "| slow | 50 % at 1 m/s | 0 % | no |" in report
+    for name in ("warp-lang", "cores", "seeds of the worlds | from 100", "samples: 8"):
+        assert name in report
+    assert "Incomplete" not in report
+
+
+def test_report_of_bars_without_flights_of_others(fly, tmp_path, benchmark_of_three):
+    run = fly(benchmark=replace(benchmark_of_three, x_label=""))
+    write_report(replace(run, flights=run.flights[:3]), tmp_path / "out")
+    assert (tmp_path / "out" / "success.png").read_bytes().startswith(PNG)
+    assert (tmp_path / "out" / "speed.png").read_bytes().startswith(PNG)  # beside the published planners
+    report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+    assert "(success.png)" in report and "(speed.png)" in report
+    assert "Incomplete: 3 of 6" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+
+
+def test_table_for_a_terminal(fly, tmp_path):
+    lines = format_summaries(write_report(fly(), tmp_path / "out")).splitlines()
+    assert lines[0].split() == ["row", "planner", "success", "95", "%", "interval", "passable", "mean", "speed",
+                                "ended", "by"]  # fmt: skip
+    assert "2 timeout" in lines[1] and "100 %" in lines[1] and len(lines) == 4
+
+
+def test_trajectory_is_scored_when_included(tmp_path, benchmark_of_three):
+    scene("forest", seed=3, count=4).save(tmp_path / "w.json")
+    rows = [f"{t / 50},{t / 10},0,2" for t in range(100)]
+    (tmp_path / "a.csv").write_text("t,x,y,z\n" + "\n".join(rows), encoding="utf-8")
+    (other,) = load_included([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
+    assert (other.planner, other.kind) == ("IPC", "forest-4")
+    assert other.flights[0]["mean_speed"] == pytest.approx(5.0)
+
+
+def test_include_refuses_what_it_cannot_use(tmp_path, table, benchmark_of_three):
+    def refusal(spec: str) -> str:
+        with pytest.raises(UserError) as caught:
+            load_included([spec], benchmark_of_three)
+        return str(caught.value)
+
+    assert "NAME=TABLE.csv" in refusal(str(table))
+    assert "No such file" in refusal(f"EGO={tmp_path / 'none.csv'}")
+    (tmp_path / "t.csv").write_text("t,x,y,z\n0,0,0,0\n", encoding="utf-8")
+    assert "is a trajectory; give NAME=TABLE.csv" in refusal(f"EGO={tmp_path / 't.csv'}")
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    assert "lacks the column 'arrived'" in refusal(f"EGO={tmp_path / 'other.csv'}")
+    text = table.read_text(encoding="utf-8")
+    (tmp_path / "bad.csv").write_text(text.replace("20.0", "fast"), encoding="utf-8")
+    assert "bad.csv, line 2: could not convert" in refusal(f"EGO={tmp_path / 'bad.csv'}")
+    (tmp_path / "empty.csv").write_text(text.splitlines()[0] + "\n", encoding="utf-8")
+    assert "holds no flights" in refusal(f"EGO={tmp_path / 'empty.csv'}")
+    append_to_table(result("inclines-800-3"), table)
+    assert "'inclines-800-3', which is not of the benchmark small" in refusal(f"EGO={table}")
+
+
+def test_table_of_another_kind_is_not_appended_to(tmp_path):
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    with pytest.raises(UserError, match="lacks the column"):
+        append_to_table(result("w"), tmp_path / "other.csv")
+    with pytest.raises(UserError, match="Cannot write the table"):
+        append_to_table(result("w"), tmp_path / "none" / "t.csv")
+
+
+def test_own_flights_of_another_run_can_be_included(fly, tmp_path):
+    run = fly()
+    write_report(run, tmp_path / "out")
+    others = load_included([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
+    assert {other.kind: len(other.flights) for other in others} == {"forest-4": 4, "verticals-5": 2}
+
+
+def test_tables_keep_their_own_columns_when_appended_to(tmp_path, benchmark_of_three):
+    """A table of an earlier version, without explanations and in another order, goes on as it is."""
+    file = tmp_path / "old.csv"
+    append_to_table(result("forest-4-100"), file)
+    header, line = (row.split(",") for row in file.read_text(encoding="utf-8").splitlines())
+    kept = [i for i in reversed(range(len(header))) if header[i] != "explanation"]
+    file.write_text("".join(",".join(row[i] for i in kept) + "\n" for row in (header, line)), encoding="utf-8")
+    append_to_table(replace(result("forest-4-101", speed=9.0), explanation="It ends, somewhere."), file)
+    (other,) = load_included([f"EGO={file}"], benchmark_of_three)
+    assert [flight["mean_speed"] for flight in other.flights] == [2.0, 9.0]
+    assert [flight["scene"] for flight in other.flights] == ["forest-4-100", "forest-4-101"]

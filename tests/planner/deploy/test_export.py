@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from aero_planner.cli import main
+from aero_planner.deploy.export import export, makes_graphs, parse_architecture
+
+CONFIG = """# tuned in the forest
+costs:
+  q_track: 7.5   # stays as it is
+onboard:
+  lidar:
+    host: 127.0.0.1
+    port: {lidar}
+    points_max: 2000
+  mavlink:
+    url: 'udpin:127.0.0.1:{autopilot}'
+  telemetry:
+    port: 0
+"""
+
+PLAN = """
+import sys, zlib
+from aero_planner import Goal, Planner, PlannerConfig, VehicleState
+from aero_planner.deploy.bundle import open_bundle
+
+device, path, lost = sys.argv[1:]
+bundle = open_bundle(path) if path else None
+if bundle:
+    bundle.fit(PlannerConfig(), device)
+    for kernel in sorted(bundle.folder.rglob("*.o"))[: int(lost)]:
+        kernel.unlink()
+state = VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0])
+plan = Planner(device=device).plan(state, Goal([30, 0, 2]), [[5.0, 0, 2], [3.0, 1, 2]])
+print(plan.status.name, zlib.crc32(plan.controls.tobytes() + plan.positions.tobytes()))
+if bundle:
+    print(len(bundle.compiled()))
+    bundle.close()
+"""
+
+
+def plan(device: str, bundle: Path | None, *, lost: int = 0, cache: Path | None = None) -> list[str]:
+    """What a process prints that plans with a bundle whose first kernels got lost."""
+    environment = os.environ | ({"WARP_CACHE_PATH": str(cache)} if cache else {})
+    command = [sys.executable, "-c", PLAN, device, str(bundle or ""), str(lost)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture(scope="session")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("config") / "tuned.yaml"
+    path.write_text(CONFIG.format(lidar=free_port(), autopilot=free_port()))
+    return path
+
+
+@pytest.fixture(scope="session")
+def cpu_compiler() -> None:
+    if not wp.is_cpu_available():
+        pytest.skip("this machine's Warp has no compiler for the CPU: bundles for it were not tested")
+
+
+# Not of the module, which pytest leaves and enters again to run the tests of each device together.
+@pytest.fixture(scope="session")
+def bundle(config: Path, tmp_path_factory: pytest.TempPathFactory, cpu_compiler: None) -> Path:
+    """A bundle for an Orin and for this machine's CPU, a folder as the command line makes it."""
+    path = tmp_path_factory.mktemp("export") / "orin"
+    command = [sys.executable, "-m", "aero_planner", "export", "--config", str(config), "--arch", "sm_87", "--cpu"]
+    done = subprocess.run([*command, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    graphs = ", graphs of cpu" if makes_graphs() else ""
+    assert re.fullmatch(rf"{path}: sm_87, \S+{graphs}; \d+ files, [\d.]+ MB, in \d+ s\n", done.stdout)
+    assert os.listdir(path.parent) == ["orin"]  # nothing is left beside it
+    return path
+
+
+def architecture_of(cubin: bytes) -> int:
+    """Architecture in the ELF header of a CUDA binary: e_flags, whose layout depends on the version of the ABI."""
+    assert cubin[:4] == b"\x7fELF" and struct.unpack_from("<H", cubin, 18) == (190,)  # EM_CUDA
+    (flags,) = struct.unpack_from("<I", cubin, 48)
+    return (flags >> 8 if cubin[8] >= 8 else flags) & 0xFF
+
+
+def test_the_kernels_are_for_what_they_say(bundle: Path):
+    cubins = sorted(bundle.glob("kernels/*/*.sm87.cubin"))
+    assert len(cubins) > 20 and {architecture_of(path.read_bytes()) for path in cubins} == {87}
+    on_cuda, on_cpu = (
+        {re.sub(r"_[0-9a-f]{7}$", "", path.parent.name) for path in paths}
+        for paths in (cubins, bundle.glob("kernels/*/*.o"))
+    )
+    assert on_cuda >= {name for name in on_cpu if name.startswith("wp_aero_planner")} and len(on_cpu) > 8
+    assert {path.suffix for path in bundle.glob("kernels/*/*")} == {".cubin", ".o", ".meta"}  # no sources
+
+
+def test_the_manifest_tells_everything(bundle: Path, config: Path):
+    manifest = json.loads((bundle / "manifest.json").read_text())
+    assert (bundle / "config.yaml").read_bytes() == config.read_bytes()
+    assert manifest["architectures"] == [87] and manifest["warp"] == wp.config.version and manifest["format"] == 1
+    assert manifest["structure"]["sampling.samples"] == 128
+    files = {path.relative_to(bundle).as_posix(): path for path in bundle.rglob("*") if path.is_file()}
+    assert manifest["files"].keys() == files.keys() - {"manifest.json"}
+    for name, said in manifest["files"].items():
+        content = files[name].read_bytes()
+        assert said == {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def test_a_planner_needs_nothing_else_and_plans_the_same(tmp_path: Path, device: str, request: pytest.FixtureRequest):
+    if device == "cpu":
+        bundle = request.getfixturevalue("bundle")
+    else:
+        bundle = tmp_path / "here"
+        export(bundle, architectures=[int(wp.get_device(device).arch)])
+    cache = tmp_path / "cache"
+    (compiled_here,) = plan(device, None)
+    assert plan(device, bundle, cache=cache) == [compiled_here, "0"] and compiled_here.startswith("OK ")
+    assert not any(path.is_file() for path in cache.rglob("*"))
+
+
+def test_kernels_that_are_lacking_are_noticed(bundle: Path):
+    _, compiled = plan("cpu", bundle, lost=1)
+    assert int(compiled) > 0
+
+
+def test_a_node_starts_from_a_bundle_without_a_compiler(bundle: Path, tmp_path: Path):
+    cache, temporary = tmp_path / "cache", tmp_path / "temporary"
+    cache.mkdir()
+    temporary.mkdir()
+    before = {path: path.stat().st_mtime_ns for path in bundle.rglob("*")}
+    environment = {**os.environ, "WARP_CACHE_PATH": str(cache), "TMPDIR": str(temporary)}
+    command = [sys.executable, "-m", "aero_planner", "run", "--bundle", str(bundle), "--goal", "5", "0", "2"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stderr is not None
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if "waiting for states, points and a goal" in line:
+                kernels = {path.name for path in temporary.rglob("*") if path.is_file()}
+                process.send_signal(signal.SIGTERM)
+        assert process.wait(30.0) == 0
+    text = "".join(lines)
+    assert "a plan takes" in text and "bundle lacks" not in text
+    assert kernels == {path.name for path in bundle.rglob("kernels/*/*")} | {"config.yaml"}
+    assert not any(path.is_file() for path in (*cache.rglob("*"), *temporary.rglob("*")))
+    assert {path: path.stat().st_mtime_ns for path in bundle.rglob("*")} == before
+
+
+def test_preflight_checks_the_bundle(bundle: Path, tmp_path: Path):
+    command = [sys.executable, "-m", "aero_planner", "preflight", "--bundle", str(bundle), "--listen", "0.1", "--json"]
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    found = {check["name"]: check for check in json.loads(done.stdout)["checks"]}
+    assert found["bundle"]["ok"] and "kernels for sm_87, CPU" in found["bundle"]["found"]
+    assert done.returncode == 2 and not found["LiDAR"]["ok"]  # nothing is connected
+
+
+@pytest.mark.usefixtures("cpu_compiler")
+def test_a_tar_file_replaces_the_older_one(tmp_path: Path, config: Path):
+    out = tmp_path / "drone.tar"
+    out.write_text("older")
+    manifest = export(out, config=config, cpu=True)
+    assert out.stat().st_size > 100_000
+    assert manifest["graphs"] == (["cpu"] if makes_graphs() else [])
+    assert os.listdir(tmp_path) == ["drone.tar"]
+    assert plan("cpu", out)[1] == "0"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (["{out}"], "there is nothing to compile for: give --arch"),
+        (["{out}", "--arch", "orin"], "the architecture 'orin' is not understood; write it as sm_87"),
+        (["{out}", "--arch", "sm_12"], "kernels can't be compiled for architecture 12"),
+        (["{taken}", "--cpu"], "exists already; remove it"),
+        (["{taken}/file", "--cpu"], "exists already; remove it"),
+        (["{absent}/out", "--cpu"], "does not exist; make it"),
+        (["{out}", "--cpu", "--config", "papr"], "'papr' is neither a preset (did you mean 'paper'?) nor a file"),
+        (["{out}", "--cpu", "--config", "{bad}"], "line 1: unknown section 'cost'"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], problem: str
+):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken/file").touch()
+    (tmp_path / "bad.yaml").write_text("cost:\n  q_track: 1\n")
+    names = {name: str(tmp_path / name) for name in ("out", "taken", "absent")} | {"bad": str(tmp_path / "bad.yaml")}
+    assert main(["export", *(part.format(**names) for part in arguments)]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("aero-planner: ")]
+    assert problem in line
+    assert sorted(os.listdir(tmp_path)) == ["bad.yaml", "taken"] and os.listdir(tmp_path / "taken") == ["file"]
+
+
+def test_architectures_are_read():
+    assert [parse_architecture(text) for text in ("sm_87", "87", "sm_110")] == [87, 87, 110]
+    for text in ("sm87", "sm_", "sm_90a", "8.7", ""):
+        with pytest.raises(ValueError, match="is not understood; write it as sm_87"):
+            parse_architecture(text)

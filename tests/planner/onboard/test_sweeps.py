@@ -1,0 +1,222 @@
+"""Deskewing against a float64 reference, ages, what waits and what is dropped, and bounded memory."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from aero_planner.onboard.sweeps import SweepBuffer
+from aero_planner.quaternions import multiply, quaternion_from_angles, rotate
+
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+def pose(time):
+    """A flight with turns about all axes."""
+    position = np.array([5.0 * time, math.sin(3.0 * time), 2.0 + 0.3 * math.cos(2.0 * time)])
+    turn = quaternion_from_angles(25.0 * math.sin(4.0 * time), 20.0 * math.cos(3.0 * time), 90.0 * time)
+    return position, turn
+
+
+def slerp(a, b, share):
+    """exp(share log(b a^-1)) a, along the shorter arc."""
+    turn = multiply(b, a * [1.0, -1.0, -1.0, -1.0])
+    turn = turn if turn[0] >= 0.0 else -turn
+    sine = np.linalg.norm(turn[1:])
+    angle = share * math.atan2(sine, turn[0])
+    axis = turn[1:] / sine if sine > 0.0 else np.zeros(3)
+    return multiply([math.cos(angle), *(math.sin(angle) * axis)], a)
+
+
+def placed(point, time, poses):
+    """The point in the world by the poses around its time."""
+    times = [entry[0] for entry in poses]
+    i = min(max(int(np.searchsorted(times, time)) - 1, 0), len(poses) - 2)
+    (t0, p0, q0), (t1, p1, q1) = poses[i], poses[i + 1]
+    share = (time - t0) / (t1 - t0)
+    return (1.0 - share) * p0 + share * p1 + rotate(slerp(q0, q1, share), point)
+
+
+@pytest.mark.parametrize("mounted", [False, True])
+def test_points_are_placed_by_the_pose_at_their_time(mounted):
+    random = np.random.default_rng(0)
+    place, turn = ([0.1, -0.05, 0.2], quaternion_from_angles(180.0, 20.0, 5.0)) if mounted else ([0, 0, 0], LEVEL)
+    buffer = SweepBuffer(mount_position=place, mount_quaternion=turn)
+    poses = [(100.0 + t, *pose(t)) for t in np.arange(0.0, 0.5, 0.02)]
+    for i, (time, position, quaternion) in enumerate(poses):
+        buffer.add_pose(time, position, quaternion if i % 3 else -quaternion)  # both signs are the same attitude
+    points = random.uniform(-20.0, 20.0, size=(300, 3)).astype(np.float32)
+    times = random.uniform(100.0, 100.48, size=300)
+    buffer.add_points(points, times)
+    cloud, age = buffer.cloud(100.6)
+    assert cloud.dtype == np.float32
+    in_body = rotate(turn, points.astype(float)) + place
+    expected = [placed(point, time, poses) for point, time in zip(in_body, times, strict=True)]
+    np.testing.assert_allclose(cloud, expected, atol=2e-5)
+    assert age == pytest.approx(100.6 - times.max())
+    assert buffer.dropped == 0
+
+
+def test_a_still_wall_stays_still_from_a_turning_drone():
+    # What deskewing is for: 3 rad/s and 5 m/s, seen at once, would smear this wall by half a metre.
+    buffer = SweepBuffer()
+    random = np.random.default_rng(1)
+    times = np.sort(random.uniform(0.0, 0.5, size=5000))
+    wall = np.column_stack([np.full(5000, 12.0), random.uniform(-5, 5, 5000), random.uniform(0, 4, 5000)])
+    states = [(5.0 * t * np.array([1.0, 0.2, 0.0]), quaternion_from_angles(0, 0, math.degrees(3.0 * t))) for t in times]
+    seen = [rotate(q * [1.0, -1.0, -1.0, -1.0], point - p) for point, (p, q) in zip(wall, states, strict=True)]
+    buffer.add_points(seen, times)
+    for t in np.arange(0.0, 0.52, 0.02):
+        buffer.add_pose(t, 5.0 * t * np.array([1.0, 0.2, 0.0]), quaternion_from_angles(0, 0, math.degrees(3.0 * t)))
+    cloud, _ = buffer.cloud(0.5)
+    assert len(cloud) == 5000
+    assert np.abs(cloud[:, 0] - 12.0).max() < 1e-4
+
+
+def test_new_points_wait_for_the_next_pose():
+    buffer = SweepBuffer()
+    buffer.add_points([[1.0, 0.0, 0.0]] * 3, [0.01, 0.02, 0.03])
+    assert len(buffer.cloud(0.0)[0]) == 0
+    buffer.add_pose(0.0, (0, 0, 0), LEVEL)
+    assert len(buffer.cloud(0.0)[0]) == 0
+    buffer.add_pose(0.02, (2, 0, 0), LEVEL)
+    np.testing.assert_allclose(buffer.cloud(0.0)[0], [[2.0, 0, 0], [3.0, 0, 0]])
+    buffer.add_pose(0.04, (2, 4, 0), LEVEL)
+    np.testing.assert_allclose(buffer.cloud(0.0)[0][2], [3.0, 2.0, 0.0], atol=1e-6)
+    assert buffer.dropped == 0
+
+
+def test_a_cleared_buffer_knows_nothing_of_before():
+    buffer = SweepBuffer()
+    for t in (10.0, 10.02):
+        buffer.add_pose(t, (0, 0, 0), LEVEL)
+    buffer.add_points([[1.0, 0.0, 0.0]] * 3, [10.0, 10.01, 10.03])
+    buffer.clear()
+    points, age = buffer.cloud(10.04)
+    assert len(points) == 0 and age == math.inf and buffer.dropped == 1  # the one that waited
+    # Points from between the last pose before and the first one after have no place.
+    buffer.add_points([[1.0, 0.0, 0.0]] * 2, [10.03, 10.05])
+    buffer.add_pose(10.04, (5, 0, 0), LEVEL)
+    buffer.add_pose(10.06, (5, 0, 0), LEVEL)
+    np.testing.assert_allclose(buffer.cloud(10.06)[0], [[6.0, 0.0, 0.0]])
+    assert buffer.dropped == 2
+
+
+def test_points_from_before_the_first_pose_are_dropped_and_counted():
+    buffer = SweepBuffer()
+    for t in (10.0, 10.02):
+        buffer.add_pose(t, (0, 0, 0), LEVEL)
+    buffer.add_points([[1.0, 0.0, 0.0]] * 4, [9.0, 9.999, 10.0, 10.01])
+    assert len(buffer.cloud(10.0)[0]) == 2
+    assert buffer.dropped == 2
+
+
+def test_points_between_distant_poses_are_dropped_and_counted():
+    buffer = SweepBuffer(max_gap=0.25)
+    for t in (0.0, 0.02, 1.02, 1.04):
+        buffer.add_pose(t, (0, 0, 0), LEVEL)
+    buffer.add_points([[1.0, 0.0, 0.0]] * 3, [0.01, 0.5, 1.03])
+    assert len(buffer.cloud(1.0)[0]) == 2
+    assert buffer.dropped == 1
+
+
+def test_one_pose_places_what_was_measured_then():
+    buffer = SweepBuffer()
+    buffer.add_pose(5.0, (1, 2, 3), LEVEL)
+    buffer.add_points([[1.0, 0.0, 0.0]] * 2, [4.0, 5.0])
+    np.testing.assert_allclose(buffer.cloud(5.0)[0], [[2.0, 2.0, 3.0]])
+    assert buffer.dropped == 1
+
+
+def test_the_cloud_holds_the_last_sweeps():
+    buffer = SweepBuffer(sweeps=5, period=0.1)
+    for k in range(100):
+        buffer.add_pose(0.02 * k, (0, 0, 0), LEVEL)
+        buffer.add_points(np.full((10, 3), k), np.full(10, 0.02 * k))
+    cloud, age = buffer.cloud(2.0)
+    # Half a second before the newest points at 1.98 s.
+    assert (cloud[:, 0].min(), cloud[:, 0].max()) == (74, 99)
+    assert age == pytest.approx(0.02)
+
+
+def test_ages():
+    buffer = SweepBuffer(clock=lambda: 7.0)
+    assert buffer.cloud()[1] == math.inf
+    assert buffer.cloud()[0].shape == (0, 3)
+    for t in (6.0, 6.02):
+        buffer.add_pose(t, (0, 0, 0), LEVEL)
+    buffer.add_points([[1.0, 0.0, 0.0]], [6.01])
+    assert buffer.cloud()[1] == pytest.approx(0.99)
+    buffer.add_points([[1.0, 0.0, 0.0]], [6.005])  # comes late: the newest is what it was
+    assert buffer.cloud()[1] == pytest.approx(0.99)
+
+
+def test_poses_that_are_not_newer_are_ignored():
+    buffer = SweepBuffer()
+    for t, x in ((0.0, 0.0), (0.02, 2.0), (0.02, 9.0), (0.01, 9.0), (math.nan, 9.0)):
+        buffer.add_pose(t, (x, 0, 0), LEVEL)
+    buffer.add_points([[0.0, 0.0, 0.0]], [0.01])
+    np.testing.assert_allclose(buffer.cloud(0.0)[0], [[1.0, 0, 0]])
+
+
+def test_memory_is_bounded_while_poses_are_missing():
+    buffer = SweepBuffer(capacity=1000)
+    for k in range(100):
+        buffer.add_points(np.ones((90, 3)), np.full(90, 0.01 * k))
+    assert buffer.dropped >= 9000 - 1000
+    buffer.add_points(np.ones((5000, 3)), np.full(5000, 2.0))
+    buffer.add_pose(1.0, (0, 0, 0), LEVEL)
+    buffer.add_pose(3.0, (0, 0, 0), LEVEL)
+    assert len(buffer.cloud(0.0)[0]) + buffer.dropped == 14_000
+    assert len(buffer._waiting) == 0
+
+
+def test_memory_is_bounded_while_points_pour_in():
+    buffer = SweepBuffer(capacity=1000)
+    for k in range(1000):
+        buffer.add_pose(0.001 * k, (0, 0, 0), LEVEL)
+        buffer.add_points(np.full((70, 3), k), np.full(70, 0.001 * k))
+    cloud, _ = buffer.cloud(1.0)
+    assert 900 < len(cloud) <= 1000
+    assert cloud[-1, 0] == 999
+    assert len(buffer._chunks) < 20
+
+
+def test_hours_of_poses_fit():
+    buffer = SweepBuffer()
+    for k in range(5000):
+        buffer.add_pose(0.01 * k, (0.01 * k, 0, 0), LEVEL)
+    buffer.add_points([[0.0, 0.0, 0.0]] * 2, [49.985, 46.005])
+    np.testing.assert_allclose(buffer.cloud(50.0)[0][:, 0], [49.985, 46.005], atol=1e-4)
+    buffer.add_points([[0.0, 0.0, 0.0]], [40.0])
+    assert buffer.dropped == 1
+
+
+def test_threads_may_share_it():
+    buffer = SweepBuffer(capacity=50_000)
+    failures = []
+
+    def look():
+        try:
+            for _ in range(300):
+                cloud, _ = buffer.cloud()
+                assert np.isfinite(cloud).all()
+        except Exception as error:
+            failures.append(error)
+
+    reader = threading.Thread(target=look)
+    reader.start()
+    for k in range(300):
+        buffer.add_pose(0.02 * k, (0, 0, 0), LEVEL)
+        buffer.add_points(np.ones((400, 3)), 0.02 * k - 0.02 + np.arange(400) * 5e-5)
+    reader.join()
+    assert failures == []
+
+
+@pytest.mark.parametrize("option", [{"sweeps": 0}, {"period": -1.0}, {"capacity": 0}, {"max_gap": math.nan}])
+def test_options_out_of_range(option):
+    with pytest.raises(ValueError, match=next(iter(option))):
+        SweepBuffer(**option)

@@ -1,0 +1,27 @@
+"""How `aero-planner` ends."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.planner.interruption import interrupted_at_import
+
+START = {
+    "the script": "from aero_planner.cli import main; sys.exit(main())",
+    "the module": "import runpy; runpy.run_module('aero_planner', run_name='__main__')",
+}
+
+
+@pytest.mark.parametrize("start", START.values(), ids=START)
+@pytest.mark.parametrize(
+    ("call", "module"),
+    [
+        ("config show", "importlib.metadata"),
+        ("config show", "aero_planner.config.file"),
+        ("run", "numpy"),
+        ("preflight", "warp"),
+    ],
+)
+def test_ctrl_c_while_it_is_still_being_imported_ends_without_a_word(start: str, call: str, module: str):
+    done = interrupted_at_import(module, start, "aero-planner", *call.split())
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+COMMAND = """
+import sys
+import warp as wp
+{level}
+from aero_planner.warp_init import quieten
+
+quieten()
+print("the result")
+
+@wp.kernel
+def fill(values: wp.array(dtype=float)):
+    values[wp.tid()] = 1.0
+
+wp.launch(fill, dim=3, outputs=[wp.zeros(3, device="cpu")], device="cpu")
+print("a warning", file=sys.stderr)
+"""
+PLAN = """
+import sys
+from aero_planner import Goal, Planner, PlannerConfig, VehicleState
+
+planner = Planner(PlannerConfig().replace({"sampling.samples": 4}))
+planner.plan(VehicleState([0, 0, 2], [3, 0, 0], [1, 0, 0, 0]), Goal([20, 0, 2]), [[5.0, 0, 2]])
+print("the result")
+print("a warning", file=sys.stderr)
+"""
+
+
+def said(folder, program: str) -> tuple[str, str]:
+    """What a program writes to stdout and stderr."""
+    (folder / "program.py").write_text(program)
+    done = subprocess.run([sys.executable, str(folder / "program.py")], capture_output=True, text=True, check=True)
+    return done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("program", [COMMAND.format(level=""), PLAN], ids=["a kernel", "a plan"])
+def test_both_outputs_belong_to_the_program(tmp_path, program):
+    assert said(tmp_path, program) == ("the result\n", "a warning\n")
+
+
+@pytest.mark.parametrize("level", ["LOG_DEBUG", "LOG_ERROR"])
+def test_who_chose_another_level_keeps_it(tmp_path, level):
+    chosen = said(tmp_path, COMMAND.format(level=f"wp.config.log_level = wp.{level}"))[0]
+    assert ("Module" in chosen) == (level == "LOG_DEBUG")
+
+
+def test_a_service_may_have_closed_stderr(tmp_path):
+    program = "import os, sys\nos.close(2)\nsys.stderr = None\n" + PLAN.replace("import sys\n", "", 1)
+    assert said(tmp_path, program.replace('print("a warning", file=sys.stderr)', ""))[0] == "the result\n"

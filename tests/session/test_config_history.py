@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.session.config_history import ConfigHistory
+
+
+def test_changes_are_undone_and_redone() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change({"costs.q_track": 1.0})
+    history.change({"costs.q_track": 2.0, "costs.q_position": 4.0})
+    assert history.go(-1).costs.q_track == 1.0
+    assert history.go(-1) == PlannerConfig()
+    assert history.go(-1) == PlannerConfig()
+    assert history.go(+1).costs.q_track == 1.0
+    assert history.go(+1).costs.q_position == 4.0
+
+
+def test_a_change_after_undo_forgets_what_was_undone() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change({"costs.q_track": 1.0})
+    history.go(-1)
+    history.change({"costs.q_track": 3.0})
+    assert history.go(+1).costs.q_track == 3.0
+
+
+def test_a_refused_change_leaves_the_configuration() -> None:
+    history = ConfigHistory(PlannerConfig())
+    with pytest.raises(ValueError, match=r"costs\.q_track is -1"):
+        history.change({"costs.q_track": -1.0})
+    assert history.present == (PlannerConfig(), 0)
+
+
+def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    history = ConfigHistory(PlannerConfig())
+    for value in (6.0, 7.0, 8.0):
+        now[0] += 0.1
+        history.change({"costs.q_track": value})
+    now[0] += 5.0
+    history.change({"costs.q_track": 2.0})
+    assert history.present[1] == 4
+    assert history.go(-1).costs.q_track == 8.0
+    assert history.go(-1) == PlannerConfig()
+
+
+FAILED = {"sampling.samples": 2000}
+
+
+def test_what_failed_is_forgotten_and_undo_leads_behind_what_is_good() -> None:
+    history = ConfigHistory(PlannerConfig())
+    good = history.change({"costs.q_track": 1.0})
+    version = history.present[1]
+    history.drop(history.change(FAILED), good)
+    assert history.present[0] == good and history.present[1] > version
+    assert history.go(+1) == good
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_what_failed_on_the_way_back_is_forgotten_too() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change(FAILED)
+    good = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
+    history.drop(history.go(-1), good)
+    assert history.present[0] == good
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_a_slider_drawn_until_it_fails_goes_back_to_what_was_good_last() -> None:
+    history = ConfigHistory(PlannerConfig())
+    good = history.change({"sampling.samples": 8})
+    history.drop(history.change(FAILED), good)  # within the same second: one step of undo
+    assert history.present[0] == good
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_a_change_made_while_another_fails_stays() -> None:
+    history = ConfigHistory(PlannerConfig())
+    failed = history.change(FAILED)
+    newer = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
+    history.drop(failed, PlannerConfig())
+    assert history.present[0] == newer
+    assert history.go(-1) == PlannerConfig()
+
+
+def test_an_equal_configuration_is_no_change() -> None:
+    history = ConfigHistory(PlannerConfig())
+    history.change(PlannerConfig())
+    assert history.present[1] == 0

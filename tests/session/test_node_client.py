@@ -1,0 +1,436 @@
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from aero_planner import Planner, PlannerConfig
+from aero_planner.onboard.record import PlanRecord
+from aero_planner.onboard.safety import Cause, Change, State
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.telemetry import Telemetry
+from aero_planner.onboard.wire import Kind, encode
+from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.layers import apply
+from aero_viz.dashboard.panels.goal import GoalPanel
+from aero_viz.dashboard.panels.playback import PlaybackPanel
+from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.errors import UserError
+from aero_viz.session import Session, live_session
+from aero_viz.session.frame import Frame, Notice
+from aero_viz.session.live_session import LiveSession
+from aero_viz.session.node_client import NodeClient
+from tests.planner.onboard.conftest import Records
+from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self) -> float:
+        self.now += 1.0  # the next plan is always due
+        return self.now
+
+
+@pytest.fixture(scope="module")
+def records() -> list[PlanRecord]:
+    """What a node in flight tells of its first plans."""
+    planner, seen = Planner(SMALL, seed=1), Records()
+    with closing(planner):
+        simulation = Simulation(planner, poles(PLACES), (18.0, 0.0, 2.0), observers=[seen])
+        simulation.engage()
+        simulation.run(0.8)
+    return seen.plans
+
+
+def serve(port: int = 0) -> Telemetry:
+    config = OnboardConfig().replace({"telemetry.port": port, "rates.replan": 25.0})
+    return Telemetry(SMALL, config, clock=Clock())
+
+
+@pytest.fixture
+def telemetry() -> Iterator[Telemetry]:
+    telemetry = serve()
+    yield telemetry
+    telemetry.close()
+
+
+class Watcher:
+    """What a session publishes, with something to wait for."""
+
+    def __init__(self, session: LiveSession) -> None:
+        self.frames: list[Frame] = []
+        self.notices: list[Notice] = []
+        self._changed = threading.Condition()
+        session.subscribe(lambda frame: self._add(self.frames, frame), every=True)
+        session.subscribe_notices(lambda notice: self._add(self.notices, notice))
+
+    def _add(self, where: list[Any], item: Any) -> None:
+        with self._changed:
+            where.append(item)
+            self._changed.notify_all()
+
+    def wait(self, condition: Callable[[], Any]) -> bool:
+        with self._changed:
+            return bool(self._changed.wait_for(condition, 20.0))
+
+
+@pytest.fixture
+def live(telemetry: Telemetry) -> Iterator[tuple[LiveSession, Watcher]]:
+    session = LiveSession(
+        NodeClient("127.0.0.1", telemetry.port), reconnect=lambda: NodeClient("127.0.0.1", telemetry.port)
+    )
+    watcher = Watcher(session)
+    session.start()
+    yield session, watcher
+    session.close()
+
+
+def show(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
+    """Send plans one after the other, each when the one before has been shown."""
+    for record in records:
+        telemetry.plan(record)
+        assert watcher.wait(lambda number=record.number: watcher.frames and watcher.frames[-1].index == number)
+
+
+def send(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
+    """Send plans to a session that holds still, and wait until it has them."""
+    for record in records:
+        sent = telemetry.sent
+        telemetry.plan(record)
+        while telemetry.sent == sent:
+            time.sleep(0.001)
+    count = len(watcher.notices)
+    telemetry.change(Change(1.0, State.READY, State.FLYING, Cause.ENGAGED))
+    assert watcher.wait(lambda: len(watcher.notices) > count)  # what was sent before has come before
+
+
+def test_frames_are_what_the_drone_planned(telemetry: Telemetry, records: list[PlanRecord]):
+    client = NodeClient("127.0.0.1", telemetry.port)
+    assert client.config == SMALL and client.onboard.rates.replan == 25.0
+    frames, stream = [], iter(client)
+    for record in records[:8]:
+        telemetry.plan(record)
+        frame = next(stream)
+        assert isinstance(frame, Frame)
+        frames.append(frame)
+    client.close()
+    assert list(stream) == []
+    for frame, record in zip(frames, records, strict=False):
+        assert frame.index == record.number and frame.config == SMALL
+        np.testing.assert_array_equal(frame.plan.positions, record.plan.positions)
+        np.testing.assert_array_equal(frame.plan.command, record.plan.command)
+        assert frame.plan.status is record.plan.status and frame.plan.kinds == record.plan.kinds
+        np.testing.assert_array_equal(frame.observation.goal.position, record.goal)
+        assert frame.observation.cloud_age == record.cloud_age
+        assert frame.explanation is not None and frame.explanation.startswith(record.safety.name)
+    assert frames[-1].time == pytest.approx(records[7].time - records[0].time)
+    np.testing.assert_allclose(frames[-1].trail[-1], np.asarray(records[7].measured.position), atol=1e-6)
+    assert len(frames[3].trail) == 4 and not frames[3].trail.flags.writeable
+    assert frames[-1].rate == pytest.approx(7 / frames[-1].time)
+    assert frames[0].source is frames[-1].source and frames[0].source.period == 0.04
+
+
+def test_a_session_follows_holds_and_goes_back(
+    telemetry: Telemetry, live: tuple[LiveSession, Watcher], records: list[PlanRecord]
+):
+    session, watcher = live
+    show(telemetry, watcher, records[:5])
+    assert session.playing and session.frame is not None and session.frame.index == records[4].number
+    states: list[bool] = []
+    sink = session.subscribe_playing(states.append)
+    session.pause()
+    assert sink.drain() and states == [True, False]
+    telemetry.plan(records[5])
+    while session.time_range[1] <= session.frame.time:  # received and not shown
+        time.sleep(0.01)
+    assert session.frame.index == records[4].number
+    session.step(-2)
+    assert session.frame.index == records[2].number and session.frame.epoch == 1
+    session.step(100)
+    assert session.frame.index == records[5].number
+    first, last = session.time_range
+    session.seek((first + last) / 2)
+    assert first < session.frame.time < last
+    session.seek(-1e9)
+    assert session.frame.time == first
+    session.play()
+    assert session.playing and session.frame.index == records[5].number
+
+
+def test_the_moment_of_a_pause_stays_however_long_it_lasts(
+    telemetry: Telemetry,
+    live: tuple[LiveSession, Watcher],
+    records: list[PlanRecord],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(live_session, "_KEPT", 3)
+    session, watcher = live
+    numbers = [record.number for record in records]
+    show(telemetry, watcher, records[:5])
+    session.pause()
+    send(telemetry, watcher, records[5:])
+    visited = []
+    for step in (0, -1, -1, -1, 1, 1, 1, 1, 1, 1, 1):
+        session.step(step)
+        assert session.frame is not None
+        visited.append(session.frame.index)
+    kept = numbers[2:8]  # three up to the pause, and three after it
+    assert visited == [kept[i] for i in (2, 1, 0, 0, 1, 2, 3, 4, 5, 5, 5)]
+    session.play()
+    assert session.frame is not None and session.frame.index == numbers[-1]
+    session.step(-1)  # nothing is left that lies on the other side of a gap
+    assert session.frame.index == numbers[-1]
+
+
+def test_a_pause_outlasts_the_connection(records: list[PlanRecord]):
+    first = serve()
+    port = first.port
+    session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
+    watcher = Watcher(session)
+    session.start()
+    show(first, watcher, records[:4])
+    session.pause()
+    first.close()
+    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    second = serve(port)
+    assert watcher.wait(lambda: any("in sight again" in notice.text for notice in watcher.notices))
+    send(second, watcher, records[:2])  # a node that was started anew counts from the beginning
+    session.step(-1)
+    held = session.frame
+    assert held is not None and held.index == records[2].number
+    session.play()
+    assert session.frame is not None and session.frame.index == records[1].number
+    assert session.frame.epoch > held.epoch and session.frame.source is not held.source
+    session.close()
+    second.close()
+
+
+def test_the_age_of_the_newest_plan_is_told_when_no_other_comes(
+    telemetry: Telemetry, live: tuple[LiveSession, Watcher], records: list[PlanRecord]
+):
+    session, watcher = live
+    show(telemetry, watcher, records[:2])
+    fresh = watcher.frames[-1]
+    assert fresh.explanation is not None and fresh.rate > 0.0
+    assert watcher.wait(lambda: watcher.frames[-1].explanation != fresh.explanation)
+    assert watcher.frames[-1].explanation == f"{fresh.explanation} The newest plan is 2 s old."
+    assert watcher.frames[-1].rate == 0.0 and watcher.frames[-1].index == fresh.index
+    assert watcher.frames[-1].epoch == fresh.epoch
+    session.pause()
+    send(telemetry, watcher, records[2:3])
+    assert watcher.wait(lambda: watcher.frames[-1].explanation == fresh.explanation)
+    assert session.frame is not None and session.frame.index == fresh.index
+
+
+_LOST_LINK = """
+import socket, subprocess, threading
+from aero_planner import PlannerConfig
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.wire import Kind, encode
+from aero_viz.session.node_client import NodeClient
+from aero_viz.errors import UserError
+
+subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+hello = encode(Kind.HELLO, {"planner": PlannerConfig().to_dict(), "onboard": OnboardConfig().to_dict()})
+server, connections = socket.create_server(("127.0.0.1", 0)), []
+
+def accept():
+    connections.append(server.accept()[0])
+    connections[0].sendall(hello)
+
+threading.Thread(target=accept).start()
+client = NodeClient("127.0.0.1", server.getsockname()[1])
+subprocess.run(["ip", "link", "set", "lo", "down"], check=True)
+try:
+    print(list(client))
+except UserError as error:
+    print(error)
+"""
+
+
+def test_a_link_that_is_lost_without_a_word_is_noticed():
+    """Packets simply stop, in a network of the test's own: no FIN, no RST."""
+    alone = ["unshare", "--user", "--map-root-user", "--net"]
+    if not shutil.which("unshare") or not shutil.which("ip") or subprocess.run([*alone, "true"]).returncode:
+        pytest.skip("needs Linux's user and network namespaces, and iproute2")
+    command = [*alone, sys.executable, "-c", _LOST_LINK]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(r"the connection to 127\.0\.0\.1:\d+ is lost: .+\.\n", done.stdout), done.stdout
+
+
+def test_nothing_reaches_the_drone(live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]):
+    session, watcher = live
+    for attempt in (lambda: session.configure({"costs.q_track": 1.0}), session.undo, session.redo):
+        with pytest.raises(UserError, match="nothing can be changed from here"):
+            attempt()
+    assert isinstance(session.set_goal((1.0, 2.0, 3.0)).exception(), UserError)
+    assert watcher.wait(lambda: len(watcher.notices) == 1)
+    assert isinstance(session.set_goal((1.0, 2.0, 3.0), quiet=True).exception(), UserError)
+    session.set_speed(2.0)
+    session.set_samples(True)
+    assert watcher.wait(lambda: len(watcher.notices) == 3)
+    assert session.speed == 1.0 and session.config == SMALL
+    show(telemetry, watcher, records[:1])
+    for name in ("observe", "checkpoint"):
+        with pytest.raises(TypeError, match="nothing can be changed"):
+            getattr(session.source, name)()
+
+
+def test_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
+    _, watcher = live
+    telemetry.change(Change(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
+    assert watcher.wait(lambda: watcher.notices)
+    assert watcher.notices[0] == Notice("error", f"FLYING → BRAKING: {Cause.CLOUD_STALE.value}")
+
+
+def test_a_drone_out_of_sight_is_found_again(records: list[PlanRecord]):
+    first = serve()
+    port = first.port
+    session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
+    watcher = Watcher(session)
+    session.start()
+    show(first, watcher, records[:2])
+    first.close()
+    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    second = serve(port)
+    assert watcher.wait(lambda: any("in sight again" in notice.text for notice in watcher.notices))
+    show(second, watcher, records[2:4])
+    assert watcher.frames[-1].epoch > watcher.frames[0].epoch
+    session.close()
+    second.close()
+
+
+def test_the_dashboard_shows_a_drone(
+    live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
+):
+    session, watcher = live
+    dashboard = Dashboard(cast(Session, session), port=0)
+    try:
+        show(telemetry, watcher, records[:3])
+        frame = session.frame
+        assert frame is not None
+        changes = dashboard._changes(frame)
+        assert len(changes) > 20 and dashboard.drain() and dashboard.failures == 0
+        shown = [str(value) for handle, name, value in changes if name == "content"]
+        assert any("FLYING" in text or "READY" in text for text in shown)
+        assert any("steers nothing" in text for text in shown)
+    finally:
+        dashboard.close()
+
+
+def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
+    live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
+):
+    session, watcher = live
+    dashboard = Dashboard(session, port=0)
+    try:
+        assert dashboard.drain()
+        (status,) = (panel for panel in dashboard._panels if isinstance(panel, StatusPanel))
+        assert f"Connected to 127.0.0.1:{telemetry.port}, which has not planned yet" in status._html.content
+        assert not any(isinstance(panel, GoalPanel) for panel in dashboard._panels)
+        placed = [dashboard.layers[name]._pose for name in ("goal", "drone")]  # type: ignore[attr-defined]
+        assert not any(pose.visible for pose in placed), "where they are is not known yet"
+        (play,) = (panel._play for panel in dashboard._panels if isinstance(panel, PlaybackPanel))
+        assert play.label == "Pause"
+        session.pause()
+        assert dashboard.drain() and play.label == "Play"
+        session.play()
+        show(telemetry, watcher, records[:1])
+        frame = session.frame
+        assert frame is not None
+        apply(dashboard._changes(frame))
+        assert all(pose.visible for pose in placed) and "has not planned yet" not in status._html.content
+    finally:
+        dashboard.close()
+
+
+def test_a_drone_that_is_lost_before_it_has_planned_is_not_said_to_be_connected():
+    telemetry = serve()
+    session = LiveSession(NodeClient("127.0.0.1", telemetry.port))
+    watcher = Watcher(session)
+    session.start()
+    telemetry.close()
+    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    assert "out of sight" in session.waiting and "Connected" not in session.waiting
+    session.close()
+
+
+def test_the_verb_serves_the_page_until_it_is_told_to_end(telemetry: Telemetry):
+    script = (
+        "import sys\nfrom aero_viz.cli.connect import connect\nfrom aero_viz.cli.page import PageFlags\n"
+        "connect('127.0.0.1', drone_port=int(sys.argv[1]), page=PageFlags(port=0))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(telemetry.port)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        line = process.stdout.readline()
+        assert line.startswith("AERO-Viz shows 127.0.0.1 at http://127.0.0.1:"), process.stderr.read()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20.0) == 0
+
+
+def test_who_does_not_answer_is_named():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        with pytest.raises(UserError, match=rf"No node answers at 127.0.0.1:{port}: Connection refused; start"):
+            NodeClient("127.0.0.1", port)
+    for host in ("no such host", "a" * 70, ""):
+        with pytest.raises(UserError, match="No node answers at"):
+            NodeClient(host, 1)
+
+
+@pytest.mark.parametrize(
+    ("answer", "problem"),
+    [
+        (b"SSH-2.0-OpenSSH_9.6\r\n" + bytes(40), "no aero-planner node"),
+        (b"", "no room for another viewer, or is no node"),
+        (encode(Kind.CHANGE, {}), "is no node"),
+        (encode(Kind.HELLO, {}), "other settings than this program knows"),
+        (encode(Kind.HELLO, {"planner": {"costs": {"new": 1}}, "onboard": {}}), "install the same release"),
+        (encode(Kind.HELLO, {"planner": {}, "onboard": {"limits": {"new": 1}}}), "install the same release"),
+    ],
+)
+def test_what_answers_must_be_a_node_of_this_release(answer: bytes, problem: str):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def respond() -> None:
+            connection, _ = server.accept()
+            with connection, suppress(OSError):
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=respond)
+        thread.start()
+        with pytest.raises(UserError, match=problem) as raised:
+            NodeClient("127.0.0.1", server.getsockname()[1])
+        thread.join()
+    assert "\n" not in str(raised.value)
+
+
+def test_a_node_that_sends_nonsense_is_left(records: list[PlanRecord]):
+    hello = encode(Kind.HELLO, {"planner": PlannerConfig().to_dict(), "onboard": OnboardConfig().to_dict()})
+    nonsense = [encode(Kind.PLAN, {}), encode(Kind.PLAN, {"number": "a"}, {"points": np.zeros(3, np.int16)}), b"x" * 50]
+    for message in nonsense:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            thread = threading.Thread(target=lambda m=message, s=server: s.accept()[0].sendall(hello + m))
+            thread.start()
+            with (
+                pytest.raises(UserError, match=r"127\.0\.0\.1"),
+                closing(NodeClient("127.0.0.1", server.getsockname()[1])) as client,
+            ):
+                next(iter(client))
+            thread.join()

@@ -1,0 +1,391 @@
+"""The engine on a real flight: time, jumps, parameters, sinks, and failures."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
+from typing import Any
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_planner import PlannerConfig
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightSource
+from aero_viz.scenes import World
+from aero_viz.sensors import LidarModel
+from aero_viz.session import Session
+from aero_viz.session.frame import Frame, Notice
+from aero_viz.session.source import Observation
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    session = Session(small_source(), config=small_config(), seed=3)
+    yield session
+    session.close()
+
+
+@pytest.fixture
+def live(session: Session) -> Session:
+    session.start(play=False)
+    wait_for(lambda: session.frame is not None)
+    return session
+
+
+def wait_for(condition: Callable[[], Any], timeout: float = 20.0) -> None:
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+
+
+class Shortsighted(FlightSource):
+    """Takes a goal beyond 25 m, and cannot be observed with it."""
+
+    def observe(self) -> Observation:
+        seen = super().observe()
+        if np.asarray(seen.goal.position)[0] > 25.0:
+            raise ValueError("goal.position is too far.")
+        return seen
+
+
+def same_plan(a: Frame, b: Frame) -> bool:
+    return np.array_equal(a.plan.controls, b.plan.controls) and np.array_equal(a.plan.positions, b.plan.positions)
+
+
+def run(session: Session, count: int) -> list[Frame]:
+    return [session.tick() for _ in range(count)]
+
+
+def test_a_flight_arrives_and_its_last_frame_stays(session: Session) -> None:
+    frame = session.tick()
+    while frame.outcome is None:
+        frame = session.tick()
+    assert frame.outcome == "arrived"
+    assert session.tick() is frame
+    assert np.linalg.norm(frame.trail[-1] - [12.0, 0.0, 2.0]) < 1.05
+    assert len(frame.trail) == frame.index + 1
+
+
+def test_frames_do_not_change_after_they_are_published(session: Session) -> None:
+    first = session.tick()
+    controls, points = first.plan.controls.copy(), first.observation.points.copy()
+    run(session, 5)
+    np.testing.assert_array_equal(first.plan.controls, controls)
+    np.testing.assert_array_equal(first.observation.points, points)
+    assert len(first.trail) == 1
+
+
+def test_going_back_repeats_the_flight_bit_for_bit(session: Session) -> None:
+    frames = run(session, 12)
+    session.seek(frames[4].time).result()
+    assert session.frame is not None
+    assert session.frame.index == 4
+    assert same_plan(session.frame, frames[4])
+    for frame in frames[5:]:
+        assert same_plan(session.tick(), frame)
+
+
+def test_going_back_and_on_with_other_weights_flies_differently(session: Session) -> None:
+    frames = run(session, 12)
+    session.step(-8).result()
+    session.configure({"costs.q_position": 30.0})
+    again = run(session, 8)
+    assert again[-1].index == frames[-1].index
+    assert not np.array_equal(again[-1].trail, frames[-1].trail)
+    assert again[-1].epoch != frames[-1].epoch
+
+
+def test_a_weight_acts_while_paused_and_undo_restores_the_plan(live: Session) -> None:
+    live.step(3).result()
+    before = live.frame
+    assert before is not None
+    live.configure({"costs.q_position": 30.0})
+    wait_for(lambda: live.frame is not before)
+    changed = live.frame
+    assert changed is not None
+    assert changed.time == before.time
+    assert changed.config.costs.q_position == 30.0
+    assert not same_plan(changed, before)
+    live.undo()
+    wait_for(lambda: live.frame is not changed)
+    assert live.frame is not None
+    assert same_plan(live.frame, before)
+
+
+def test_a_structural_change_acts_while_paused(live: Session) -> None:
+    live.configure({"sampling.samples": 8, "anchors.columns": 3})
+    wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 2, 8))
+
+
+def test_undoing_a_structural_change_restores_the_plan(session: Session) -> None:
+    before = run(session, 4)[-1]
+    session.configure({"sampling.steps": 20})
+    assert session.frame is not None and session.frame.plan.controls.shape[1] == 20
+    session.undo()
+    assert same_plan(session.frame, before)
+
+
+def test_a_refused_parameter_changes_nothing(live: Session) -> None:
+    with pytest.raises(ValueError, match=r"costs\.q_track"):
+        live.configure({"costs.q_track": -5.0})
+    assert live.config == small_config()
+
+
+def test_play_pause_and_step(live: Session) -> None:
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.index >= 5)
+    live.pause()
+    wait_for(lambda: not live.playing)
+    assert live.frame is not None
+    index = live.frame.index
+    time.sleep(0.1)
+    assert live.frame.index == index
+    live.step().result()
+    assert live.frame.index == index + 1
+    live.step(-2).result()
+    assert live.frame.index == index - 1
+
+
+def test_time_follows_the_clock(live: Session) -> None:
+    live.set_speed(0.5)
+    started = time.monotonic()
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.time >= 0.4)
+    # A busy machine may be late, never early.
+    assert time.monotonic() - started >= 0.7
+
+
+def test_a_flight_makes_up_for_a_little_and_gives_up_on_much(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aero_viz.session.session._CATCH_UP", 60.0)  # so that no slow machine takes a part in it
+    run(session, 3)
+    due = session._engine.next_time
+    session._clock.restart(due + 30.0)
+    session._keep_up()
+    assert session._clock.now() >= due + 30.0
+    assert run(session, 1)[0].dropped_ticks == 0
+    due = session._engine.next_time
+    session._clock.restart(due + 90.0)
+    session._keep_up()
+    assert session._clock.now() < due + 90.0
+    assert run(session, 1)[0].dropped_ticks == 0, "a flight loses no tick: it runs slower"
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1e9, float("nan")])
+def test_a_useless_speed_is_refused(session: Session, speed: float) -> None:
+    with pytest.raises(ValueError, match="speed is"):
+        session.set_speed(speed)
+
+
+def test_a_moved_goal_changes_the_plan(live: Session) -> None:
+    before = live.frame
+    live.set_goal([0.0, 12.0, 2.0]).result()
+    assert live.frame is not None and before is not None
+    assert not same_plan(live.frame, before)
+    np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_a_moved_goal_stays_moved_when_the_tick_is_returned_to(session: Session) -> None:
+    run(session, 5)
+    session.set_goal([0.0, 12.0, 2.0])
+    run(session, 1)
+    session.step(-1)
+    assert session.frame is not None
+    assert session.frame.index == 4
+    np.testing.assert_array_equal(session.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_a_structure_that_fails_leaves_the_last_good_one(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(session, 3)
+    session.configure({"costs.q_track": 9.0})
+    good = session.config
+    planner = session._engine._planner
+    build = planner._build
+
+    def out_of_memory() -> None:
+        if planner.config.sampling.samples > 1000:
+            raise MemoryError("no room")
+        build()
+
+    monkeypatch.setattr(planner, "_build", out_of_memory)
+    session.configure({"sampling.samples": 2000})
+    assert session.config == good
+    assert run(session, 2)[-1].plan.stage1_cost.shape == (17, 16)
+    assert session.undo() == session.config == small_config()
+
+
+@pytest.mark.parametrize("goal", [[1.0, 2.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0]])
+def test_an_impossible_goal_is_refused(session: Session, goal: list[float]) -> None:
+    with pytest.raises(ValueError, match="three finite numbers"):
+        session.set_goal(goal)
+
+
+def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_one_before_stays(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    inside = [4.0, 0.3, 2.0]
+    with pytest.raises(UserError, match="inside an obstacle"):
+        live.set_goal(inside, quiet=True).result()
+    assert live.set_goal(inside).exception() is not None
+    live.set_goal([0.0, 12.0, 2.0]).result()
+    wait_for(lambda: notices)
+    assert [(n.level, "inside an obstacle" in n.text) for n in notices] == [("error", True)]
+    assert live.frame is not None
+    np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_a_goal_that_cannot_be_planned_to_leaves_the_one_before() -> None:
+    session = Session(small_source(goal=20.0, kind=Shortsighted), config=small_config())
+    before = run(session, 3)[-1]
+    with pytest.raises(ValueError, match=r"goal\.position"):
+        session.set_goal([26.0, 0.0, 2.0]).result()
+    after = run(session, 1)[-1]
+    np.testing.assert_array_equal(after.observation.goal.position, [20.0, 0.0, 2.0])
+    session.seek(before.time)
+    assert session.frame is not None and same_plan(session.frame, before)
+    session.close()
+
+
+def test_who_asks_is_told_when_time_stops_and_goes_on(live: Session) -> None:
+    told: list[bool] = []
+    sink = live.subscribe_playing(told.append)
+    live.play()
+    live.play()
+    live.pause()
+    live.set_speed(100.0)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome is not None)
+    wait_for(lambda: len(told) == 5)
+    assert told == [False, True, False, True, False]
+    live.unsubscribe(sink)
+
+
+def test_samples_come_when_asked_for(live: Session) -> None:
+    assert live.frame is not None and live.frame.plan.samples is None
+    live.set_samples(True).result()
+    assert live.frame.plan.samples is not None
+    assert live.frame.plan.samples.shape == (17, 16, 26, 3)
+
+
+def test_another_source_starts_from_its_beginning(live: Session) -> None:
+    live.step(4).result()
+    live.set_source(small_source(goal=20.0)).result()
+    assert live.frame is not None
+    assert live.frame.index == 0
+    assert live.source.scenery.world is not None
+    assert live.source.scenery.world.goal[0] == 20.0
+
+
+def test_a_source_that_fails_at_once_leaves_the_old_one(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    live.step(2).result()
+    old, frame = live.source, live.frame
+    future = live.set_source(small_source(goal=26.0, kind=Shortsighted))
+    with pytest.raises(ValueError, match=r"goal\.position"):
+        future.result()
+    assert live.source is old
+    live.step().result()
+    assert live.frame is not None and frame is not None
+    assert live.frame.index == frame.index + 1
+    wait_for(lambda: any(n.level == "error" and "goal" in n.text for n in notices))
+
+
+def test_a_sink_that_hangs_or_raises_harms_neither_the_engine_nor_the_others(live: Session) -> None:
+    seen: list[int] = []
+
+    def raises(frame: Frame) -> None:
+        raise RuntimeError("a broken sink")
+
+    broken = live.subscribe(raises)
+    hanging = live.subscribe(lambda frame: time.sleep(0.5))
+    every = live.subscribe(lambda frame: seen.append(frame.index), every=True)
+    live.step(20).result()
+    assert every.drain()
+    assert seen == list(range(21))
+    assert broken.failures >= 1
+    assert hanging.dropped >= 1
+
+
+def test_the_end_is_told_once(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    live.set_speed(100.0)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome == "arrived")
+    wait_for(lambda: not live.playing and notices)
+    assert [n.text for n in notices] == ["poles: arrived at the goal."]
+
+
+def test_a_flight_that_goes_on_to_another_goal_tells_its_second_end_too(session: Session) -> None:
+    notices: list[Notice] = []
+    sink = session.subscribe_notices(notices.append)
+    for goal in ([12.0, 0.0, 2.0], [12.0, 8.0, 2.0], [12.0, 8.0, 2.0]):
+        session.set_goal(goal).result()
+        while session.tick().outcome is None:
+            pass
+        session.tick()
+    assert sink.drain()
+    assert [n.text for n in notices] == 3 * ["poles: arrived at the goal."]
+
+
+def test_a_flight_that_cannot_begin_says_why(live: Session) -> None:
+    notices: list[Notice] = []
+    live.subscribe_notices(notices.append)
+    pole = World("pole", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]]))
+    live.set_source(FlightSource(pole, lidar=LidarModel("sparse", points_per_sweep=2000))).result()
+    assert live.frame is not None and live.frame.source is live.source
+    assert live.frame.outcome == "collision"
+    explanation = live.frame.explanation
+    assert explanation is not None and "start" in explanation
+    live.play()
+    wait_for(lambda: any(n.text == f"pole: collided with an obstacle. {explanation}" for n in notices))
+
+
+def test_playing_after_the_end_starts_again(live: Session) -> None:
+    live.set_speed(100.0)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome == "arrived" and not live.playing)
+    live.play()
+    wait_for(lambda: live.frame is not None and live.frame.outcome is None)
+    assert live.playing
+
+
+def test_a_speed_acts_on_a_tick_that_is_waited_for(live: Session) -> None:
+    live.set_speed(0.01)
+    live.play()
+    live.set_speed(100.0)
+    wait_for(lambda: live.frame is not None and live.frame.index >= 20)
+
+
+def test_commands_that_come_too_late_are_cancelled(live: Session) -> None:
+    closing, go_on = threading.Event(), threading.Event()
+    live._post(lambda: (closing.set(), go_on.wait(10.0)))  # keeps the thread busy while the session is closed
+    closing.wait(10.0)
+    closer = threading.Thread(target=live.close)
+    closer.start()
+    wait_for(lambda: not live._commands.empty())
+    late = live.step()
+    go_on.set()
+    with pytest.raises(CancelledError):
+        late.result(timeout=10.0)
+    closer.join()
+
+
+def test_two_sessions_with_equal_seeds_fly_equally() -> None:
+    trails = []
+    for _ in range(2):
+        session = Session(small_source(), config=small_config(), seed=5)
+        trails.append(run(session, 10)[-1].trail)
+        session.close()
+    np.testing.assert_array_equal(*trails)
+
+
+def test_the_default_configuration_is_used_when_none_is_given() -> None:
+    session = Session(small_source())
+    assert session.config == PlannerConfig()
+    session.close()

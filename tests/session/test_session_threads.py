@@ -1,0 +1,145 @@
+"""Commands from one thread while another ticks, and before, after and beside the thread that keeps time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_planner import Plan
+from aero_viz.flight import FlightSource
+from aero_viz.session import Session
+from aero_viz.session.frame import Frame
+
+GOAL = [0.0, 12.0, 2.0]
+
+
+class Gated(FlightSource):
+    """Waits in the middle of a tick; tells when it was closed."""
+
+    def __init__(self, *args, **options) -> None:
+        super().__init__(*args, **options)
+        self.inside, self.go_on, self.closed = threading.Event(), threading.Event(), threading.Event()
+
+    def advance(self, plan: Plan) -> None:
+        self.inside.set()
+        assert self.go_on.wait(20.0)
+        super().advance(plan)
+
+    def close(self) -> None:
+        self.closed.set()
+        super().close()
+
+
+@pytest.fixture
+def source() -> Gated:
+    source = small_source(kind=Gated)
+    assert isinstance(source, Gated)
+    return source
+
+
+@pytest.fixture
+def session(source: Gated) -> Iterator[Session]:
+    session = Session(source, config=small_config(), seed=3)
+    yield session
+    source.go_on.set()
+    session.close()
+
+
+def goal_of(frame: Frame | None) -> list[float]:
+    assert frame is not None
+    return np.asarray(frame.observation.goal.position).tolist()
+
+
+def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Session, source: Gated) -> None:
+    first = session.tick()
+    ticked: list[Frame] = []
+    ticker = threading.Thread(target=lambda: ticked.append(session.tick()))
+    ticker.start()
+    assert source.inside.wait(20.0)
+    moved = session.set_goal(GOAL)
+    assert not moved.done() and session.frame is first
+    source.go_on.set()
+    moved.result(timeout=20.0)
+    ticker.join()
+    assert [frame.index for frame in ticked] == [1]
+    assert goal_of(ticked[0]) == goal_of(first)
+    assert session.frame is not None and session.frame.index == 1 and goal_of(session.frame) == GOAL
+
+
+def test_a_tick_comes_after_the_commands_given_before_it(session: Session, source: Gated) -> None:
+    source.go_on.set()
+    session.tick()
+    busy, end = threading.Event(), threading.Event()
+    other = threading.Thread(target=lambda: session._post(lambda: (busy.set(), end.wait(20.0))))
+    other.start()
+    assert busy.wait(20.0)
+    session.set_goal(GOAL)
+    threading.Timer(0.2, end.set).start()
+    assert goal_of(session.tick()) == GOAL
+    other.join()
+
+
+def test_a_loop_of_ticks_and_the_page_beside_it_fly_as_the_loop_alone() -> None:
+    """The page sets what is set already, so that every command plans and none changes the flight."""
+    trails = []
+    for disturbed in (False, True):
+        session, stop = Session(small_source(), config=small_config(), seed=3), threading.Event()
+        session.tick()
+
+        def page(session: Session = session, stop: threading.Event = stop) -> None:
+            while not stop.wait(0.001):
+                session.set_samples(False).result(timeout=20.0)
+
+        others = [threading.Thread(target=page) for _ in range(2 * disturbed)]
+        for other in others:
+            other.start()
+        frames = [session.tick() for _ in range(60)]
+        stop.set()
+        for other in others:
+            other.join()
+        session.close()
+        assert [frame.index for frame in frames] == list(range(1, 61))
+        trails.append(frames[-1].trail)
+    np.testing.assert_array_equal(*trails)
+
+
+def test_a_session_that_ticks_by_itself_is_not_ticked_from_outside(session: Session) -> None:
+    session.start(play=False)
+    with pytest.raises(RuntimeError, match=r"ticks by itself; use step\(\)"):
+        session.tick()
+    with pytest.raises(RuntimeError, match="already started"):
+        session.start()
+
+
+@pytest.mark.parametrize("started", [False, True])
+def test_a_closed_session_cancels_commands_and_closes_the_source_it_is_given(session: Session, started: bool) -> None:
+    if started:
+        session.start(play=False)
+        session.pause()
+    session.close()
+    late = small_source(kind=Gated)
+    assert isinstance(late, Gated)
+    assert session.set_source(late).cancelled() and late.closed.is_set()
+    assert session.set_goal(GOAL).cancelled() and session.step().cancelled()
+    for use in (session.tick, session.start):
+        with pytest.raises(RuntimeError, match="the session is closed"):
+            use()
+
+
+def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated) -> None:
+    session.tick()
+    ticker = threading.Thread(target=session.tick)
+    ticker.start()
+    assert source.inside.wait(20.0)
+    closer = threading.Thread(target=session.close)
+    closer.start()
+    closer.join(0.2)
+    assert not source.closed.is_set()
+    source.go_on.set()
+    ticker.join()
+    closer.join()
+    assert source.closed.is_set()

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner.planner import History
+from aero_viz.session.timeline import Mark, Timeline
+
+HISTORY = History(
+    controls=np.zeros((1, 2, 4), np.float32),
+    end=np.zeros((1, 3), np.float32),
+    turn=np.zeros((1, 3), np.float32),
+    time=np.zeros(1),
+    tick=np.zeros(1, np.int32),
+)
+
+
+def flown(count: int) -> Timeline:
+    timeline = Timeline()
+    for i in range(count):
+        timeline.append(Mark(0.1 * i, i, HISTORY), (float(i), 0.0, 0.0))
+    return timeline
+
+
+def test_an_empty_timeline_is_false() -> None:
+    assert not Timeline()
+    assert Timeline().time_range == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("time", "index"), [(-1.0, 0), (0.0, 0), (0.25, 2), (0.3, 3), (99.0, 9)])
+def test_going_to_a_time_finds_the_tick_at_or_before_it(time: float, index: int) -> None:
+    timeline = flown(10)
+    assert timeline.go_to_time(time).checkpoint == index
+    assert timeline.index == index
+    np.testing.assert_array_equal(timeline.trail()[:, 0], np.arange(index + 1))
+
+
+def test_going_on_from_an_earlier_tick_forgets_the_later_ones_but_changes_no_trail_handed_out() -> None:
+    timeline = flown(10)
+    before = timeline.trail()
+    timeline.go_by(-5)
+    timeline.append(Mark(0.5, "other", HISTORY), (50.0, 0.0, 0.0))
+    np.testing.assert_array_equal(before[:, 0], np.arange(10))
+    np.testing.assert_array_equal(timeline.trail()[:, 0], [0, 1, 2, 3, 4, 50])
+    assert timeline.time_range == (0.0, 0.5)
+
+
+def test_trails_are_read_only_and_survive_growth() -> None:
+    timeline = flown(3000)
+    trail = timeline.trail()
+    with pytest.raises(ValueError, match="read-only"):
+        trail[0] = 1.0
+    np.testing.assert_array_equal(trail[:, 0], np.arange(3000))
+
+
+def test_old_ticks_are_forgotten_beyond_the_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("aero_viz.session.timeline._CAPACITY", 10)
+    timeline = flown(25)
+    assert timeline.index == 24
+    assert timeline.time_range == (pytest.approx(1.5), pytest.approx(2.4))
+    np.testing.assert_array_equal(timeline.trail()[:, 0], np.arange(25))
