@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aero_planner import VehicleState
 from aero_planner.onboard.messages import Encoded, goal_message, plan_messages, sweep
-from aero_viz.recordings.rotations import matrices
+from aero_planner.quaternions import rotation_matrix
 from aero_viz.session.frame import Frame
 
 __all__ = ["body_rates", "encode_goal", "encode_plan", "encode_sweep"]
@@ -31,7 +31,7 @@ def encode_sweep(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encod
     moved them once more would smear them.
     """
     state = frame.observation.actual_state
-    seen = (points - np.asarray(state.position, float)) @ matrices(np.asarray(state.quaternion, float))
+    seen = (points - np.asarray(state.position, float)) @ rotation_matrix(np.asarray(state.quaternion, float))
     return sweep(seen.astype(np.float32), stamp)
 
 

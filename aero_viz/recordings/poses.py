@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_viz.recordings.rotations import rotate, slerp
+from aero_planner.quaternions import rotate, slerp
 
 __all__ = ["POSE_TOLERANCE", "Pose", "PoseTrack"]
 

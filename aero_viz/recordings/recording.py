@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.quaternions import rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.clouds import CLOUD_TYPES, cloud_layout, decode_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents, Topic, TopicContents, read_contents
 from aero_viz.recordings.messages import POSE_TYPES, TF_TYPES
 from aero_viz.recordings.poses import PoseTrack
-from aero_viz.recordings.rotations import matrices
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
@@ -132,7 +132,7 @@ class Recording:
             self.damaged_sweeps.add(index)
         position, quaternion = self.extrinsic
         if self.extrinsic is not IDENTITY:
-            points = points @ matrices(quaternion).T.astype(np.float32) + position.astype(np.float32)
+            points = points @ rotation_matrix(quaternion).T.astype(np.float32) + position.astype(np.float32)
         sweep = PointSweep(float(self.sweep_times[index]), points, times, dropped)
         self._cache[index] = sweep
         if len(self._cache) > _CACHED_SWEEPS:

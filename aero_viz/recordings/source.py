@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Goal, Plan, VehicleState
+from aero_planner.quaternions import rotate, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
 from aero_viz.recordings.recording import PointSweep, Recording
-from aero_viz.recordings.rotations import matrices, rotate
 from aero_viz.session.source import Observation, Scenery
 
 __all__ = ["MAX_POINTS", "RecordedPath", "RecordingSource"]
@@ -226,8 +226,8 @@ class RecordingSource:
             start, stop = sweep.time + low * _DESKEW_STEP, sweep.time + high * _DESKEW_STEP
             if track.widest_spacing(start, stop) <= _SPARSEST_POSES:
                 poses = track.at(np.linspace(start, stop, high - low + 1))
-                rotation = matrices(poses.quaternion).astype(np.float32)[step - low]
+                rotation = rotation_matrix(poses.quaternion).astype(np.float32)[step - low]
                 moved = np.einsum("nij,nj->ni", rotation, sweep.points)
                 return moved + poses.position.astype(np.float32)[step - low]
         pose = track.at(sweep.time)
-        return sweep.points @ matrices(pose.quaternion).T.astype(np.float32) + pose.position.astype(np.float32)
+        return sweep.points @ rotation_matrix(pose.quaternion).T.astype(np.float32) + pose.position.astype(np.float32)

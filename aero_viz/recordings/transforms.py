@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.quaternions import compose_transforms, invert_transform, slerp
 from aero_viz.recordings.poses import PoseTrack
-from aero_viz.recordings.rotations import compose, inverse, slerp
 
 __all__ = ["FIXED_FRAMES", "Samples", "TransformTree"]
 
@@ -92,7 +92,7 @@ class TransformTree:
         down, up = self._static_chain(source), self._static_chain(target)
         for frame, transform in down.items():
             if frame in up:
-                return compose(*inverse(*up[frame]), *transform)
+                return compose_transforms(*invert_transform(*up[frame]), *transform)
         return None
 
     def track(self, frame: str, *, stamped: bool) -> tuple[Transform, NDArray[np.int64], NDArray, NDArray, str] | None:
@@ -103,7 +103,7 @@ class TransformTree:
         """
         edges, extrinsic = self.chain(frame), IDENTITY
         while edges and self.is_static(edges[0]):
-            extrinsic = compose(*self._constant(edges[0]), *extrinsic)
+            extrinsic = compose_transforms(*self._constant(edges[0]), *extrinsic)
             edges = edges[1:]
         if not edges:
             return None
@@ -111,9 +111,11 @@ class TransformTree:
         position, quaternion = self._interpolated(edges[0], times, stamped=stamped)
         for edge in edges[1:]:
             if self.is_static(edge):
-                position, quaternion = compose(*self._constant(edge), position, quaternion)
+                position, quaternion = compose_transforms(*self._constant(edge), position, quaternion)
             else:
-                position, quaternion = compose(*self._interpolated(edge, times, stamped=stamped), position, quaternion)
+                position, quaternion = compose_transforms(
+                    *self._interpolated(edge, times, stamped=stamped), position, quaternion
+                )
         return extrinsic, times, position, quaternion, edges[0][1]
 
     def _static_chain(self, frame: str) -> dict[str, Transform]:
@@ -122,7 +124,7 @@ class TransformTree:
         for edge in self.chain(frame):
             if not self.is_static(edge):
                 break
-            transform = compose(*self._constant(edge), *transform)
+            transform = compose_transforms(*self._constant(edge), *transform)
             reached[edge[0]] = transform
         return reached
 

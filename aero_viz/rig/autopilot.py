@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.frames import attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.thrust import force_from_signal, signal_from_force
-from aero_planner.quaternions import rotate
+from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.faults import Channel
 
@@ -197,7 +197,7 @@ class SimulatedAutopilot:
         q = self._q.astype(np.float64)
         axis = rotate(q, up)
         turn = np.cross(axis, force / np.linalg.norm(force))
-        rates = 8.0 * rotate(q * [1.0, -1.0, -1.0, -1.0], turn)
+        rates = 8.0 * rotate(conjugate(q), turn)
         return np.array([force @ axis, rates[0], rates[1], 0.0])
 
     def _listen(self) -> None:

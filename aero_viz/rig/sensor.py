@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner.onboard.livox import CARTESIAN_MM, encode_packet
-from aero_planner.quaternions import quaternion_from_angles, rotate
+from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
 from aero_viz.flight.vehicle import Vehicle
 from aero_viz.rig.faults import Channel
 from aero_viz.scenes import World
@@ -70,7 +70,7 @@ class SimulatedMid360:
         self._flying = wp.zeros(1, dtype=int, device="cpu")
         # Points are believed to be where the body frame is, so that they come in the body frame.
         self._here = wp.zeros(1, dtype=wp.vec3, device="cpu"), wp.array([(1.0, 0, 0, 0)], dtype=wp.vec4, device="cpu")
-        self._to_sensor = quaternion_from_angles(*model.mount_angles) * [1.0, -1.0, -1.0, -1.0]
+        self._to_sensor = conjugate(quaternion_from_angles(*model.mount_angles))
         self._rest = np.zeros((0, 3), dtype=np.float32)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._address = address

@@ -1,4 +1,9 @@
-"""Unit quaternions w, x, y, z, body to world, as float64 arrays of any leading shape."""
+"""Unit quaternions and rigid transforms in NumPy, for single values and for arrays.
+
+A quaternion is w, x, y, z and rotates body vectors into the world frame. Every function takes any leading shape,
+broadcasts as NumPy does, and computes in float64. Components are written out: for a single vector, `np.cross` and
+`np.stack` take five times as long as the arithmetic, and these functions run in the control loop.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +12,27 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["advance", "multiply", "quaternion_from_angles", "rotate"]
+__all__ = [
+    "compose_transforms",
+    "conjugate",
+    "integrate_rates",
+    "invert_transform",
+    "multiply",
+    "quaternion_from_angles",
+    "rotate",
+    "rotation_matrix",
+    "slerp",
+]
 
 Array = NDArray[np.float64]
 
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+_SMALLEST_SINE = 1e-6
+"""For a smaller angle the arc is its chord, and the quotients of `slerp` would be 0 / 0."""
+
 
 def multiply(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the quaternion product a b [.., 4]: b is applied first."""
+    """Return the Hamilton product a b, shape [.., 4]: the rotation b followed by the rotation a."""
     p, q = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     aw, ax, ay, az = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
     bw, bx, by, bz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
@@ -25,10 +44,17 @@ def multiply(a: ArrayLike, b: ArrayLike) -> Array:
     return result
 
 
+def conjugate(quaternion: ArrayLike) -> Array:
+    """Return the conjugate, shape [.., 4]: the inverse rotation of a unit quaternion."""
+    return np.asarray(quaternion, dtype=np.float64) * _CONJUGATE
+
+
 def rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
-    """Return vectors [.., 3] turned by unit quaternions [.., 4]: v + w t + u x t with t = 2 u x v, q = (w, u)."""
+    """Return the vectors [.., 3] rotated by the unit quaternions [.., 4].
+
+    With q = (w, u): R(q) v = v + w t + u x t, where t = 2 u x v.
+    """
     q, v = np.asarray(quaternion, dtype=np.float64), np.asarray(vector, dtype=np.float64)
-    # Written out: np.cross takes five times as long for a single vector.
     w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
     a, b, c = v[..., 0], v[..., 1], v[..., 2]
     ta, tb, tc = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
@@ -39,8 +65,32 @@ def rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
     return result
 
 
-def advance(quaternion: ArrayLike, rates: ArrayLike, time: float) -> Array:
-    """Return the attitude [4] after turning with constant body rates [3] [rad/s] for `time` [s], which may be < 0."""
+def rotation_matrix(quaternion: ArrayLike) -> Array:
+    """Return R(q), shape [.., 3, 3], of unit quaternions [.., 4]."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    result = np.empty((*q.shape[:-1], 3, 3))
+    for column, axis in enumerate(np.eye(3)):
+        result[..., column] = rotate(q, axis)
+    return result
+
+
+def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Array:
+    """Return the attitudes [.., 4] at `fraction` [..] in [0, 1] of the shortest rotation from a to b, each [.., 4]."""
+    p, q = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    f = np.asarray(fraction, dtype=np.float64)[..., None]
+    dot = np.sum(p * q, axis=-1, keepdims=True)
+    q, dot = np.where(dot < 0, -q, q), np.abs(dot)
+    angle = np.arccos(np.clip(dot, 0.0, 1.0))
+    sine = np.sin(angle)
+    small = sine < _SMALLEST_SINE
+    divisor = np.where(small, 1.0, sine)
+    result = np.where(small, 1.0 - f, np.sin((1.0 - f) * angle) / divisor) * p
+    result = result + np.where(small, f, np.sin(f * angle) / divisor) * q
+    return result / np.linalg.norm(result, axis=-1, keepdims=True)
+
+
+def integrate_rates(quaternion: ArrayLike, rates: ArrayLike, time: float) -> Array:
+    """Return the attitude [4] after turning at constant body rates [3] [rad/s] for `time` [s], possibly negative."""
     rates = np.asarray(rates, dtype=np.float64)
     speed = float(np.linalg.norm(rates))
     half = 0.5 * speed * time
@@ -49,7 +99,25 @@ def advance(quaternion: ArrayLike, rates: ArrayLike, time: float) -> Array:
 
 
 def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the quaternion [4] of R = R_z(yaw) R_y(pitch) R_x(roll), angles in degrees, as a sensor is mounted."""
+    """Return the quaternion [4] of R_z(yaw) R_y(pitch) R_x(roll), with the angles in degrees."""
     half = [0.5 * math.radians(angle) for angle in (roll, pitch, yaw)]
     x, y, z = ([math.cos(a), *(math.sin(a) * axis)] for a, axis in zip(half, np.eye(3), strict=True))
     return multiply(z, multiply(y, x))
+
+
+def compose_transforms(
+    position_a: ArrayLike, quaternion_a: ArrayLike, position_b: ArrayLike, quaternion_b: ArrayLike
+) -> tuple[Array, Array]:
+    """Return the transform b followed by the transform a: x -> R(q_a) (R(q_b) x + p_b) + p_a.
+
+    Positions have shape [.., 3] [m], quaternions [.., 4].
+    """
+    return rotate(quaternion_a, position_b) + np.asarray(position_a, dtype=np.float64), multiply(
+        quaternion_a, quaternion_b
+    )
+
+
+def invert_transform(position: ArrayLike, quaternion: ArrayLike) -> tuple[Array, Array]:
+    """Return position [.., 3] and quaternion [.., 4] of the inverse of x -> R(q) x + p."""
+    inverse = conjugate(quaternion)
+    return -rotate(inverse, position), inverse

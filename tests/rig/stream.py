@@ -11,7 +11,7 @@ import numpy as np
 from aero_planner.onboard.livox import LivoxSource
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.settings_file import load_flight_config
-from aero_planner.quaternions import rotate
+from aero_planner.quaternions import conjugate, rotate
 
 PERIOD = 0.02
 
@@ -39,7 +39,7 @@ def main(config: Path, speed: float) -> None:
         wanted = speed * toward / max(float(np.linalg.norm(toward)), speed)
         force = np.clip(2.0 * (wanted - v), -4.0, 4.0) + np.array([0.0, 0.0, 9.81])
         up = rotate(q, [0.0, 0.0, 1.0])
-        rates = 6.0 * rotate(q * [1.0, -1.0, -1.0, -1.0], np.cross(up, force / np.linalg.norm(force)))
+        rates = 6.0 * rotate(conjugate(q), np.cross(up, force / np.linalg.norm(force)))
         link.send([float(force @ up), rates[0], rates[1], 0.0])
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import advance
+from aero_planner.quaternions import integrate_rates
 
 __all__ = ["Fix", "jumped"]
 
@@ -45,7 +45,7 @@ def jumped(before: Fix, after: Fix) -> bool:
         return True
     change = 0.25 * dt * dt
     led = before.position + 0.5 * dt * (before.velocity + after.velocity)
-    turned = advance(before.attitude, 0.5 * (before.rates + after.rates), dt)
+    turned = integrate_rates(before.attitude, 0.5 * (before.rates + after.rates), dt)
     offset = float(np.linalg.norm(after.position - led))
     turn = 2.0 * math.acos(min(abs(float(turned @ after.attitude)), 1.0))
     return offset > _OFFSET + _ACCELERATION * change or turn > _TURN + _ANGULAR_ACCELERATION * change

@@ -26,7 +26,7 @@ from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.port import Port, open_port
 from aero_planner.onboard.thrust import signal_from_force
 from aero_planner.plan import VehicleState
-from aero_planner.quaternions import advance, rotate
+from aero_planner.quaternions import integrate_rates, rotate
 
 __all__ = ["MavlinkLink", "MavlinkSender", "load_dialect"]
 
@@ -337,7 +337,7 @@ class MavlinkLink:
         time = self._clocks["LOCAL_POSITION_NED"].to_host(stamp, arrival)
         position = np.array([message.x, message.y, message.z])
         velocity = np.array([message.vx, message.vy, message.vz])
-        fix = Fix(stamp, position, velocity, advance(attitude, rates, stamp - measured), rates)
+        fix = Fix(stamp, position, velocity, integrate_rates(attitude, rates, stamp - measured), rates)
         jumps = self._jumps + (self._fix is not None and jumped(self._fix, fix))
         if self._set_state(("LOCAL_POSITION_NED", jumps), time, position, velocity, fix.attitude):
             self._fix, self._jumps = fix, jumps

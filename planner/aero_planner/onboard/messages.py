@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.safety import Change
 from aero_planner.plan import Goal, Plan, VehicleState
-from aero_planner.quaternions import rotate
+from aero_planner.quaternions import conjugate, rotate
 
 __all__ = [
     "BODY", "DEFINITIONS", "WORLD", "Encoded", "goal_message", "plan_messages", "pose_messages", "safety_change",
@@ -185,13 +185,12 @@ def pose_messages(state: VehicleState, stamp: int, *, rates: ArrayLike = (0.0, 0
         stamp: [ns].
         rates: body rates [rad/s], shape [3].
     """
-    inverse = np.asarray(state.quaternion, dtype=np.float64) * [1.0, -1.0, -1.0, -1.0]
     writer = _Writer()
     writer.header(stamp, WORLD)
     writer.text(BODY)
     writer.pose(state.position, state.quaternion)
     writer.array(np.zeros(36), "<f8", counted=False)
-    writer.pack("d", *rotate(inverse, state.velocity), *np.asarray(rates, dtype=np.float64))
+    writer.pack("d", *rotate(conjugate(state.quaternion), state.velocity), *np.asarray(rates, dtype=np.float64))
     writer.array(np.zeros(36), "<f8", counted=False)
     yield Encoded("/odometry", ODOMETRY, writer.done())
     writer = _Writer()

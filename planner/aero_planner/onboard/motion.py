@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.settings import BrakeSettings
-from aero_planner.quaternions import advance, rotate
+from aero_planner.quaternions import conjugate, integrate_rates, rotate
 
 __all__ = ["DeadReckoning", "Motion", "StopController", "acceleration", "propagate"]
 
@@ -65,8 +65,8 @@ def propagate(motion: Motion, command: ArrayLike | None, time: float, vehicle: V
     if command is None:
         return Motion(time, motion.position + dt * motion.velocity, motion.velocity, motion.quaternion)
     values = np.asarray(command, dtype=np.float64)
-    change = dt * acceleration(advance(motion.quaternion, values[1:], 0.5 * dt), float(values[0]), vehicle)
-    quaternion = advance(motion.quaternion, values[1:], dt)
+    change = dt * acceleration(integrate_rates(motion.quaternion, values[1:], 0.5 * dt), float(values[0]), vehicle)
+    quaternion = integrate_rates(motion.quaternion, values[1:], dt)
     return Motion(
         time,
         motion.position + dt * motion.velocity + 0.5 * dt * change,
@@ -160,8 +160,7 @@ class StopController:
         # Upside down every axis will do.
         axis = axis / sine if sine > 1e-9 else rotate(motion.quaternion, np.array([1.0, 0.0, 0.0]))
         turn = settings.attitude_gain * math.atan2(sine, cosine)
-        inverse = motion.quaternion * np.array([1.0, -1.0, -1.0, -1.0])
-        rates = rotate(inverse, turn * axis)
+        rates = rotate(conjugate(motion.quaternion), turn * axis)
         limit = vehicle.rate_xy_max
         return np.array(
             [

@@ -54,7 +54,11 @@ def test_a_folder_compiled_ahead_is_all_that_a_planner_needs(tmp_path: Path):
     binaries = [name for name in ahead if name.endswith(".o")]
     # A GPU's kernels may have one sample or point to a thread, and so another hash.
     on_cuda = {module_of(name) for name in ahead if name.endswith(".sm87.cubin")}
-    assert on_cuda >= {module_of(name) for name in binaries} > {"wp_aero_planner.kernels.mppi", "wp_aero_planner.kernels.selection"}
+    assert (
+        on_cuda
+        >= {module_of(name) for name in binaries}
+        > {"wp_aero_planner.kernels.mppi", "wp_aero_planner.kernels.selection"}
+    )
     done = subprocess.run(
         [sys.executable, "-c", PLAN], env={**os.environ, "WARP_CACHE_PATH": str(tmp_path)}, check=True,
         capture_output=True, text=True,

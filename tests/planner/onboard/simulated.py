@@ -22,7 +22,7 @@ from aero_planner.onboard.node import Node
 from aero_planner.onboard.record import Observer
 from aero_planner.onboard.safety import State
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.quaternions import rotate
+from aero_planner.quaternions import conjugate, rotate
 
 STEP = 0.005
 """Of the simulated vehicle [s]."""
@@ -96,7 +96,7 @@ class SimulatedLidar:
         self.counters.packets += 1
         near = self._world[self.counters.packets % 20 :: 20] - motion.position
         near = near[np.linalg.norm(near, axis=1) < 10.0]
-        inverse = motion.quaternion * [1.0, -1.0, -1.0, -1.0]
+        inverse = conjugate(motion.quaternion)
         points = rotate(inverse, near).astype(np.float32)
         return [PointPacket(points, np.full(len(points), motion.time))]
 

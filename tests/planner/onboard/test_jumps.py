@@ -10,7 +10,7 @@ import pytest
 from aero_planner import Planner
 from aero_planner.onboard.jumps import Fix, jumped
 from aero_planner.onboard.safety import State
-from aero_planner.quaternions import advance, rotate
+from aero_planner.quaternions import integrate_rates, rotate
 from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import LANE, Simulation, in_flight, poles
 
@@ -24,7 +24,7 @@ def flown(fix: Fix, acceleration: np.ndarray, turning: np.ndarray, dt: float) ->
     for _ in range(100):
         h = 0.01 * dt
         p, v = p + h * v + 0.5 * h * h * acceleration, v + h * acceleration
-        q, rates = advance(q, rates + 0.5 * h * turning, h), rates + h * turning
+        q, rates = integrate_rates(q, rates + 0.5 * h * turning, h), rates + h * turning
     return Fix(time + dt, p, v, q, rates)
 
 
@@ -41,7 +41,7 @@ def test_no_flight_is_a_jump_and_every_jump_is_told(dt: float):
         assert not jumped(before, after._replace(attitude=-after.attitude))  # the same attitude
         side = rotate(q / np.linalg.norm(q), np.array([1.3 + 10.0 * dt * dt, 0.0, 0.0]))
         assert jumped(before, after._replace(position=after.position + side))
-        turned = advance(after.attitude, np.array([0.0, 0.0, 1.0]), 0.35 + 100.0 * dt * dt)
+        turned = integrate_rates(after.attitude, np.array([0.0, 0.0, 1.0]), 0.35 + 100.0 * dt * dt)
         assert dt > 0.1 or jumped(before, after._replace(attitude=turned))  # later, any attitude is possible
         assert jumped(before, after._replace(time=4.9))  # the autopilot has started anew
 

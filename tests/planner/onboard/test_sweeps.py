@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aero_planner.onboard.sweeps import SweepBuffer
-from aero_planner.quaternions import multiply, quaternion_from_angles, rotate
+from aero_planner.quaternions import conjugate, multiply, quaternion_from_angles, rotate
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -23,7 +23,7 @@ def pose(time):
 
 def slerp(a, b, share):
     """exp(share log(b a^-1)) a, along the shorter arc."""
-    turn = multiply(b, a * [1.0, -1.0, -1.0, -1.0])
+    turn = multiply(b, conjugate(a))
     turn = turn if turn[0] >= 0.0 else -turn
     sine = np.linalg.norm(turn[1:])
     angle = share * math.atan2(sine, turn[0])
@@ -67,7 +67,7 @@ def test_a_still_wall_stays_still_from_a_turning_drone():
     times = np.sort(random.uniform(0.0, 0.5, size=5000))
     wall = np.column_stack([np.full(5000, 12.0), random.uniform(-5, 5, 5000), random.uniform(0, 4, 5000)])
     states = [(5.0 * t * np.array([1.0, 0.2, 0.0]), quaternion_from_angles(0, 0, math.degrees(3.0 * t))) for t in times]
-    seen = [rotate(q * [1.0, -1.0, -1.0, -1.0], point - p) for point, (p, q) in zip(wall, states, strict=True)]
+    seen = [rotate(conjugate(q), point - p) for point, (p, q) in zip(wall, states, strict=True)]
     buffer.add_points(seen, times)
     for t in np.arange(0.0, 0.52, 0.02):
         buffer.add_pose(t, 5.0 * t * np.array([1.0, 0.2, 0.0]), quaternion_from_angles(0, 0, math.degrees(3.0 * t)))
