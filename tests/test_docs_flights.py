@@ -13,7 +13,6 @@ from aero_viz.cli import main
 from aero_viz.evaluation.bench import BENCHMARKS
 from aero_viz.flight import FlightResult, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.simulator import OUTCOMES
-from aero_viz.parameters import parameters_of
 from aero_viz.scenes import SCENES, World
 from aero_viz.sensors import LIDARS, LidarModel, coverage, lidar_model
 
@@ -50,7 +49,7 @@ def test_names_are_complete() -> None:
 def test_parameters_of_the_vehicle_are_complete() -> None:
     told = " ".join(cell for row in rows("Vehicle") for cell in row) + TEXT
     for section in ("drone", "noise"):
-        for info in parameters_of(KINDS[section], section):
+        for info in KINDS[section].parameters():
             assert info.name.replace("_", "-") in told, info.path
 
 

@@ -16,7 +16,6 @@ from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.vehicle import PLANNED
-from aero_viz.parameters import parameters_of
 from aero_viz.scenes import SCENES, World
 from aero_viz.sensors import LidarModel, lidar_model
 from aero_viz.session.ground import preset_above
@@ -80,14 +79,12 @@ def _planner_flags() -> Any:
 
 
 PlannerFlags: Any = _planner_flags()
-LidarFlags: Any = _flags("LidarFlags", parameters_of(LidarModel, "lidar"), "The LiDAR; each replaces --lidar's own.")
+LidarFlags: Any = _flags("LidarFlags", LidarModel.parameters(), "The LiDAR; each replaces --lidar's own.")
 DroneFlags: Any = _flags(
-    "DroneFlags", parameters_of(VehicleModel, "drone"), "The simulated drone; --vehicle is what the planner assumes."
+    "DroneFlags", VehicleModel.parameters(), "The simulated drone; --vehicle is what the planner assumes."
 )
-NoiseFlags: Any = _flags("NoiseFlags", parameters_of(StateNoise, "noise"), (StateNoise.__doc__ or "").split("\n")[0])
-RulesFlags: Any = _flags(
-    "RulesFlags", parameters_of(FlightRules, "rules"), "When a flight ends, and how often is planned."
-)
+NoiseFlags: Any = _flags("NoiseFlags", StateNoise.parameters(), (StateNoise.__doc__ or "").split("\n")[0])
+RulesFlags: Any = _flags("RulesFlags", FlightRules.parameters(), "When a flight ends, and how often is planned.")
 
 
 def flight_rules(flags: Any) -> FlightRules:

@@ -9,9 +9,8 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.config.parameter import live
+from aero_planner.config.parameter import ParameterSection, live
 from aero_viz.flight.vehicle import Vehicle
-from aero_viz.parameters import check_parameters
 
 __all__ = ["StateEstimate", "StateNoise"]
 
@@ -21,7 +20,7 @@ ERRORS = wp.constant(0x65737469)  # tells these random numbers from those of the
 
 
 @dataclass(frozen=True)
-class StateNoise:
+class StateNoise(ParameterSection, section="noise"):
     """Errors of the state estimate: standard deviations per axis of first-order processes, 0 for none.
 
     Sweeps are placed by the estimated pose, as on the drone, and so share the error of their time.
@@ -34,9 +33,6 @@ class StateNoise:
     velocity: float = live(0.0, "m/s", 0.0, 100.0, "Error of the velocity.")
     attitude: float = live(0.0, "deg", 0.0, 180.0, "Error of the attitude, a rotation vector in body axes.")
     correlation_time: float = live(1.0, "s", 1e-3, 1e9, "Time after which an error has lost all but 1/e of itself.")
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "noise")
 
 
 @wp.struct

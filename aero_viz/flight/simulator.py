@@ -10,11 +10,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.config.parameter import live, structural
+from aero_planner.config.parameter import ParameterSection, live, structural
 from aero_planner.warp_init import quieten
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
-from aero_viz.parameters import check_parameters
 from aero_viz.scenes.geometry import DeviceWorlds, Geometry, world_distance
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import Lidar, LidarModel
@@ -36,7 +35,7 @@ _GPU_LANES = 32  # threads that share the search for the nearest primitive
 
 
 @dataclass(frozen=True)
-class FlightRules:
+class FlightRules(ParameterSection, section="rules"):
     """When a flight ends. It ends with the tick in which a condition holds first; collision goes before arrival.
 
     Raises:
@@ -64,9 +63,6 @@ class FlightRules:
     )
     stall_time: float = live(5.0, "s", 1e-3, 1e9, "Time within which the goal has to come stall_distance nearer.")
     time_limit: float = live(60.0, "s", 1e-3, 1e9, "Timeout: the flight has taken this long since its goal was set.")
-
-    def __post_init__(self) -> None:
-        check_parameters(self, "rules")
 
 
 @wp.struct

@@ -11,8 +11,7 @@ import warp as wp
 
 from aero_planner import PlannerConfig
 from aero_planner.config import VehicleConfig
-from aero_planner.config.parameter import live
-from aero_viz.parameters import check_parameters
+from aero_planner.config.parameter import ParameterSection, live
 
 __all__ = ["PLANNED", "Vehicle", "VehicleModel"]
 
@@ -31,7 +30,7 @@ def _planned(name: str) -> Any:
 
 
 @dataclass(frozen=True)
-class VehicleModel:
+class VehicleModel(ParameterSection, section="drone"):
     """Parameters of the simulated vehicle; the defaults are the planner's own model: no lags, latency, drag, gusts.
 
     Raises:
@@ -58,7 +57,7 @@ class VehicleModel:
     step: float = live(0.005, "s", 1e-4, 0.1, "Longest integration step.")
 
     def __post_init__(self) -> None:
-        check_parameters(self, "drone")
+        super().__post_init__()
         if self.thrust_min > self.thrust_max:
             raise ValueError(f"drone.thrust_min is {self.thrust_min:g} N; it must not exceed drone.thrust_max, "
                              f"which is {self.thrust_max:g} N.")  # fmt: skip

@@ -12,9 +12,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.config.parameter import choice, live, structural
+from aero_planner.config.parameter import ParameterSection, choice, live, structural
 from aero_viz.errors import UserError
-from aero_viz.parameters import check_parameters
 from aero_viz.scenes.geometry import DeviceWorlds, Geometry
 from aero_viz.sensors.raycast import ray_range
 
@@ -36,7 +35,7 @@ _TILT = 3.6  # of the outer beams' rings [deg]
 
 
 @dataclass(frozen=True)
-class LidarModel:
+class LidarModel(ParameterSection, section="lidar"):
     """A LiDAR fixed to the body; sensor frame = body frame unless it is mounted otherwise.
 
     The patterns, of which the first two never repeat, so that gaps close the longer one looks (see `coverage`):
@@ -69,7 +68,7 @@ class LidarModel:
     """Roll, pitch and yaw, sensor to body, R = R_z(yaw) R_y(pitch) R_x(roll) [deg]; (180, 0, 0) looks downward."""
 
     def __post_init__(self) -> None:
-        check_parameters(self, "lidar")
+        super().__post_init__()
         for low, high in (("elevation_min", "elevation_max"), ("range_min", "range_max")):
             least, most = getattr(self, low), getattr(self, high)
             if least >= most:

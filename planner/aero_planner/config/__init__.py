@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from aero_planner.config.parameter import ParameterInfo, Value, did_you_mean
+from aero_planner.config.parameter import ParameterInfo, ParameterSection, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import (
-    SECTIONS,
     AnchorConfig,
     CandidateConfig,
     CostConfig,
@@ -12,23 +11,22 @@ from aero_planner.config.planner_config import (
     PlannerConfig,
     SamplingConfig,
     VehicleConfig,
-    check_section,
     find_parameter,
     parameters,
 )
 
 __all__ = [
-    "SECTIONS",
     "AnchorConfig",
     "CandidateConfig",
     "CostConfig",
     "ParameterInfo",
+    "ParameterSection",
     "PartitionConfig",
     "PlannerConfig",
     "SamplingConfig",
+    "SectionedConfig",
     "Value",
     "VehicleConfig",
-    "check_section",
     "did_you_mean",
     "find_parameter",
     "parameters",

@@ -18,11 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from aero_planner.config import (
-    SECTIONS,
-    ParameterInfo,
     PlannerConfig,
     Value,
-    check_section,
     did_you_mean,
     find_parameter,
     parameters,
@@ -36,7 +33,6 @@ __all__ = [
     "load_config",
     "parse_config",
     "parse_line",
-    "range_text",
     "read_text",
     "save_config",
     "split_onboard",
@@ -128,11 +124,11 @@ def save_config(config: PlannerConfig, path: str | os.PathLike[str]) -> None:
 def format_config(config: PlannerConfig) -> str:
     """Return the text of a configuration file: every parameter, with its help, range and unit as a comment."""
     lines = ["# Configuration of aero-planner. Lines may be left out; the default then applies."]
-    for section, kind in SECTIONS.items():
+    for section, kind in PlannerConfig.sections().items():
         lines += ["", f"# {(kind.__doc__ or '').splitlines()[0]}", f"{section}:"]
         for info in parameters():
             if info.section == section:
-                note = f"{info.help} [{range_text(info)}]"
+                note = f"{info.help} [{info.range}]"
                 lines += textwrap.wrap(
                     note, 100, initial_indent="  # ", subsequent_indent="  #   ", break_on_hyphens=False
                 )
@@ -154,15 +150,6 @@ def config_from_name(name_or_path: str | os.PathLike[str]) -> PlannerConfig:
     raise ValueError(
         f"{name!r} is neither a preset{did_you_mean(name, presets)} nor a file; presets: {', '.join(presets)}."
     )
-
-
-def range_text(info: ParameterInfo) -> str:
-    """Return the choices, or bounds and unit, of a parameter."""
-    if info.choices:
-        return ", ".join(info.choices)
-    if isinstance(info.default, bool):
-        return "true, false"
-    return f"{info.low:g} to {info.high:g} {info.unit}".rstrip()
 
 
 def format_value(value: Value) -> str:
@@ -192,7 +179,7 @@ def parse_config(text: str, path: str) -> PlannerConfig:
                     raise ValueError("preset is given twice; remove one.")
                 config, preset_given, section = PlannerConfig.preset(value), True, ""
             elif indent == 0:
-                check_section(key)
+                PlannerConfig.check_section(key)
                 if value is not None:
                     raise ValueError(f"section {key!r} has the value {value!r}; put its parameters on lines below it.")
                 if key in seen:

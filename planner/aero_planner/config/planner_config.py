@@ -7,12 +7,19 @@ derive from the fields below. Symbols are the paper's.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
-from aero_planner.config.parameter import ParameterInfo, Value, choice, did_you_mean, live, structural, switch
+from aero_planner.config.parameter import (
+    ParameterInfo,
+    ParameterSection,
+    SectionedConfig,
+    Value,
+    choice,
+    did_you_mean,
+    live,
+    structural,
+    switch,
+)
 
 __all__ = [
     "AnchorConfig",
@@ -28,17 +35,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class _Section:
-    """Checks every field against its metadata when a section is made."""
-
-    def __post_init__(self) -> None:
-        for info in _PARAMETERS:
-            if SECTIONS[info.section] is type(self):
-                object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
-
-
-@dataclass(frozen=True)
-class VehicleConfig(_Section):
+class VehicleConfig(ParameterSection, section="vehicle"):
     """The quadrotor."""
 
     mass: float = live(1.0, "kg", 0.05, 50.0, "Mass.", scale="log", symbol="m")
@@ -55,7 +52,7 @@ class VehicleConfig(_Section):
 
 
 @dataclass(frozen=True)
-class PartitionConfig(_Section):
+class PartitionConfig(ParameterSection, section="partition"):
     """Spherical partition of the cloud."""
 
     range_max: float = live(10.0, "m", 1.0, 100.0, "Points farther than this are ignored.", symbol="r_max")
@@ -71,7 +68,7 @@ class PartitionConfig(_Section):
 
 
 @dataclass(frozen=True)
-class AnchorConfig(_Section):
+class AnchorConfig(ParameterSection, section="anchors"):
     """Anchors: where the guides lead."""
 
     columns: int = structural(5, 1, 15, "Directions side by side.", symbol="M_h")
@@ -92,7 +89,7 @@ class AnchorConfig(_Section):
 
 
 @dataclass(frozen=True)
-class CandidateConfig(_Section):
+class CandidateConfig(ParameterSection, section="candidates"):
     """Instances beside the anchors."""
 
     previous: bool = switch(
@@ -120,7 +117,7 @@ class CandidateConfig(_Section):
 
 
 @dataclass(frozen=True)
-class SamplingConfig(_Section):
+class SamplingConfig(ParameterSection, section="sampling"):
     """MPPI: samples, horizon, noise, weights."""
 
     samples: int = structural(128, 1, 4096, "Rollouts of each instance.", symbol="K")
@@ -144,7 +141,7 @@ class SamplingConfig(_Section):
 
 
 @dataclass(frozen=True)
-class CostConfig(_Section):
+class CostConfig(ParameterSection, section="costs"):
     """Weights of the costs. Stage I: S1 = J_track + J_vnorm + J_ctrl + S2. Stage II: S2 = J_goal + J_col."""
 
     q_position: float = live(3.0, "1/m", 0.0, 1e3, "Distance to the goal.", symbol="Q_p")
@@ -192,7 +189,7 @@ class CostConfig(_Section):
 
 
 @dataclass(frozen=True)
-class PlannerConfig:
+class PlannerConfig(SectionedConfig):
     """All parameters. The default is the best configuration known; `preset("paper")` is the literal paper.
 
     Raises:
@@ -207,9 +204,7 @@ class PlannerConfig:
     costs: CostConfig = field(default_factory=CostConfig)
 
     def __post_init__(self) -> None:
-        for name, section in SECTIONS.items():
-            if not isinstance(getattr(self, name), section):
-                raise ValueError(f"section {name!r} is {getattr(self, name)!r}; it must be a {section.__name__}.")
+        super().__post_init__()
         for stem in ("vehicle.thrust", "costs.distance", "partition.range"):
             low, high = self.get(f"{stem}_min"), self.get(f"{stem}_max")
             if low >= high:  # type: ignore[operator]
@@ -231,47 +226,6 @@ class PlannerConfig:
         """T = N dt [s]."""
         return self.sampling.steps * self.sampling.dt
 
-    def replace(self, changes: Mapping[str, Value] | None = None, /, **sections: Any) -> PlannerConfig:
-        """Return a copy with the parameters of `changes`, keyed by path, such as {"costs.q_track": 5.0}.
-
-        Raises:
-            ValueError: a path names no parameter (the message suggests the nearest); see also the class.
-        """
-        grouped: dict[str, dict[str, Any]] = {}
-        for path, value in (changes or {}).items():
-            info = find_parameter(path)
-            grouped.setdefault(info.section, {})[info.name] = value
-        for section, values in grouped.items():
-            sections[section] = dataclasses.replace(sections.get(section, getattr(self, section)), **values)
-        return dataclasses.replace(self, **sections)
-
-    def get(self, path: str) -> Value:
-        """Return the value of the parameter at `path`, such as "costs.q_track"; ValueError as in `replace`."""
-        info = find_parameter(path)
-        return getattr(getattr(self, info.section), info.name)
-
-    def to_dict(self) -> dict[str, dict[str, Value]]:
-        """Return {section: {name: value}}, the form of the YAML file."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Mapping[str, Value]]) -> PlannerConfig:
-        """Return the default configuration with the parameters of `values`.
-
-        Raises:
-            ValueError: a section or name is unknown; the message suggests the nearest.
-            ValueError: see the class.
-        """
-        changes: dict[str, Value] = {}
-        if not isinstance(values, Mapping):
-            raise ValueError(f"the configuration is {values!r}; it must hold sections: {', '.join(SECTIONS)}.")
-        for section, content in values.items():
-            check_section(section)
-            if not isinstance(content, Mapping):
-                raise ValueError(f"section {section!r} is {content!r}; it must hold names and values.")
-            changes.update({f"{section}.{name}": value for name, value in content.items()})
-        return cls().replace(changes)
-
     def structure(self) -> tuple[Value, ...]:
         """Return the structural values: two configurations with the same structure share buffers and kernels."""
         return tuple(self.get(info.path) for info in parameters() if not info.live)
@@ -292,11 +246,6 @@ class PlannerConfig:
             raise ValueError(f"unknown preset {name!r}{did_you_mean(name, _PRESETS)}; known: {', '.join(_PRESETS)}.")
         return cls().replace(_PRESETS[name][1])
 
-
-SECTIONS: dict[str, type[_Section]] = {
-    "vehicle": VehicleConfig, "partition": PartitionConfig, "anchors": AnchorConfig, "candidates": CandidateConfig,
-    "sampling": SamplingConfig, "costs": CostConfig,
-}  # fmt: skip
 
 _PAPER: dict[str, Value] = {
     "vehicle.speed_limit": 50.0,
@@ -329,30 +278,15 @@ _PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
 }
 
 
-def check_section(name: Any) -> None:
-    """Raise ValueError with a suggestion when there is no section `name`."""
-    if name not in SECTIONS:
-        raise ValueError(f"unknown section {name!r}{did_you_mean(name, SECTIONS)}; known: {', '.join(SECTIONS)}.")
-
-
 def parameters() -> tuple[ParameterInfo, ...]:
-    """Return every parameter, in the order of the configuration."""
-    return _PARAMETERS
+    """Return every parameter of the planner, in the order of the configuration."""
+    return PlannerConfig.parameters()
 
 
 def find_parameter(path: str) -> ParameterInfo:
-    """Return the parameter at `path`, such as "costs.q_track"; ValueError with a suggestion when there is none."""
-    if path not in _BY_PATH:
-        # A right name in a wrong section, or in none, is nearer than any spelling.
-        name = str(path).rpartition(".")[2]
-        same_name = [info.path for info in _PARAMETERS if info.name == name]
-        raise ValueError(f"unknown parameter {path!r}{did_you_mean(path, same_name[:1] or _BY_PATH)}.")
-    return _BY_PATH[path]
+    """Return the parameter at `path`, such as "costs.q_track".
 
-
-_PARAMETERS = tuple(
-    ParameterInfo(section=name, name=f.name, default=f.default, **f.metadata)  # type: ignore[arg-type]
-    for name, section in SECTIONS.items()
-    for f in dataclasses.fields(section)
-)
-_BY_PATH = {info.path: info for info in _PARAMETERS}
+    Raises:
+        ValueError: there is no such parameter; the message suggests the nearest one.
+    """
+    return PlannerConfig.find(path)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import ClassVar
 
 from aero_planner.config import PlannerConfig, find_parameter
-from aero_planner.config.parameter import ParameterInfo, Value, did_you_mean, live, structural, switch
+from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
 
 __all__ = [
     "BrakeSettings",
@@ -19,49 +16,17 @@ __all__ = [
     "OnboardConfig",
     "RateSettings",
     "TelemetrySettings",
-    "TextInfo",
     "ThrustSettings",
     "above_fence",
     "check_together",
-    "find_setting",
-    "settings",
 ]
-
-
-@dataclass(frozen=True)
-class TextInfo(ParameterInfo):
-    """A parameter that is a word."""
-
-    pattern: str = ""
-    wanted: str = ""
-
-    def check(self, value: Any) -> Value:
-        """Return `value`; ValueError when it is no text of the right form."""
-        if not isinstance(value, str) or not re.fullmatch(self.pattern, value):
-            raise ValueError(f"{self.path} is {value!r}; it must be {self.wanted}.")
-        return value
-
-
-def text(default: str, pattern: str, wanted: str, help: str) -> Any:
-    """Return the field of a word that matches `pattern`."""
-    return field(default=default, metadata=dict(unit="", help=help, pattern=pattern, wanted=wanted, live=False))
-
-
-@dataclass(frozen=True)
-class _Section:
-    """Checks every field against its metadata when a section is made."""
-
-    def __post_init__(self) -> None:
-        for info in _SETTINGS:
-            if SECTIONS[info.section] is type(self):
-                object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
 
 
 _ADDRESS = r"[A-Za-z0-9_.:-]+"
 
 
 @dataclass(frozen=True)
-class LidarSettings(_Section):
+class LidarSettings(ParameterSection, section="lidar"):
     """The LiDAR: where its packets arrive, and how it is mounted."""
 
     host: str = text("0.0.0.0", _ADDRESS, "an address of this computer", "Address on which points arrive; all of them.")
@@ -82,7 +47,7 @@ class LidarSettings(_Section):
 
 
 @dataclass(frozen=True)
-class MavlinkSettings(_Section):
+class MavlinkSettings(ParameterSection, section="mavlink"):
     """The autopilot."""
 
     url: str = text(
@@ -96,7 +61,7 @@ class MavlinkSettings(_Section):
 
 
 @dataclass(frozen=True)
-class RateSettings(_Section):
+class RateSettings(ParameterSection, section="rates"):
     """How often things happen."""
 
     control: float = live(50.0, "Hz", 10.0, 200.0, "Commands per second.")
@@ -107,7 +72,7 @@ class RateSettings(_Section):
 
 
 @dataclass(frozen=True)
-class ThrustSettings(_Section):
+class ThrustSettings(ParameterSection, section="thrust"):
     """From newton to the autopilot's thrust of 0 to 1."""
 
     hover_thrust: float = live(
@@ -120,7 +85,7 @@ class ThrustSettings(_Section):
 
 
 @dataclass(frozen=True)
-class LimitSettings(_Section):
+class LimitSettings(ParameterSection, section="limits"):
     """What may go on, and for how long."""
 
     state_age: float = live(0.2, "s", 0.02, 2.0, "Age of the vehicle's state above which the drone brakes.")
@@ -159,7 +124,7 @@ class LimitSettings(_Section):
 
 
 @dataclass(frozen=True)
-class BrakeSettings(_Section):
+class BrakeSettings(ParameterSection, section="brake"):
     """How the drone is stopped and held where no plan is flown."""
 
     acceleration: float = live(6.0, "m/s^2", 0.5, 20.0, "Largest deceleration.")
@@ -169,7 +134,7 @@ class BrakeSettings(_Section):
 
 
 @dataclass(frozen=True)
-class TelemetrySettings(_Section):
+class TelemetrySettings(ParameterSection, section="telemetry"):
     """What the desk sees."""
 
     enabled: bool = switch(True, "Serve the live plan to `aero-viz connect`.")
@@ -184,12 +149,14 @@ class TelemetrySettings(_Section):
 
 
 @dataclass(frozen=True)
-class OnboardConfig:
+class OnboardConfig(SectionedConfig):
     """All settings of the node.
 
     Raises:
         ValueError: a setting is outside its bounds or contradicts another one; names it, its value and the range.
     """
+
+    noun: ClassVar[str] = "setting"
 
     lidar: LidarSettings = field(default_factory=LidarSettings)
     mavlink: MavlinkSettings = field(default_factory=MavlinkSettings)
@@ -200,6 +167,7 @@ class OnboardConfig:
     telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for stem in ("fence_height", "fence_x", "fence_y"):
             low, high = getattr(self.limits, f"{stem}_min"), getattr(self.limits, f"{stem}_max")
             if low >= high:
@@ -216,48 +184,6 @@ class OnboardConfig:
                 f"limits.deadline is {self.limits.deadline}; at {self.rates.control:g} commands per second it must be "
                 f"at least {2.0 / self.rates.control:g} s."
             )
-
-    def replace(self, changes: Mapping[str, Value]) -> OnboardConfig:
-        """Return a copy with the settings of `changes`, keyed by path, such as {"limits.plan_age": 0.2}.
-
-        Raises:
-            ValueError: a path names no setting (the message suggests the nearest); see also the class.
-        """
-        grouped: dict[str, dict[str, Any]] = {}
-        for path, value in changes.items():
-            info = find_setting(path)
-            grouped.setdefault(info.section, {})[info.name] = value
-        sections = {name: dataclasses.replace(getattr(self, name), **values) for name, values in grouped.items()}
-        return dataclasses.replace(self, **sections)
-
-    def get(self, path: str) -> Value:
-        """Return the value of the setting at `path`, such as "limits.plan_age"; ValueError as in `replace`."""
-        info = find_setting(path)
-        return getattr(getattr(self, info.section), info.name)
-
-    def to_dict(self) -> dict[str, dict[str, Value]]:
-        """Return {section: {name: value}}, the form of the file."""
-        return dataclasses.asdict(self)
-
-
-SECTIONS: dict[str, type[_Section]] = {
-    "lidar": LidarSettings, "mavlink": MavlinkSettings, "rates": RateSettings, "thrust": ThrustSettings,
-    "limits": LimitSettings, "brake": BrakeSettings, "telemetry": TelemetrySettings,
-}  # fmt: skip
-
-
-def settings() -> tuple[ParameterInfo, ...]:
-    """Return every setting, in the order of the file."""
-    return _SETTINGS
-
-
-def find_setting(path: str) -> ParameterInfo:
-    """Return the setting at `path`, such as "limits.plan_age"; ValueError with a suggestion when there is none."""
-    if path not in _BY_PATH:
-        name = str(path).rpartition(".")[2]
-        same_name = [info.path for info in _SETTINGS if info.name == name]
-        raise ValueError(f"unknown setting {path!r}{did_you_mean(path, same_name[:1] or _BY_PATH)}.")
-    return _BY_PATH[path]
 
 
 def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
@@ -282,12 +208,3 @@ def above_fence(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerConfig
     """
     floor = min(max(planner.costs.floor, onboard.limits.fence_height_min), find_parameter("costs.floor").high)
     return planner.replace({"costs.floor": floor})
-
-
-def _info(section: str, setting: Any) -> ParameterInfo:
-    kind = TextInfo if "pattern" in setting.metadata else ParameterInfo
-    return kind(section=section, name=setting.name, default=setting.default, **setting.metadata)
-
-
-_SETTINGS = tuple(_info(name, setting) for name, section in SECTIONS.items() for setting in dataclasses.fields(section))
-_BY_PATH = {info.path: info for info in _SETTINGS}

@@ -22,12 +22,11 @@ from aero_planner.config.file import (
     format_value,
     parse_config,
     parse_line,
-    range_text,
     read_text,
     split_onboard,
 )
-from aero_planner.config.parameter import Value, did_you_mean
-from aero_planner.onboard.settings import SECTIONS, OnboardConfig, TextInfo, find_setting, settings
+from aero_planner.config.parameter import Value
+from aero_planner.onboard.settings import OnboardConfig
 
 __all__ = ["format_onboard", "load_file", "load_flight_config", "load_onboard"]
 
@@ -66,7 +65,7 @@ def load_file(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfi
     first = next(
         (line for line in read_text(path).split("\n") if line.strip() and not line.lstrip().startswith("#")), ""
     )
-    if first.partition(":")[0] in SECTIONS:
+    if first.partition(":")[0] in OnboardConfig.sections():
         return PlannerConfig(), load_onboard(path)
     return load_flight_config(path)
 
@@ -74,19 +73,16 @@ def load_file(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfi
 def format_onboard(config: OnboardConfig) -> str:
     """Return the text of the `onboard:` part of a file: every setting, with its help, range and unit as a comment."""
     lines = ["onboard:"]
-    for section, kind in SECTIONS.items():
+    for section, kind in OnboardConfig.sections().items():
         lines += ["", f"  # {(kind.__doc__ or '').splitlines()[0]}", f"  {section}:"]
-        for info in settings():
-            if info.section == section:
-                bounds = info.wanted if isinstance(info, TextInfo) else range_text(info)
-                lines += textwrap.wrap(
-                    f"{info.help} [{bounds}]", 100, initial_indent="    # ", subsequent_indent="    #   ",
-                    break_on_hyphens=False,
-                )  # fmt: skip
-                value = config.get(info.path)
-                # A word may look like a number, and holds no quotes.
-                shown = f"'{value}'" if isinstance(info, TextInfo) else format_value(value)
-                lines.append(f"    {info.name}: {shown}")
+        for info in kind.parameters():
+            lines += textwrap.wrap(
+                f"{info.help} [{info.range}]", 100, initial_indent="    # ", subsequent_indent="    #   ",
+                break_on_hyphens=False,
+            )  # fmt: skip
+            value = config.get(info.path)
+            # A word may look like a number, and holds no quotes.
+            lines.append(f"    {info.name}: {repr(value) if info.pattern else format_value(value)}")
     return "\n".join(lines) + "\n"
 
 
@@ -101,10 +97,7 @@ def _parse_onboard(content: str, path: str) -> OnboardConfig:
                 continue
             indent, key, value = entry
             if indent == 0:
-                if key not in SECTIONS:
-                    raise ValueError(
-                        f"unknown section {key!r}{did_you_mean(key, SECTIONS)}; known: {', '.join(SECTIONS)}."
-                    )
+                OnboardConfig.check_section(key)
                 if value is not None:
                     raise ValueError(f"section {key!r} has the value {value!r}; put its settings on lines below it.")
                 if key in seen:
@@ -114,7 +107,7 @@ def _parse_onboard(content: str, path: str) -> OnboardConfig:
                 continue
             if not section:
                 raise ValueError(f"{key!r} stands under no section; begin one with a line such as 'limits:'.")
-            info = find_setting(f"{section}.{key}")
+            info = OnboardConfig.find(f"{section}.{key}")
             if info.path in values:
                 raise ValueError(f"{info.path} is given twice; remove one.")
             if value is None:

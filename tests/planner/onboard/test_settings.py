@@ -13,23 +13,20 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.config.parameter import ParameterInfo
 from aero_planner.onboard.settings import (
-    SECTIONS,
     OnboardConfig,
-    TextInfo,
     above_fence,
     check_together,
-    settings,
 )
 from aero_planner.onboard.settings_file import format_onboard, load_file, load_flight_config, load_onboard
 
-NUMBERS = [info for info in settings() if not isinstance(info, TextInfo) and not isinstance(info.default, bool)]
+NUMBERS = [info for info in OnboardConfig.parameters() if not info.pattern and not isinstance(info.default, bool)]
 
-every_setting = pytest.mark.parametrize("info", settings(), ids=lambda info: info.path)
+every_setting = pytest.mark.parametrize("info", OnboardConfig.parameters(), ids=lambda info: info.path)
 every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
 
 
 def values_of(info: ParameterInfo) -> st.SearchStrategy:
-    if isinstance(info, TextInfo):
+    if info.pattern:
         return st.from_regex(info.pattern, fullmatch=True).filter(str.isascii)
     if isinstance(info.default, bool):
         return st.booleans()
@@ -40,7 +37,7 @@ def values_of(info: ParameterInfo) -> st.SearchStrategy:
 
 @st.composite
 def configs(draw: st.DrawFn) -> OnboardConfig:
-    some = draw(st.lists(st.sampled_from(settings()), unique=True, max_size=10))
+    some = draw(st.lists(st.sampled_from(OnboardConfig.parameters()), unique=True, max_size=10))
     try:
         return OnboardConfig().replace({info.path: draw(values_of(info)) for info in some})
     except ValueError:  # settings that contradict each other
@@ -176,9 +173,9 @@ def test_unreadable_files_name_the_file(tmp_path: Path):
 
 def test_written_files_explain_every_setting():
     text = " ".join(format_onboard(OnboardConfig()).replace("#", " ").split())
-    for info in settings():
+    for info in OnboardConfig.parameters():
         assert info.help in text and f"{info.name}: " in text
-    assert list(OnboardConfig().to_dict()) == list(SECTIONS)
+    assert list(OnboardConfig().to_dict()) == list(OnboardConfig.sections())
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import dataclasses
 import pytest
 
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
-from aero_viz.parameters import parameters_of
 from aero_viz.sensors import LidarModel
 
 KINDS = [(VehicleModel, {}, "drone"), (StateNoise, {}, "noise"), (FlightRules, {}, "rules"),
@@ -15,21 +14,21 @@ KEEP = {"drag": {"gust_speed": 0.0}, "gust_speed": {"drag": 0.1}, "rings": {"pat
 
 
 def fields() -> list[tuple[type, dict, str, str]]:
-    return [(kind, base, section, info.name) for kind, base, section in KINDS for info in parameters_of(kind, section)]
+    return [(kind, base, section, info.name) for kind, base, section in KINDS for info in kind.parameters()]
 
 
 def test_every_number_of_the_simulation_is_a_parameter() -> None:
-    for kind, _, section in KINDS:
-        known = {info.name for info in parameters_of(kind, section)}
+    for kind, _, _ in KINDS:
+        known = {info.name for info in kind.parameters()}
         assert known == {f.name for f in dataclasses.fields(kind)} - {"name", "mount_position", "mount_angles"}
-        for info in parameters_of(kind, section):
+        for info in kind.parameters():
             allowed = info.default in info.choices or info.low <= info.default <= info.high  # type: ignore[operator]
             assert allowed and info.help.endswith(".")
 
 
 @pytest.mark.parametrize(("kind", "base", "section", "name"), fields())
 def test_bounds_are_checked_and_named(kind: type, base: dict, section: str, name: str) -> None:
-    info = next(info for info in parameters_of(kind, section) if info.name == name)
+    info = next(info for info in kind.parameters() if info.name == name)
     wanted = f"one of {', '.join(info.choices)}" if info.choices else r"a .*number in \["
     for value in (info.low - 1.0, info.high * 1.5 + 1.0, float("nan"), "3", None):
         with pytest.raises(ValueError, match=rf"^{section}\.{name} is .*; it must be {wanted}"):
