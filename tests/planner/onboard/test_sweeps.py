@@ -171,7 +171,7 @@ def test_memory_is_bounded_while_poses_are_missing():
     buffer.add_pose(1.0, (0, 0, 0), LEVEL)
     buffer.add_pose(3.0, (0, 0, 0), LEVEL)
     assert len(buffer.cloud(0.0)[0]) + buffer.dropped == 14_000
-    assert len(buffer._waiting) == 0
+    assert buffer.waiting == 0
 
 
 def test_memory_is_bounded_while_points_pour_in():
@@ -182,7 +182,7 @@ def test_memory_is_bounded_while_points_pour_in():
     cloud, _ = buffer.cloud(1.0)
     assert 900 < len(cloud) <= 1000
     assert cloud[-1, 0] == 999
-    assert len(buffer._chunks) < 20
+    assert len(np.unique(cloud[:, 0])) < 20  # calls of add_points that are still held
 
 
 def test_hours_of_poses_fit():
