@@ -1,4 +1,4 @@
-"""The entry point of `aero-viz`. What it needs is imported inside, so that Ctrl-C can also end that quietly."""
+"""The entry point of `aero-viz`. Its imports are inside `main`, so that Ctrl-C during start-up also ends quietly."""
 
 from __future__ import annotations
 
@@ -14,16 +14,23 @@ _DESCRIPTION = "AERO-Viz: the AERO-MPPI planner, live in the browser."
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; exits with 0 when done, 2 for a user's mistake or unreadable input, 130 after Ctrl-C."""
+    """Run the command line.
+
+    Args:
+        arguments: arguments without the program's name; None takes them from sys.argv.
+
+    Raises:
+        SystemExit: code 2 for a user's mistake or unreadable input, 130 after Ctrl-C, 0 after --help.
+    """
     try:
-        from aero_planner.warp_init import quieten
         from aero_viz.cli.parser import parse
         from aero_viz.cli.verbs import VERBS
 
-        wanted = sys.argv[1:] if arguments is None else arguments
-        verb = parse(VERBS, wanted, prog="aero-viz", description=_DESCRIPTION)
+        call = parse(VERBS, sys.argv[1:] if arguments is None else arguments, prog="aero-viz", description=_DESCRIPTION)
+        from aero_planner.warp_init import quieten
+
         quieten()
-        verb()
+        call()
         sys.stdout.flush()
     except (UserError, ValueError) as error:
         if isinstance(error, ValueError) and os.environ.get("AERO_VIZ_DEBUG"):

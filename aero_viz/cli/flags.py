@@ -1,4 +1,4 @@
-"""Command line flags made from the fields of the dataclasses that own the parameters: planner, drone, LiDAR, rules."""
+"""Groups of command-line flags, most of which derive from the parameters of planner, drone, LiDAR, noise and rules."""
 
 from __future__ import annotations
 
@@ -34,62 +34,74 @@ __all__ = [
 
 T = TypeVar("T")
 Inline = Annotated[T, tyro.conf.arg(name="")]
-"""A group of flags whose names carry no prefix of the group's own."""
+"""A group of flags whose names have no prefix."""
 WorldName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="WORLD")]]
 FileName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE")]]
 OutputPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUTPUT")]]
 Point = tuple[float, float, float]
 
 
-def _flag(info: ParameterInfo) -> tuple[str, Any, Any]:
+def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:
+    """Return a parameter's flag as a field for `dataclasses.make_dataclass`. The field's default is None: not set."""
     kind: Any = Literal[info.choices] if info.choices else type(info.default)
     values = ("True", "False") if kind is bool else info.choices
     metavar = "{" + ",".join(values) + "}" if values else kind.__name__.upper()
     bounds = "" if values else f" In [{info.low:g}, {info.high:g}]."
     unit = f" [{info.unit}]" if info.unit else ""
     default = f"vehicle.{info.name}" if info.section == "drone" and info.name in PLANNED else f"{info.default}"
-    described = tyro.conf.arg(
+    argument = tyro.conf.arg(
         help=f"{info.help.rstrip('.')}{unit}.{bounds}", metavar=metavar, help_behavior_hint=f"(default: {default})"
     )
-    return info.name, Annotated[kind | None, described], None
+    return info.name, Annotated[kind | None, argument], None
 
 
-def _flags(name: str, infos: Iterable[ParameterInfo], text: str) -> Any:
-    """Return a dataclass with one field per parameter, None where the flag was not given."""
-    made = dataclasses.make_dataclass(name, [_flag(info) for info in infos], frozen=True)
-    made.__doc__ = text
-    return made
+def _flags_type(name: str, infos: Iterable[ParameterInfo], description: str) -> Any:
+    """Return a dataclass with one field per parameter. A field is None where its flag was not set."""
+    flags_type = dataclasses.make_dataclass(name, [_flag_field(info) for info in infos], frozen=True)
+    flags_type.__doc__ = description
+    return flags_type
 
 
-def _given(flags: Any) -> dict[str, Any]:
+def _planner_flags_type() -> Any:
+    infos_by_section: dict[str, list[ParameterInfo]] = {}
+    for info in parameters():
+        infos_by_section.setdefault(info.section, []).append(info)
+    fields: list[tuple[str, Any, Any]] = []
+    for name, infos in infos_by_section.items():
+        section = _flags_type(name.capitalize(), infos, f"Planner parameters: {name}.")
+        fields.append((name, section, dataclasses.field(default_factory=section)))
+    flags_type = dataclasses.make_dataclass("PlannerFlags", fields, frozen=True)
+    flags_type.__doc__ = "Planner parameters. Each flag overrides the value of --config."
+    return flags_type
+
+
+def _set_values(flags: Any) -> dict[str, Any]:
+    """Return the values of the flags that were set, by field name."""
     return {name: value for name, value in vars(flags).items() if value is not None}
 
 
-def _planner_flags() -> Any:
-    sections: dict[str, list[ParameterInfo]] = {}
-    for info in parameters():
-        sections.setdefault(info.section, []).append(info)
-    fields: list[tuple[str, Any, Any]] = []
-    for name, infos in sections.items():
-        section = _flags(name.capitalize(), infos, f"Planner parameters: {name}.")
-        fields.append((name, section, dataclasses.field(default_factory=section)))
-    made = dataclasses.make_dataclass("PlannerFlags", fields, frozen=True)
-    made.__doc__ = "Planner parameters; each replaces the value of --config."
-    return made
-
-
-PlannerFlags: Any = _planner_flags()
-LidarFlags: Any = _flags("LidarFlags", LidarModel.parameters(), "The LiDAR; each replaces --lidar's own.")
-DroneFlags: Any = _flags(
-    "DroneFlags", VehicleModel.parameters(), "The simulated drone; --vehicle is what the planner assumes."
+PlannerFlags: Any = _planner_flags_type()
+LidarFlags: Any = _flags_type(
+    "LidarFlags", LidarModel.parameters(), "The LiDAR. Each flag overrides a value of the --lidar model."
 )
-NoiseFlags: Any = _flags("NoiseFlags", StateNoise.parameters(), (StateNoise.__doc__ or "").split("\n")[0])
-RulesFlags: Any = _flags("RulesFlags", FlightRules.parameters(), "When a flight ends, and how often is planned.")
+DroneFlags: Any = _flags_type(
+    "DroneFlags",
+    VehicleModel.parameters(),
+    "The simulated drone. The --vehicle flags are the planner's model of it.",
+)
+NoiseFlags: Any = _flags_type("NoiseFlags", StateNoise.parameters(), (StateNoise.__doc__ or "").split("\n")[0])
+RulesFlags: Any = _flags_type(
+    "RulesFlags", FlightRules.parameters(), "When a flight ends and how often the planner plans."
+)
 
 
 def flight_rules(flags: Any) -> FlightRules:
-    """Return the rules that `RulesFlags` describe; raises ValueError."""
-    return FlightRules(**_given(flags))
+    """Return the rules that `RulesFlags` describe.
+
+    Raises:
+        ValueError: a value is out of its bounds.
+    """
+    return FlightRules(**_set_values(flags))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,8 +116,8 @@ class ConfigFlags:
         """Return the configuration that the flags describe.
 
         Args:
-            ground: height of the flat ground that the drone took off from [m]. Presets but the paper's are told of it
-                by costs.floor, unless that is given.
+            ground: height of the flat ground that the drone took off from [m]. It sets costs.floor of every preset
+                but the paper's, unless that parameter is set.
 
         Raises:
             UserError: a name, file or value is wrong.
@@ -113,7 +125,7 @@ class ConfigFlags:
         changes = {
             f"{section}.{name}": value
             for section, flags in vars(self.planner).items()
-            for name, value in _given(flags).items()
+            for name, value in _set_values(flags).items()
         }
         try:
             is_preset = self.config in PlannerConfig.presets()
@@ -125,44 +137,45 @@ class ConfigFlags:
 
 @dataclasses.dataclass(frozen=True)
 class FlightFlags:
-    """What is flown, with what sensor, and by which rules."""
+    """The LiDAR, the simulated drone, the noise of the state estimate, and the rules of a flight."""
 
     sensor: Annotated[LidarFlags, tyro.conf.arg(name="lidar")] = dataclasses.field(default_factory=LidarFlags)
     drone: DroneFlags = dataclasses.field(default_factory=DroneFlags)
     noise: NoiseFlags = dataclasses.field(default_factory=NoiseFlags)
     rules: RulesFlags = dataclasses.field(default_factory=RulesFlags)
 
-    def lidar(self, name: str) -> LidarModel:
-        """Return the LiDAR of that name, with what the flags change of it; raises UserError or ValueError."""
-        return dataclasses.replace(lidar_model(name), **self.lidar_changes)
-
     @property
     def lidar_changes(self) -> dict[str, Any]:
-        """What the flags change of the LiDAR."""
-        return _given(self.sensor)
+        """The values of the LiDAR flags that were set, by parameter name."""
+        return _set_values(self.sensor)
 
     @property
     def drone_changes(self) -> dict[str, Any]:
-        """What the flags change of the drone that the planner assumes."""
-        return _given(self.drone)
+        """The values of the drone flags that were set, by parameter name."""
+        return _set_values(self.drone)
 
     def flight_rules(self) -> FlightRules:
         """Return the rules; raises ValueError."""
         return flight_rules(self.rules)
 
     def state_noise(self) -> StateNoise | None:
-        """Return the noise of the state estimate, None without a flag; raises ValueError."""
-        return StateNoise(**given) if (given := _given(self.noise)) else None
+        """Return the noise of the state estimate, or None where no noise flag was set; raises ValueError."""
+        values = _set_values(self.noise)
+        return StateNoise(**values) if values else None
 
     def options(self, config: PlannerConfig, *, lidar: str) -> dict[str, Any]:
-        """Return the options lidar, vehicle, rules and noise of a flight.
+        """Return the arguments lidar, vehicle, rules and noise of a flight.
+
+        Args:
+            config: the planner's configuration, whose vehicle parameters are the defaults of the simulated drone.
+            lidar: name of the LiDAR model.
 
         Raises:
-            UserError: there is no such LiDAR.
+            UserError: the LiDAR model does not exist.
             ValueError: a value is out of its bounds.
         """
         return {
-            "lidar": self.lidar(lidar),
+            "lidar": dataclasses.replace(lidar_model(lidar), **self.lidar_changes),
             "vehicle": VehicleModel.from_config(config, **self.drone_changes),
             "rules": self.flight_rules(),
             "noise": self.state_noise(),
@@ -174,16 +187,16 @@ class WorldFlags:
     """The world."""
 
     count: int | None = None
-    """Number of obstacles of a scene; its own when left out."""
+    """Number of obstacles in a generated scene; by default the scene's own."""
     start: Point | None = None
-    """First position x y z [m]; the world's own when left out, on a map of points a free place."""
+    """Start position x y z [m]; by default the world's own, on a map a free place."""
     goal: Point | None = None
-    """Goal x y z [m]; the world's own when left out, on a map of points a free place up to 45 m away."""
+    """Goal position x y z [m]; by default the world's own, on a map a free place at most 45 m away."""
     voxel: float | None = None
-    """Edge of the voxels that a map of points is made of [m], about the spacing of its points."""
+    """Voxel size for a point-cloud map [m], about the spacing of its points."""
 
     def ground(self, spec: str, *, seed: int) -> float | None:
-        """Return the height of a world's flat ground [m]; None where it has none, as a map of points or a recording.
+        """Return the height of a world's flat ground [m], or None where there is none, as in a map or a recording.
 
         Raises:
             UserError: as `load`.
@@ -191,19 +204,23 @@ class WorldFlags:
         return self.load(spec, seed=seed).ground_height if spec in SCENES or spec.endswith(".json") else None
 
     def load(self, spec: str, *, seed: int) -> World:
-        """Return the world of a scene's name, a JSON file or a map of points, with its start and goal.
+        """Return the world with its start and goal.
+
+        Args:
+            spec: name of a scene, or path of a world (JSON), a point-cloud map or a mesh.
+            seed: seed of a scene.
 
         Raises:
-            UserError: there is no such world, it is malformed, or a flag does not belong to it.
+            UserError: the world does not exist or is malformed, or a flag does not apply to it.
         """
         if is_map(spec) and self.count is None:
             voxel = {} if self.voxel is None else {"voxel": self.voxel}
             return World.from_map(spec, start=self.start, goal=self.goal, **voxel)
         if self.voxel is not None and not is_map(spec):
-            raise UserError(f"--voxel belongs to a map of points, and {spec} is none; leave it out.")
+            raise UserError(f"--voxel applies to point-cloud maps only, and {spec} is not one; leave it out.")
         world = load_world(spec, seed=seed, count=self.count)
-        ends = {"start": self.start, "goal": self.goal}
+        endpoints = {"start": self.start, "goal": self.goal}
         try:
-            return dataclasses.replace(world, **{name: end for name, end in ends.items() if end is not None})
+            return dataclasses.replace(world, **{name: p for name, p in endpoints.items() if p is not None})
         except ValueError as error:
             raise UserError(f"{spec}: {error}") from error

@@ -1,4 +1,4 @@
-"""Verbs that open the page: `aero-viz demo`, `play`, and what `fly --no-headless` shares with them."""
+"""The verbs that serve the page: `aero-viz demo`, `play` and `connect`. `fly --no-headless` uses them, too."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import threading
 import webbrowser
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from aero_viz.cli.flags import ConfigFlags, FileName, FlightFlags, Inline, WorldFlags, WorldName
 from aero_viz.errors import UserError
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from aero_viz.session import Session
     from aero_viz.session.source import Opener, Source
 
-__all__ = ["PageFlags", "demo", "flight_opener", "play", "serve", "told_to_end"]
+__all__ = ["PageFlags", "connect", "demo", "flight_opener", "play", "serve", "shutdown_event"]
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,13 @@ class PageFlags:
     """The page."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Anyone who reaches it controls the session: it has no password."""
+    """Address to listen on. Anyone who can reach it controls the session: there is no password."""
     port: int = 8080
     """Port to listen on."""
     open: bool = False
     """Open the page in the default browser."""
     paused: bool = False
-    """Wait for the play button."""
+    """Start paused, until somebody presses play."""
 
 
 _PAGE = PageFlags()
@@ -49,34 +51,28 @@ def demo(
     seed: int = 0,
     device: str = "cpu",
     log: Path | None = None,
-    world: Inline[WorldFlags] = _WORLD,
-    page: Inline[PageFlags] = _PAGE,
-    flight: Inline[FlightFlags] = _FLIGHT,
-    flags: Inline[ConfigFlags] = _CONFIG,
+    world_flags: Inline[WorldFlags] = _WORLD,
+    page_flags: Inline[PageFlags] = _PAGE,
+    flight_flags: Inline[FlightFlags] = _FLIGHT,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Fly a synthetic scene live in the browser.
 
     Args:
-        scene: name of a scene, such as forest, verticals or inclines, a world's JSON file, a map of points or a mesh.
-        lidar: mid360, full-sphere or spinning64.
-        seed: of the scene, the LiDAR and all noise.
+        scene: name of a scene, such as forest, verticals or inclines, or a file: a world (JSON), a point-cloud map or
+            a mesh.
+        lidar: LiDAR model: mid360, full-sphere or spinning64.
+        seed: seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
-        log: MCAP file to write while flying, for `play`, Foxglove, RViz and PlotJuggler.
-        world: the world.
-        page: the page.
-        flight: the flight.
-        flags: the planner's configuration.
+        log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
+        world_flags: the world.
+        page_flags: the page.
+        flight_flags: the flight.
+        config_flags: the planner's configuration.
     """
-    config = flags.load(world.ground(scene, seed=seed))
-    serve(
-        scene,
-        flight_opener(scene, world, flight, config, lidar=lidar, device=device),
-        config,
-        page,
-        seed=seed,
-        device=device,
-        log=log,
-    )
+    config = config_flags.load(world_flags.ground(scene, seed=seed))
+    opener = flight_opener(scene, world_flags, flight_flags, config, lidar=lidar, device=device)
+    serve(scene, opener, config, page_flags, seed=seed, device=device, log=log)
 
 
 def play(
@@ -87,20 +83,20 @@ def play(
     goal_ahead: float = 15.0,
     seed: int = 0,
     device: str = "cpu",
-    page: Inline[PageFlags] = _PAGE,
-    flags: Inline[ConfigFlags] = _CONFIG,
+    page_flags: Inline[PageFlags] = _PAGE,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Run the planner on a recording, open loop, live in the browser.
 
     Args:
         recording: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file.
-        points_topic: topic of the point clouds; found by its type when left out.
-        pose_topic: topic of the poses; found by its type when left out.
-        goal_ahead: distance of the goal along the recorded path [m].
-        seed: of the planner's noise.
+        points_topic: topic of the point clouds; by default it is found by its type.
+        pose_topic: topic of the poses; by default it is found by its type.
+        goal_ahead: distance of the goal from the drone along the recorded path [m].
+        seed: seed of the planner's noise.
         device: Warp device of the planner.
-        page: the page.
-        flags: the planner's configuration.
+        page_flags: the page.
+        config_flags: the planner's configuration.
     """
     from aero_viz.catalog import is_map, open_source
     from aero_viz.recordings import open_recording
@@ -113,104 +109,145 @@ def play(
             raise UserError(f"{recording} is a scene, not a recording; fly it with: aero-viz demo {recording}")
         open_recording(recording)
 
-    def open_other(spec: str, *, seed: int) -> Source:
+    def opener(spec: str, *, seed: int) -> Source:
         points, poses = (points_topic, pose_topic) if spec == recording else (None, None)
         return open_source(spec, seed=seed, device=device, points_topic=points, pose_topic=poses, goal_ahead=goal_ahead)
 
-    serve(recording, open_other, flags.load(), page, seed=seed, device=device)
+    serve(recording, opener, config_flags.load(), page_flags, seed=seed, device=device)
+
+
+def connect(
+    drone: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="HOST")]],
+    *,
+    drone_port: int = 14650,
+    page_flags: Inline[PageFlags] = _PAGE,
+) -> None:
+    """Show the live plan of a drone that runs `aero-planner run`.
+
+    The page only watches; it cannot control the drone.
+
+    Args:
+        drone: name or address of the drone. Its settings must contain telemetry.host: 0.0.0.0, or an SSH tunnel must
+            lead to its telemetry port.
+        drone_port: TCP port of the drone's telemetry.
+        page_flags: the page.
+    """
+    from aero_viz.dashboard import Dashboard
+    from aero_viz.session.live_session import LiveSession
+    from aero_viz.session.node_client import NodeClient
+
+    with contextlib.ExitStack() as stack:
+        session = LiveSession(NodeClient(drone, drone_port), reconnect=lambda: NodeClient(drone, drone_port))
+        stack.callback(session.close)
+        shutdown = shutdown_event()
+        dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port)
+        stack.callback(dashboard.close)
+        _announce(drone, dashboard, page_flags)
+        session.start(play=not page_flags.paused)
+        shutdown.wait()
 
 
 def flight_opener(
     spec: str,
-    world: WorldFlags,
-    flight: FlightFlags,
+    world_flags: WorldFlags,
+    flight_flags: FlightFlags,
     config: PlannerConfig,
     *,
     lidar: str,
     device: str,
 ) -> Opener:
-    """Return what opens `spec` as the flags say, and every other source that the page asks for with the same drone."""
+    """Return a function that opens sources by name.
+
+    It opens `spec` with the world flags, and every other scene or world that the page asks for without them, but with
+    the same drone and LiDAR.
+    """
     from aero_viz.catalog import is_map, open_source
     from aero_viz.flight import FlightSource
     from aero_viz.flight.explanation import refuse_impossible
     from aero_viz.scenes import SCENES
 
-    options = flight.options(config, lidar=lidar)
+    options = flight_flags.options(config, lidar=lidar)
 
-    def open_other(other: str, *, seed: int) -> Source:
-        if other != spec and not (other in SCENES or other.endswith(".json") or is_map(other)):
-            return open_source(other, seed=seed, device=device)
-        loaded = (world if other == spec else WorldFlags()).load(other, seed=seed)
-        refuse_impossible(loaded, rules=options["rules"], speed_limit=config.vehicle.speed_limit)
-        return FlightSource(loaded, seed=seed, device=device, control_step=config.sampling.dt, **options)
+    def opener(name: str, *, seed: int) -> Source:
+        if name != spec and not (name in SCENES or name.endswith(".json") or is_map(name)):
+            return open_source(name, seed=seed, device=device)
+        world = (world_flags if name == spec else WorldFlags()).load(name, seed=seed)
+        refuse_impossible(world, rules=options["rules"], speed_limit=config.vehicle.speed_limit)
+        return FlightSource(world, seed=seed, device=device, control_step=config.sampling.dt, **options)
 
-    return open_other
+    return opener
 
 
 def serve(
     spec: str,
-    open_other: Opener,
+    opener: Opener,
     config: PlannerConfig,
-    page: PageFlags,
+    page_flags: PageFlags,
     *,
     seed: int,
     device: str,
     log: Path | None = None,
 ) -> None:
-    """Serve the page until Ctrl-C or SIGTERM."""
+    """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import source_choices
     from aero_viz.dashboard import Dashboard
     from aero_viz.session import Session
 
-    session = Session(open_other(spec, seed=seed), config=config, device=device, seed=seed)
-    stopped = told_to_end()
-    try:
-        choices = [(f"{name}: {text}", name) for name, text in source_choices().items()]
+    with contextlib.ExitStack() as stack:
+        session = Session(opener(spec, seed=seed), config=config, device=device, seed=seed)
+        stack.callback(session.close)
+        shutdown = shutdown_event()
         dashboard = Dashboard(
-            session, host=page.host, port=page.port, open_source=open_other, choices=choices, seed=seed
+            session,
+            host=page_flags.host,
+            port=page_flags.port,
+            open_source=opener,
+            choices=[(f"{name}: {text}", name) for name, text in source_choices().items()],
+            seed=seed,
         )
-        stack = contextlib.ExitStack()
-        try:
-            if log is not None:
-                from aero_viz.logs import record
+        stack.callback(dashboard.close)
+        if log is not None:
+            from aero_viz.logs import record
 
-                stack.enter_context(record(session, log))
-            print(f"AERO-Viz shows {spec} at {dashboard.url} (Ctrl-C ends it)", flush=True)
-            if page.open:
-                webbrowser.open(dashboard.url)
-            session.start(play=False)
-            if not page.paused:
-                _play_when_seen(session, dashboard)
-            stopped.wait()
-        finally:
-            stack.close()
-            dashboard.close()
-    finally:
-        session.close()
+            stack.enter_context(record(session, log))
+        _announce(spec, dashboard, page_flags)
+        session.start(play=False)
+        if not page_flags.paused:
+            _play_when_first_client_connects(session, dashboard)
+        shutdown.wait()
 
 
-def told_to_end() -> threading.Event:
-    """Return what Ctrl-C or SIGTERM sets, so that all is closed in order; the second one ends the program at once."""
-    stopped = threading.Event()
-    ending = (signal.SIGINT, signal.SIGTERM)
+def shutdown_event() -> threading.Event:
+    """Return an event that is set by Ctrl-C or SIGTERM, so that the caller can close everything in order.
 
-    def end(*_: object) -> None:
-        for number in ending:
+    A second signal ends the program at once.
+    """
+    event = threading.Event()
+    signals = (signal.SIGINT, signal.SIGTERM)
+
+    def set_event(*_: object) -> None:
+        for number in signals:
             signal.signal(number, signal.SIG_DFL)
-        stopped.set()
+        event.set()
 
-    for number in ending:
-        signal.signal(number, end)
-    return stopped
+    for number in signals:
+        signal.signal(number, set_event)
+    return event
 
 
-def _play_when_seen(session: Session, dashboard: Dashboard) -> None:
-    """Let time begin when the first page is open, so that nobody misses the start."""
-    seen = threading.Event()
+def _announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
+    print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
+    if page_flags.open:
+        webbrowser.open(dashboard.url)
 
-    def begin(_: object) -> None:
-        if not seen.is_set():
-            seen.set()
+
+def _play_when_first_client_connects(session: Session, dashboard: Dashboard) -> None:
+    """Start playback when the first page is open, so that nobody misses the start."""
+    connected = threading.Event()
+
+    def start_playback(_: object) -> None:
+        if not connected.is_set():
+            connected.set()
             session.play()
 
-    dashboard.server.on_client_connect(begin)
+    dashboard.server.on_client_connect(start_playback)

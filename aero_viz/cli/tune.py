@@ -1,4 +1,4 @@
-"""The verb `aero-viz tune`: better parameters by flying."""
+"""The verb `aero-viz tune`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from aero_viz.cli.bench import progress_bar
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, WorldFlags, WorldName
+from aero_viz.cli.progress import progress_bar
 from aero_viz.errors import UserError
 
 __all__ = ["tune"]
@@ -35,53 +35,56 @@ def tune(
     device: str = "cpu",
     batch: int | None = None,
     json: bool = False,
-    place: Inline[WorldFlags] = _WORLD,
-    flight: Inline[FlightFlags] = _FLIGHT,
-    flags: Inline[ConfigFlags] = _CONFIG,
+    world_flags: Inline[WorldFlags] = _WORLD,
+    flight_flags: Inline[FlightFlags] = _FLIGHT,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
-    """Find better values of planner parameters by flying, and check them in fresh worlds.
+    """Search for better parameter values by flying, and check them in fresh worlds.
 
-    The incumbent, which is the configuration as it is, and 2^rounds candidates fly the same worlds. After each round
-    the better half stays: what counts is the share of flights that arrive and, where that is equal, the mean time of
-    those that do. The best and the incumbent then fly fresh worlds. Ctrl-C ends it and keeps the best so far.
+    The incumbent, which is the given configuration, and 2^rounds candidates fly in the same worlds. The better half of
+    them stays after each round. Candidates are compared by the share of flights that arrive and, where that is equal,
+    by the mean time of those that do. Finally, the best candidate and the incumbent fly in fresh worlds. Ctrl-C ends
+    the search and keeps the best candidate so far.
 
     Args:
-        world: name of a scene, of which every flight has another seed, a world's JSON file, a map of points or a mesh.
-        over: what to tune, such as costs.q_track, from a quarter of its value to four times it, or costs.q_track=1:20.
-        flights: of a candidate that stays to the end, dealt out over the rounds.
-        rounds: 4 start with 16 candidates, 6 with 64.
-        check: flights of the best, and as many of the incumbent, in fresh worlds; twice --flights when left out.
+        world: name of a scene, of which each flight gets a different seed, or a file: a world (JSON), a point-cloud
+            map or a mesh.
+        over: parameter to tune; may be repeated. costs.q_track is tuned from a quarter of its value to four times its
+            value, costs.q_track=1:20 from 1 to 20.
+        flights: flights of a candidate that stays to the end, divided among the rounds.
+        rounds: number of rounds; 4 start with 16 candidates, 6 with 64.
+        check: flights of the best candidate and of the incumbent in fresh worlds; by default twice --flights.
         output: YAML file to write, for --config.
-        overwrite: replace the file if it exists.
-        speed: speed limit [m/s]; replaces vehicle.speed_limit.
-        lidar: of all drones.
-        seed: first seed of worlds, LiDARs and all noise.
+        overwrite: replace the output file if it exists.
+        speed: speed limit [m/s]; overrides vehicle.speed_limit.
+        lidar: LiDAR model of all drones.
+        seed: first seed of the worlds, the LiDARs and all noise.
         device: Warp device, such as cpu or cuda:0.
-        batch: flights at once at most; 256 on a GPU and 1 on the CPU when left out.
+        batch: largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
         json: print one JSON object.
-        place: the world.
-        flight: the flight.
-        flags: the planner's configuration, where the search begins.
+        world_flags: the world.
+        flight_flags: the flight.
+        config_flags: the planner's configuration, where the search starts.
     """
     from aero_planner.config.file import save_config
     from aero_viz.evaluation.tune import parse_spans
-    from aero_viz.evaluation.tune import tune as search
+    from aero_viz.evaluation.tune import tune as search_parameters
     from aero_viz.scenes import SCENES
 
-    later = 2 * flights if check is None else check
-    if flights < 1 or later < 1:
+    check_flights = 2 * flights if check is None else check
+    if flights < 1 or check_flights < 1:
         raise UserError("--flights and --check must be at least 1.")
     if output is not None:
-        _refuse_place(output, overwrite=overwrite)
-    config = flags.load(place.ground(world, seed=seed))
+        _check_output(output, overwrite=overwrite)
+    config = config_flags.load(world_flags.ground(world, seed=seed))
     config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
     spans = parse_spans(over, config)
-    one = None if world in SCENES else place.load(world, seed=seed)
-    worlds = [one or place.load(world, seed=seed + i) for i in range(flights + later)]
-    options = flight.options(config, lidar=lidar)
+    fixed_world = None if world in SCENES else world_flags.load(world, seed=seed)
+    worlds = [fixed_world or world_flags.load(world, seed=seed + i) for i in range(flights + check_flights)]
+    options = flight_flags.options(config, lidar=lidar)
     try:
-        with progress_bar() as progress:
-            tuning = search(
+        with progress_bar() as update_bar:
+            tuning = search_parameters(
                 config,
                 spans,
                 worlds[:flights],
@@ -90,19 +93,19 @@ def tune(
                 seed=seed,
                 device=device,
                 batch=batch,
-                progress=progress,
+                progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
                 **options,
             )
     except RuntimeError as error:
         raise UserError(f"The flights cannot run on {device}: {error}") from error
     if json:
-        about = {"scene": world, "seed": seed, "device": device, "flights": flights, "rounds": rounds}
-        about["simulation"] = {name: value and dataclasses.asdict(value) for name, value in options.items()}
-        print(json_module.dumps({**about, **tuning.to_dict(), "config": tuning.chosen.to_dict()}, allow_nan=False))
+        content = {"scene": world, "seed": seed, "device": device, "flights": flights, "rounds": rounds}
+        content["simulation"] = {name: value and dataclasses.asdict(value) for name, value in options.items()}
+        print(json_module.dumps({**content, **tuning.to_dict(), "config": tuning.chosen.to_dict()}, allow_nan=False))
     else:
         changed = {path: value for path, value in tuning.values(tuning.chosen).items() if value != config.get(path)}
-        given = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]
-        print(tuning.format_table(), *([f"As flags: {' '.join(given)}"] if given else []), sep="\n")
+        as_flags = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]
+        print(tuning.format_table(), *([f"As flags: {' '.join(as_flags)}"] if as_flags else []), sep="\n")
     if output is not None and tuning.compared:
         save_config(tuning.chosen, output)
         if not json:
@@ -111,8 +114,8 @@ def tune(
         raise SystemExit(130)
 
 
-def _refuse_place(output: Path, *, overwrite: bool) -> None:
-    """Refuse before hours of flying what could not be written after them."""
+def _check_output(output: Path, *, overwrite: bool) -> None:
+    """Raise a UserError where the output could not be written, before hours of flying rather than after."""
     if output.is_dir():
         raise UserError(f"{output} is a folder; give --output the name of a file.")
     if output.exists() and not overwrite:

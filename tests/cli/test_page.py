@@ -1,22 +1,25 @@
-"""How a verb that serves the page ends."""
+"""The verbs that serve the page, as processes. `aero-viz connect` is tested with the telemetry client."""
 
 from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser
-from small_source import small_source
+
+StartPython = Callable[..., subprocess.Popen[str]]
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """A function that starts Python with some arguments; what it started is gone after the test."""
+def start_python() -> Iterator[StartPython]:
+    """A function that starts a Python process. All processes are killed after the test."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
@@ -30,40 +33,84 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process.communicate()
 
 
-def line_of(process: subprocess.Popen[str]) -> str:
+def read_line(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
     return process.stdout.readline()
 
 
+def read_url(process: subprocess.Popen[str]) -> str:
+    """Return the address that the process prints when it serves the page."""
+    return read_line(process).split(" at ")[1].split()[0]
+
+
+def interrupt(process: subprocess.Popen[str]) -> None:
+    """Press Ctrl-C; the process must end by itself, without an error."""
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == 0 and "Traceback" not in error, error
+
+
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
-def test_the_second_ctrl_c_ends_a_program_that_takes_long_to_close(
-    start: Callable[..., subprocess.Popen[str]], first: signal.Signals
+def test_a_second_ctrl_c_ends_a_program_that_takes_long_to_close(
+    start_python: StartPython, first: signal.Signals
 ) -> None:
-    code = "import time; from aero_viz.cli.page import told_to_end; told = told_to_end(); print('serving', flush=True)"
-    process = start("-c", f"{code}; told.wait(); print('closing', flush=True); time.sleep(60)")
-    assert line_of(process) == "serving\n"
+    process = start_python(
+        "-c",
+        "import time; from aero_viz.cli.page import shutdown_event; event = shutdown_event()\n"
+        "print('serving', flush=True); event.wait(); print('closing', flush=True); time.sleep(60)",
+    )
+    assert read_line(process) == "serving\n"
     process.send_signal(first)
-    assert line_of(process) == "closing\n"
+    assert read_line(process) == "closing\n"
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=20) == -signal.SIGINT
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes need POSIX")
-def test_ctrl_c_does_not_wait_for_what_the_page_is_opening(
-    start: Callable[..., subprocess.Popen[str]], browser: Browser, tmp_path: Path
+def test_ctrl_c_does_not_wait_for_a_source_that_is_being_opened(
+    start_python: StartPython, browser: Browser, poles: str, tmp_path: Path
 ) -> None:
-    world = small_source().scenery.world
-    assert world is not None
-    world.save(tmp_path / "poles.json")
-    os.mkfifo(tmp_path / "slow.json")  # nobody ever writes to it: reading it takes for ever
-    process = start("-m", "aero_viz", "demo", str(tmp_path / "poles.json"), "--port", "0", "--paused")
-    url = line_of(process).split(" at ")[1].split()[0]
+    slow = tmp_path / "slow.json"
+    os.mkfifo(slow)  # reading it blocks for ever, since nobody writes to it
+    process = start_python("-m", "aero_viz", "demo", poles, "--port", "0", "--paused")
+    url = read_url(process)
     with browser.new_page() as page:
         page.goto(url)
         row = page.locator("label", has_text="Path").locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
-        row.locator("input").fill(str(tmp_path / "slow.json"))
+        row.locator("input").fill(str(slow))
         page.get_by_role("button", name="Open path", exact=True).click()
-        page.get_by_text(f"Opening {tmp_path / 'slow.json'}").first.wait_for(timeout=20_000)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=20)
-    assert process.returncode == 0 and "Traceback" not in error, error
+        page.get_by_text(f"Opening {slow}").first.wait_for(timeout=20_000)
+        interrupt(process)
+
+
+def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    process = start_python("-m", "aero_viz", "demo", poles, "--port", str(port), "--sampling.samples", "16")
+    assert f"http://127.0.0.1:{port}" in read_line(process)
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=10) as page:
+        assert page.status == 200
+    interrupt(process)
+
+
+def test_no_headless_flies_in_the_page(start_python: StartPython, poles: str, browser: Browser) -> None:
+    """Playback starts when the page is open in a real Chromium, and the drone arrives."""
+    options = ["--no-headless", "--port", "0", "--speed", "5", "--sampling.samples", "16"]
+    process = start_python("-m", "aero_viz", "fly", poles, *options)
+    url = read_url(process)
+    with browser.new_page() as page:
+        page.goto(url)
+        page.get_by_text("arrived at the goal").first.wait_for(timeout=60_000)
+    interrupt(process)
+
+
+def test_a_busy_port_is_reported(start_python: StartPython, poles: str) -> None:
+    with socket.socket() as occupant:
+        occupant.bind(("127.0.0.1", 0))
+        occupant.listen()
+        port = occupant.getsockname()[1]
+        process = start_python("-m", "aero_viz", "demo", poles, "--port", str(port))
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert str(port) in error and "--port" in error and "Traceback" not in error

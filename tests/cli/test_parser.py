@@ -1,4 +1,4 @@
-"""What tyro rejects, as one sentence."""
+"""Parsing of arguments, and how tyro reports what is wrong with them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Annotated, Literal
 
 import pytest
 import tyro
+from command_line import terminal_text
 
-from aero_viz.cli.parser import parse
+from aero_viz.cli.parser import Verb, parse
 from aero_viz.errors import UserError
 
-CALLS: list[tuple] = []
+CALLS: list[tuple[object, ...]] = []
 
 
 def paint(
@@ -28,12 +29,12 @@ def paint(
     """Paint a wall.
 
     Args:
-        wall: which.
-        coats: how many, and as this text is long enough to be broken by any box that it is drawn into, in two lines.
-        place: where.
-        colour: of the paint.
-        gloss: of the paint.
-        layers: of the paint.
+        wall: name of the wall.
+        coats: number of coats. This text is long enough to be broken into two lines in the box that tyro draws.
+        place: position.
+        colour: colour of the paint.
+        gloss: gloss of the paint.
+        layers: layers of the paint.
     """
     CALLS.append((wall, coats, place, colour, gloss, layers))
 
@@ -42,26 +43,19 @@ def wash(*, soap: str) -> None:
     """Wash.
 
     Args:
-        soap: which.
+        soap: name of the soap.
     """
     CALLS.append(("wash", soap))
 
 
-VERBS = {"paint": paint, "wash": wash}
+VERBS = {"paint": Verb(lambda: paint, "Paint a wall."), "wash": Verb(lambda: wash, "Wash.")}
 
 
 def call(*arguments: str):
     return parse(VERBS, arguments, prog="house", description="A house.")
 
 
-def refused(*arguments: str) -> str:
-    with pytest.raises(UserError) as caught:
-        call(*arguments)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
-def test_parsing_does_not_call_yet() -> None:
+def test_parsing_does_not_call_the_verb() -> None:
     CALLS.clear()
     verb = call("paint", "north", "--coats", "2", "--place", "1", "-2", "3e1")
     assert CALLS == []
@@ -71,43 +65,56 @@ def test_parsing_does_not_call_yet() -> None:
 
 
 @pytest.mark.parametrize(
+    ("arguments", "messages"),
+    [
+        ("paint north --coat 2", ["Unrecognized options: --coat", "meant", "--coats INT", "house paint --help"]),
+        ("paint north south", ["Unrecognized options: south", "house paint --help"]),
+        ("paint", ["Missing from house paint:", "WALL", "house paint --help"]),
+        ("paint north --coats two", ["Error parsing --coats", "invalid literal for int() with base 10: 'two'"]),
+        ("paint north --layers two", ["Error parsing --layers", "invalid literal for int() with base 10: 'two'"]),
+        ("paint north --gloss much", ["Error parsing --gloss", "could not convert string to float: 'much'"]),
+        ("paint north --place 1 2", ["--place", "FLOAT FLOAT FLOAT"]),
+        ("paint north --colour blue", ["invalid choice 'blue' for argument '--colour'", "'red', 'green'"]),
+        ("paint north --coats", ["Missing value for argument '--coats'"]),
+        ("wash --sope hard", ["--soap STR", "--sope hard", "house wash --help"]),
+    ],
+)
+def test_tyro_reports_a_mistake_on_stderr(
+    capsys: pytest.CaptureFixture[str], arguments: str, messages: list[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        call(*arguments.split())
+    captured = capsys.readouterr()
+    assert (end.value.code, captured.out) == (2, "")
+    error = terminal_text(captured.err)
+    assert all(message in error for message in messages), error
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("paint north --coat 2", "Unrecognized options: --coat, 2 (did you mean --coats?); see house paint --help."),
-        ("paint north south", "Unrecognized options: south; see house paint --help."),
-        ("paint", "Missing from house paint: WALL; see house paint --help."),
-        ("paint north --coats two", "Error parsing --coats: 'two' is no whole number; see house paint --help."),
-        ("paint north --layers two", "Error parsing --layers: 'two' is no whole number; see house paint --help."),
-        ("paint north --gloss much", "Error parsing --gloss: 'much' is no number; see house paint --help."),
-        ("paint north --place 1 2", "Error parsing --place: '1', '2' must be FLOAT FLOAT FLOAT; see house paint"),
-        (
-            "paint north --colour blue",
-            "invalid choice 'blue' for argument '--colour'; expected one of ('red',",
-        ),
-        ("paint north --coats", "Missing value for argument '--coats'"),
         ("paintt north", "there is no verb 'paintt' (did you mean 'paint'?); give one of paint, wash, or --help."),
         ("", "a verb is missing; give one of paint, wash, or --help."),
-        ("wash --sope hard", "Missing from house wash: --soap STR, and unrecognized options: --sope hard; see house"),
         ("--coats 2", "there is no verb '--coats'; give one of paint, wash, or --help."),
     ],
 )
-def test_mistakes_are_one_sentence(arguments: str, message: str) -> None:
-    assert refused(*arguments.split()).startswith(message)
+def test_a_wrong_verb_is_reported_in_one_sentence(arguments: str, message: str) -> None:
+    with pytest.raises(UserError) as caught:
+        call(*arguments.split())
+    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize(
     "environment", [{"COLUMNS": "40"}, {"LC_ALL": "C", "PYTHONIOENCODING": "ascii"}, {"FORCE_COLOR": "1"}]
 )
-def test_the_sentence_does_not_depend_on_the_terminal(environment: dict[str, str]) -> None:
+def test_mistakes_are_reported_on_any_terminal(environment: dict[str, str]) -> None:
     command = [sys.executable, "-m", "aero_viz", "score", "a.csv", "--world", "b.json", "--plannr", "x"]
     result = subprocess.run(command, capture_output=True, text=True, env=os.environ | environment, timeout=60)
     assert (result.returncode, result.stdout) == (2, "")
-    assert result.stderr == (
-        "aero-viz: Unrecognized options: --plannr, x (did you mean --planner?); see aero-viz score --help.\n"
-    )
+    assert "--plannr" in result.stderr and "--planner STR" in result.stderr and "Traceback" not in result.stderr
 
 
-def test_help_is_printed_whole(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_is_complete(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, shown in ((["--help"], "Paint a wall."), (["paint", "--help"], "--coats INT")):
         with pytest.raises(SystemExit) as end:
             call(*arguments)

@@ -370,8 +370,8 @@ def test_a_drone_that_is_lost_before_it_has_planned_is_not_said_to_be_connected(
 
 def test_the_verb_serves_the_page_until_it_is_told_to_end(telemetry: Telemetry):
     script = (
-        "import sys\nfrom aero_viz.cli.connect import connect\nfrom aero_viz.cli.page import PageFlags\n"
-        "connect('127.0.0.1', drone_port=int(sys.argv[1]), page=PageFlags(port=0))"
+        "import sys\nfrom aero_viz.cli.page import PageFlags, connect\n"
+        "connect('127.0.0.1', drone_port=int(sys.argv[1]), page_flags=PageFlags(port=0))"
     )
     with subprocess.Popen(
         [sys.executable, "-c", script, str(telemetry.port)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

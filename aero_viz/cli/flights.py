@@ -1,0 +1,150 @@
+"""The verbs about single flights: `aero-viz fly` and `score`."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from aero_viz.cli.flags import (
+    ConfigFlags,
+    FileName,
+    FlightFlags,
+    Inline,
+    RulesFlags,
+    WorldFlags,
+    WorldName,
+    flight_rules,
+)
+from aero_viz.cli.page import PageFlags, flight_opener, serve
+from aero_viz.cli.progress import progress_bar
+from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from aero_viz.flight import FlightResult
+
+__all__ = ["fly", "score"]
+
+_CONFIG = ConfigFlags()
+_FLIGHT = FlightFlags()
+_PAGE = PageFlags()
+_RULES = RulesFlags()
+_WORLD = WorldFlags()
+
+
+def fly(
+    world: WorldName,
+    *,
+    speed: float | None = None,
+    lidar: str = "mid360",
+    seed: int = 0,
+    device: str = "cpu",
+    headless: bool = True,
+    json: bool = False,
+    trajectory: Path | None = None,
+    log: Path | None = None,
+    world_flags: Inline[WorldFlags] = _WORLD,
+    page_flags: Inline[PageFlags] = _PAGE,
+    flight_flags: Inline[FlightFlags] = _FLIGHT,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
+) -> None:
+    """Fly through a scene or a world once, as fast as possible, and print the result.
+
+    Ctrl-C ends the flight and prints the result so far.
+
+    Args:
+        world: name of a scene, such as forest, verticals or inclines, or a file: a world (JSON), a point-cloud map or
+            a mesh.
+        speed: speed limit [m/s]; overrides vehicle.speed_limit.
+        lidar: LiDAR model: mid360, full-sphere or spinning64.
+        seed: seed of the scene, the LiDAR and all noise.
+        device: Warp device, such as cpu or cuda:0.
+        headless: fly without the page; --no-headless flies in the browser, as `demo` does.
+        json: print one JSON object, and no progress bar.
+        trajectory: CSV file to write with the columns t,x,y,z,vx,vy,vz.
+        log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
+        world_flags: the world.
+        page_flags: the page.
+        flight_flags: the flight.
+        config_flags: the planner's configuration.
+    """
+    if not headless:
+        if json or trajectory is not None:
+            raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")
+        config = config_flags.load(world_flags.ground(world, seed=seed))
+        config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+        opener = flight_opener(world, world_flags, flight_flags, config, lidar=lidar, device=device)
+        return serve(world, opener, config, page_flags, seed=seed, device=device, log=log)
+    if page_flags != PageFlags():
+        raise UserError("--host, --port, --open and --paused apply to the page; add --no-headless, or leave them out.")
+    from aero_viz.flight import FlightInterrupted
+    from aero_viz.flight import fly as fly_once
+
+    loaded = world_flags.load(world, seed=seed)
+    config = config_flags.load(loaded.ground_height)
+    options: dict[str, Any] = {
+        "config": config,
+        "config_name": config_flags.config,
+        "seed": seed,
+        "device": device,
+        "speed": speed,
+        "trajectory": trajectory,
+        **flight_flags.options(config, lidar=lidar),
+    }
+    try:
+        with progress_bar(loaded.name, enabled=not json) as update_bar:
+
+            def show_progress(share: float, flight_time: float) -> None:
+                update_bar(share, 1.0, f"{100.0 * share:.0f} % of the way, {flight_time:.1f} s flown")
+
+            options["progress"] = show_progress
+            if log is None:
+                result = fly_once(loaded, **options)
+            else:
+                from aero_viz.logs import fly_and_log
+
+                result = fly_and_log(loaded, log, **options)
+    except FlightInterrupted as interrupted:
+        _print_result(interrupted.result, as_json=json)
+        raise SystemExit(130) from None
+    _print_result(result, as_json=json)
+
+
+def score(
+    flight: FileName,
+    *,
+    world: str,
+    seed: int = 0,
+    pose_topic: str | None = None,
+    planner: str = "recorded",
+    table: Path | None = None,
+    json: bool = False,
+    world_flags: Inline[WorldFlags] = _WORLD,
+    rules: RulesFlags = _RULES,
+) -> None:
+    """Score a flight of any planner with the simulator's own metrics.
+
+    Args:
+        flight: CSV file with the columns t,x,y,z and optionally vx,vy,vz, or a ROS bag or MCAP file with Odometry.
+        world: where it was flown: name of a scene, or a file: a world (JSON), a point-cloud map or a mesh.
+        seed: seed of the scene.
+        pose_topic: topic of the poses; by default it is found by its type.
+        planner: name of the planner that flew, for the result.
+        table: CSV file to append the result to, for `bench --include`.
+        json: print one JSON object.
+        world_flags: the world.
+        rules: the rules by which a flight ends.
+    """
+    from aero_viz.evaluation.bench.include import append_to_table
+    from aero_viz.evaluation.score import load_trajectory
+    from aero_viz.evaluation.score import score as score_flight
+
+    limits, loaded = flight_rules(rules), world_flags.load(world, seed=seed)
+    result = score_flight(load_trajectory(flight, pose_topic=pose_topic), loaded, rules=limits, planner=planner)
+    if table is not None:
+        append_to_table(result, table)
+    print(json_module.dumps(result.to_dict(), allow_nan=False) if json else result.format_table())
+
+
+def _print_result(result: FlightResult, *, as_json: bool) -> None:
+    print(json_module.dumps(result.to_dict(), allow_nan=False) if as_json else result.format_table())

@@ -1,0 +1,30 @@
+"""The verb that reports on recordings: `aero-viz inspect`."""
+
+from __future__ import annotations
+
+import json as json_module
+
+from aero_viz.cli.flags import FileName
+
+__all__ = ["inspect"]
+
+
+def inspect(
+    file: FileName,
+    *,
+    points_topic: str | None = None,
+    pose_topic: str | None = None,
+    json: bool = False,
+) -> None:
+    """Show what a recording contains and which parts can be played.
+
+    Args:
+        file: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file.
+        points_topic: topic of the point clouds; by default it is found by its type.
+        pose_topic: topic of the poses; by default it is found by its type.
+        json: print one JSON object.
+    """
+    from aero_viz.recordings import inspect as inspect_recording
+
+    info = inspect_recording(file, points_topic=points_topic, pose_topic=pose_topic)
+    print(json_module.dumps(info.to_json(), allow_nan=False) if json else info.format_table())

@@ -1,0 +1,133 @@
+"""The verbs `aero-viz snapshot`, `world`, `export`, `parameters` and `doctor`."""
+
+from __future__ import annotations
+
+import json as json_module
+from typing import Annotated, Literal
+
+import tyro
+
+from aero_viz.cli.flags import ConfigFlags, Inline, OutputPath, WorldFlags, WorldName
+from aero_viz.errors import UserError
+
+__all__ = ["doctor", "export", "parameters", "snapshot", "world"]
+
+_CONFIG = ConfigFlags()
+_WORLD = WorldFlags()
+
+
+def snapshot(
+    source: WorldName,
+    output: OutputPath,
+    *,
+    time: float = 2.0,
+    camera: Literal["follow", "top", "side"] = "follow",
+    size: tuple[int, int] = (1600, 1000),
+    seed: int = 0,
+    device: str = "cpu",
+    points_topic: str | None = None,
+    pose_topic: str | None = None,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
+) -> None:
+    """Render a scene or a recording at a given time to a PNG file.
+
+    The page is rendered in a headless Chromium.
+
+    Args:
+        source: scene, world file (JSON) or recording.
+        output: PNG file to write.
+        time: time in the source [s].
+        camera: camera view.
+        size: width and height [pixels].
+        seed: seed of the scene, the LiDAR and the planner's noise.
+        device: Warp device of planner and simulation.
+        points_topic: topic of the point clouds; by default it is found by its type.
+        pose_topic: topic of the poses; by default it is found by its type.
+        config_flags: the planner's configuration.
+    """
+    from aero_viz.catalog import open_source
+    from aero_viz.dashboard.snapshot import snapshot as take_snapshot
+
+    opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
+    config = config_flags.load(WorldFlags().ground(source, seed=seed))
+    take_snapshot(opened, time=time, config=config, camera=camera, size=size, path=output, seed=seed, device=device)
+    print(output)
+
+
+def world(
+    action: tyro.conf.Positional[Literal["export"]],
+    world: WorldName,
+    output: OutputPath,
+    *,
+    spacing: float = 0.1,
+    seed: int = 0,
+    world_flags: Inline[WorldFlags] = _WORLD,
+) -> None:
+    """Write a world to a file for other programs.
+
+    Args:
+        action: export, the only action.
+        world: name of a scene, such as forest, or a file: a world (JSON), a point-cloud map or a mesh.
+        output: .pcd, .ply or .npy file for points on the world's surfaces, or .json file for the world itself.
+        spacing: spacing of the points [m].
+        seed: seed of the scene.
+        world_flags: the world.
+    """
+    from aero_viz.evaluation.bench.surface import export_world
+
+    points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
+    print(f"{output}: {points} points" if points else str(output))
+
+
+def export(
+    output: Annotated[OutputPath, tyro.conf.arg(metavar="OUT[.tar]")],
+    *,
+    config: str = "default",
+    arch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="sm_87")] = (),
+    cpu: bool = False,
+) -> None:
+    """Compile all kernels ahead of time for a drone that has no compiler.
+
+    This is the same as `aero-planner export`. No GPU is needed. Where this machine itself has one of the requested
+    processors, the bundle also contains the graph for the C++ host.
+
+    Args:
+        output: folder or tar file to write.
+        config: preset or YAML file; the file may contain the node's settings under 'onboard:'.
+        arch: GPU architecture; may be repeated.
+        cpu: compile for this machine's CPU, too.
+    """
+    from aero_planner.cli import write_bundle
+
+    try:
+        summary = write_bundle(output, config=config, architectures=arch, cpu=cpu)
+    except OSError as error:
+        raise UserError(f"{output} can't be written: {error.strerror or error}.") from error
+    print(summary)
+
+
+def parameters() -> None:
+    """Print a Markdown table of every planner parameter.
+
+    The table has symbol, default, range, unit and meaning.
+    """
+    from aero_planner.config.docs import format_parameters
+
+    print(format_parameters())
+
+
+def doctor(*, json: bool = False) -> None:
+    """Check this machine and print how to install what is missing.
+
+    It checks the versions of libraries, plans once on every device, and looks for a browser. The exit code is 2 when
+    something required is missing.
+
+    Args:
+        json: print one JSON object.
+    """
+    from aero_viz.doctor import examine
+
+    report = examine()
+    print(json_module.dumps(report.to_json(), allow_nan=False) if json else report.format_table())
+    if not report.healthy:
+        raise SystemExit(2)

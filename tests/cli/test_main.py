@@ -1,0 +1,129 @@
+"""The command line as a whole: mistakes, help, start-up and how it ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from command_line import run, run_refused, terminal_text
+
+from aero_viz.cli import main
+from aero_viz.cli.verbs import VERBS
+from tests.planner.interruption import interrupted_at_import
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fly", "forrest"], "forest"),
+        (["fly", "forest", "--config", "papr"], "paper"),
+        (["fly", "forest", "--costs.q-track", "-3"], "costs.q_track is -3"),
+        (["fly", "forest", "--device", "cuda:77"], "cuda:77"),
+        (["fly", "forest", "--speed", "-1"], "speed_limit"),
+        (["fly", "missing.json"], "missing.json"),
+        (["inspect", "missing.bag"], "missing.bag"),
+        (["play", "missing.bag"], "missing.bag"),
+        (["play", "world.json"], "aero-viz demo world.json"),
+        (["play", "forest"], "forest is a scene, not a recording; fly it with: aero-viz demo forest"),
+        (["demo", "--host", "203.0.113.7"], "no address of this machine; choose another one with --host"),
+        (["snapshot", "forest", "/"], "/ cannot be written: it is a folder"),
+        (["demo", "forrest"], "forest"),
+        (["snapshot", "forrest", "out.png"], "forest"),
+        (["nonsense"], "nonsense"),
+        (["fly", "forest", "--noise.position", "-1"], "noise.position is -1.0; it must be a number in [0, 100] m"),
+        (["fly", "forest", "--drone.drag", "1e3"], "drone.drag is 1000.0"),
+        (["fly", "forest", "--drone.gust-speed", "2"], "set drone.drag too"),
+        (["fly", "forest", "--lidar.range-max", "0.1"], "lidar.range_min is 0.1; it must be less than lidar.range_max"),
+        (["fly", "forest", "--lidar.dropout", "2"], "lidar.dropout is 2.0; it must be a number in [0, 1]"),
+        (["fly", "forest", "--rules.ticks-per-plan", "0"], "rules.ticks_per_plan is 0"),
+        (["fly", "forest", "--rules.period", "0.03"], "no multiple of the tick"),
+        (["demo", "forest", "--noise.attitude", "999"], "noise.attitude is 999.0"),
+        (["bench", "rooms", "--drone.latency", "-1"], "drone.latency is -1.0"),
+        (["fly", "forest", "--goal", "30", "0", "-0.2"], "goal (30, 0, -0.2) lies inside an obstacle"),
+        (["fly", "forest", "--goal", "300", "0", "2"], "goal (300, 0, 2) lies outside the bounds"),
+        (["fly", "forest", "--goal", "1e6", "0", "2"], '"goal" has x = 1e+06; it must be within 100000 m'),
+        (["demo", "forest", "--goal", "300", "0", "2"], "goal (300, 0, 2) lies outside the bounds"),
+        (["fly", "forest", "--start", "nan", "0", "2"], '"start" has x = nan'),
+        (["fly", "forest", "--voxel", "0.2"], "--voxel applies to point-cloud maps only, and forest is not one"),
+        (["fly", "map.pcd", "--count", "3"], "--count belongs to a scene"),
+        (["fly", "forest", "--port", "9000"], "add --no-headless"),
+        (["fly", "forest", "--no-headless", "--json"], "leave out --no-headless"),
+    ],
+)
+def test_a_mistake_is_reported_in_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    error = run_refused(capsys, *arguments)
+    assert message in error and error.count("\n") == 1 and error.startswith("aero-viz: ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "messages"),
+    [
+        (["fly", "forest", "--sampling.samples", "many"], ["--sampling.samples", "invalid literal", "'many'"]),
+        (["fly", "forest", "--speed", "abc"], ["--speed", "could not convert string to float: 'abc'"]),
+        (["fly", "forest", "--drone.drg", "1"], ["Unrecognized options: --drone.drg", "meant", "--drone.drag FLOAT"]),
+        (["export"], ["Missing", "OUT[.tar]", "aero-viz export --help"]),
+    ],
+)
+def test_a_mistake_in_a_flag_is_reported_by_tyro(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], messages: list[str]
+) -> None:
+    error = terminal_text(run_refused(capsys, *arguments))
+    assert all(message in error for message in messages), error
+
+
+def test_the_list_of_verbs_quotes_their_docstrings(capsys: pytest.CaptureFixture[str]) -> None:
+    code, text, _ = run(capsys, "--help")
+    assert code == 0
+    for name, verb in VERBS.items():
+        function = verb.load()
+        assert function.__name__ == name
+        assert (function.__doc__ or "").partition("\n")[0] == verb.summary
+        assert f"  {name}" in text and verb.summary in text
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help_for_every_flag(capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    code, text, error = run(capsys, verb, "--help")
+    assert (code, error) == (0, "") and f"usage: aero-viz {verb} " in text
+    assert VERBS[verb].summary in " ".join(text.split())
+
+
+def test_a_reader_that_closes_the_pipe_early_causes_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as broken:
+        command = [sys.executable, "-m", "aero_viz", "parameters"]
+        result = subprocess.run(command, stdout=broken, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert result.returncode == 141
+    assert result.stderr == ""
+
+
+def test_help_imports_no_heavy_library() -> None:
+    code = "import sys; from aero_viz.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    code += "heavy = ('viser', 'open3d', 'playwright', 'trimesh', 'warp', 'numpy', 'tyro', 'rich')\n"
+    code += "print([m for m in heavy if m in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ, check=True)
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+def test_completion_scripts_contain_the_flags(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["--tyro-print-completion", "bash"])
+    assert not end.value.code and "--points-topic" in capsys.readouterr().out
+
+
+START = {
+    "the script": "from aero_viz.cli import main; sys.exit(main())",
+    "the module": "import runpy; runpy.run_module('aero_viz', run_name='__main__')",
+}
+
+
+@pytest.mark.parametrize("start", START.values(), ids=START)
+@pytest.mark.parametrize("module", ["warp", "tyro", "aero_viz.cli.page", "viser"])
+def test_ctrl_c_during_start_up_ends_quietly(start: str, module: str) -> None:
+    done = interrupted_at_import(module, start, "aero-viz", "demo", "--port", "0")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

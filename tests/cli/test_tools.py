@@ -1,0 +1,53 @@
+"""`aero-viz snapshot`, `export`, `parameters` and `doctor`. `aero-viz world` is tested with the evaluation package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command_line import run, run_json, run_refused
+
+from aero_planner.config import parameters
+
+
+def test_a_missing_browser_is_reported(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, poles: str, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("AERO_VIZ_CHROMIUM", str(tmp_path / "none"))
+    assert "AERO_VIZ_CHROMIUM" in run_refused(capsys, "snapshot", poles, str(tmp_path / "out.png"))
+
+
+def test_doctor_finds_this_machine_healthy(capsys: pytest.CaptureFixture[str]) -> None:
+    report = run_json(capsys, "doctor")
+    assert report["healthy"]
+    assert any(check["name"] == "device cpu" and "plans in" in check["found"] for check in report["checks"])
+
+
+def test_the_table_contains_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
+    _, table, _ = run(capsys, "parameters")
+    for info in parameters():
+        assert f"| `{info.path}` |" in table
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["{free}"], "give --arch, such as --arch sm_87"),
+        (["{free}", "--arch", "sm_87", "--arch", "orin"], "the architecture 'orin' is not understood"),
+        (["{free}", "--cpu", "--config", "papr"], "did you mean 'paper'?"),
+        (["{taken}", "--cpu"], "exists already"),
+    ],
+)
+def test_mistakes_in_an_export_are_reported_in_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    (tmp_path / "taken").write_text("")
+    paths = {name: str(tmp_path / name) for name in ("free", "taken")}
+    error = run_refused(capsys, "export", *(argument.format(**paths) for argument in arguments))
+    assert message in error and error.count("\n") == 1 and error.startswith("aero-viz: ")
+    assert not (tmp_path / "free").exists()
+
+
+def test_the_help_of_export_refers_to_the_planners_own_verb(capsys: pytest.CaptureFixture[str]) -> None:
+    code, text, _ = run(capsys, "export", "--help")
+    assert code == 0 and "the same as `aero-planner export`" in " ".join(text.split()) and "--arch" in text
