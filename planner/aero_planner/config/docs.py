@@ -1,37 +1,33 @@
-"""The parameters as a Markdown table, derived from the configuration's fields."""
+"""Documentation of the parameters as Markdown tables."""
 
 from __future__ import annotations
 
-from aero_planner.config import ParameterInfo, PlannerConfig, parameters
+from aero_planner.config import ParameterInfo, PlannerConfig
 
 __all__ = ["format_parameters"]
 
 
 def format_parameters() -> str:
-    """Return all parameters in Markdown: one table per section, with the presets that differ from the default."""
+    """Return all parameters of the planner in Markdown, one table per section, and the list of presets."""
     lines: list[str] = []
-    section = ""
-    for info in parameters():
-        if info.section != section:
-            section = info.section
-            title = ["parameter", "symbol", "default", "paper", "range", "unit", "kind", "meaning"]
-            lines += ["", f"## {section}", "", _row(title), _row(["---"] * len(title))]
-        lines.append(_row(_cells(info)))
+    columns = ["parameter", "name", "symbol", "default", "paper", "range", "unit", "kind", "meaning"]
+    for name, section in PlannerConfig.sections().items():
+        lines += ["", f"## {name}", "", _row(columns), _row(["---"] * len(columns))]
+        lines += [_row(_cells(info)) for info in section.parameters()]
     presets = [f"- `{name}`: {help}" for name, help in PlannerConfig.presets().items()]
     return "\n".join(["# Planner parameters", "", "Presets:", "", *presets, *lines])
 
 
 def _cells(info: ParameterInfo) -> list[str]:
     paper = PlannerConfig.preset("paper").get(info.path)
-    bounds = ", ".join(info.choices) if info.choices else f"{info.low:g} .. {info.high:g}"
-    if isinstance(info.default, bool):
-        bounds = "true, false"
+    is_number = not info.choices and not isinstance(info.default, bool)
     return [
         f"`{info.path}`",
+        info.label,
         info.symbol,
         _text(info.default),
         "" if paper == info.default else _text(paper),
-        bounds,
+        f"{info.low:g} .. {info.high:g}" if is_number else info.range,
         info.unit,
         "live" if info.live else "structural",
         info.help,

@@ -1,13 +1,15 @@
-"""Every parameter of the planner: default, unit, bounds, help, and whether it is live or structural.
+"""Every parameter of the planner: default, unit, bounds, label, help, and whether it is live or structural.
 
-A *live* parameter sits in device memory and can change between two plans at no cost. A *structural* one sizes buffers
-or selects kernels; changing it rebuilds the planner. Sliders, command line flags, YAML files and the documentation
-derive from the fields below. Symbols are the paper's.
+A *live* parameter is held in device memory and can change between two plans at no cost. A *structural* parameter sizes
+buffers or selects kernels; changing it rebuilds the planner. Sliders, command line flags, YAML files and the
+documentation are generated from the fields below. Symbols are those of the paper.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from aero_planner.config.parameter import (
     ParameterInfo,
@@ -22,6 +24,8 @@ from aero_planner.config.parameter import (
 )
 
 __all__ = [
+    "REMOVED",
+    "RENAMED",
     "AnchorConfig",
     "CandidateConfig",
     "CostConfig",
@@ -36,165 +40,279 @@ __all__ = [
 
 @dataclass(frozen=True)
 class VehicleConfig(ParameterSection, section="vehicle"):
-    """The quadrotor."""
+    """Model of the quadrotor."""
 
-    mass: float = live(1.0, "kg", 0.05, 50.0, "Mass.", scale="log", symbol="m")
-    gravity: float = live(9.81, "m/s^2", 0.0, 30.0, "Gravity.", symbol="g")
-    thrust_min: float = live(0.3, "N", 0.0, 500.0, "Smallest total thrust.", symbol="F_min")
-    thrust_max: float = live(16.35, "N", 0.1, 1000.0, "Largest total thrust.", symbol="F_max")
-    rate_xy_max: float = live(3.0, "rad/s", 0.1, 20.0, "Largest roll and pitch rate.", symbol="omega_xy")
-    rate_z_max: float = live(2.0, "rad/s", 0.1, 20.0, "Largest yaw rate.", symbol="omega_z")
+    mass: float = live(1.0, "kg", 0.05, 50.0, "Mass of the vehicle.", scale="log", symbol="m")
+    gravity: float = live(9.81, "m/s^2", 0.0, 30.0, "Gravitational acceleration.", symbol="g")
+    thrust_min: float = live(0.3, "N", 0.0, 500.0, "Smallest total thrust.", label="Minimum thrust", symbol="F_min")
+    thrust_max: float = live(16.35, "N", 0.1, 1000.0, "Largest total thrust.", label="Maximum thrust", symbol="F_max")
+    rate_xy_max: float = live(
+        3.0, "rad/s", 0.1, 20.0, "Largest roll and pitch rate.", label="Maximum roll and pitch rate", symbol="omega_xy"
+    )
+    rate_z_max: float = live(2.0, "rad/s", 0.1, 20.0, "Largest yaw rate.", label="Maximum yaw rate", symbol="omega_z")
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
-        "Speed to stay under. It bounds the look-ahead by 0.6 T v, the length at which a guide asks for no more speed, "
-        "and costs.q_speed prices what exceeds it.",
+        "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
+        "more speed, and costs.q_speed penalizes the excess.",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PartitionConfig(ParameterSection, section="partition"):
-    """Spherical partition of the cloud."""
+    """Spherical partition of the point cloud."""
 
-    range_max: float = live(10.0, "m", 1.0, 100.0, "Points farther than this are ignored.", symbol="r_max")
+    range_max: float = live(
+        10.0, "m", 1.0, 100.0, "Points farther away than this are ignored.", label="Maximum range", symbol="r_max"
+    )
     range_min: float = live(
-        0.1, "m", 0.0, 5.0, "Points nearer than this are ignored: returns from the drone itself. The paper has none."
-    )
-    cloud_age_max: float = live(0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, where told.")
+        0.1, "m", 0.0, 5.0, "Points closer than this are ignored as returns from the drone itself; 0 as in the paper.",
+        label="Minimum range",
+    )  # fmt: skip
+    cloud_age_max: float = live(
+        0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, if the caller states the age.",
+        label="Maximum cloud age",
+    )  # fmt: skip
     fine_cells: int = structural(
-        6, 2, 18, "Fine cells along each side of a coarse cell; 6 gives 3 deg in 18 deg.", symbol="n"
-    )
-    coarse_columns: int = structural(20, 8, 40, "Coarse cells around the horizon; 20 gives 18 deg.")
-    coarse_rows: int = structural(10, 4, 20, "Coarse cells from straight down to straight up; 10 gives 18 deg.")
+        6, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg.",
+        label="Fine cells per coarse cell", symbol="n",
+    )  # fmt: skip
+    coarse_columns: int = structural(20, 8, 40, "Coarse cells around the horizon; 20 are 18 deg wide each.")
+    coarse_rows: int = structural(10, 4, 20, "Coarse cells from straight down to straight up; 10 are 18 deg high each.")
 
 
 @dataclass(frozen=True)
 class AnchorConfig(ParameterSection, section="anchors"):
-    """Anchors: where the guides lead."""
+    """Anchors: the end points of the guides."""
 
-    columns: int = structural(5, 1, 15, "Directions side by side.", symbol="M_h")
-    rows: int = structural(3, 1, 9, "Directions one above the other.", symbol="M_v")
-    spacing: float = live(18.0, "deg", 1.0, 45.0, "Angle between two directions.")
-    lookahead: float = live(5.0, "m", 0.2, 30.0, "Distance of the anchors; never beyond the goal.", symbol="l")
+    columns: int = structural(5, 1, 15, "Anchor directions side by side.", label="Anchor columns", symbol="M_h")
+    rows: int = structural(3, 1, 9, "Anchor directions one above the other.", label="Anchor rows", symbol="M_v")
+    spacing: float = live(
+        18.0, "deg", 1.0, 45.0, "Angle between neighbouring anchor directions.", label="Anchor spacing"
+    )
+    lookahead: float = live(
+        5.0, "m", 0.2, 30.0, "Distance of the anchors from the drone, at most the distance of the goal.",
+        label="Look-ahead distance", symbol="l",
+    )  # fmt: skip
     lookahead_rest: float = live(
         2.5, "m", 0.1, 30.0,
-        "Distance at rest, growing by 0.6 T v with the speed v up to the look-ahead: from rest a full-length guide "
-        "asks for an acceleration that saturates the thrust. At or above the look-ahead this is off, as in the paper.",
+        "Look-ahead distance at rest. It grows by 0.6 T v with the speed v, up to the look-ahead distance: from rest, "
+        "a guide of full length asks for an acceleration that saturates the thrust. A value of at least the look-ahead "
+        "distance disables this, as in the paper.",
+        label="Look-ahead distance at rest",
     )  # fmt: skip
     slow_spread: float = live(
-        1.5, "", 1.0, 5.0, "Factor on the spacing below slow_speed, to find a way round; 1 as in the paper."
+        1.5, "", 1.0, 5.0, "Factor on the spacing at speeds below slow_speed, to find a way around an obstacle; 1 as "
+        "in the paper.",
+        label="Spread factor at low speed",
+    )  # fmt: skip
+    slow_speed: float = live(
+        3.0, "m/s", 0.0, 20.0, "Speed below which slow_spread applies.", label="Low-speed threshold"
     )
-    slow_speed: float = live(3.0, "m/s", 0.0, 20.0, "Speed below which slow_spread applies.")
-    refine: bool = switch(True, "Move each anchor to the safe direction of its coarse cell.")
-    arrival_speed: float = live(0.0, "m/s", 0.0, 20.0, "Speed at the end of a guide, along its anchor.", symbol="v_1")
+    refine: bool = switch(True, "Move each anchor to the safe direction of its coarse cell.", label="Refine anchors")
+    arrival_speed: float = live(
+        0.0, "m/s", 0.0, 20.0, "Speed at the end of each guide, in the direction of its anchor.",
+        label="Guide end speed", symbol="v_1",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CandidateConfig(ParameterSection, section="candidates"):
-    """Instances beside the anchors."""
+    """Candidates in addition to the anchors, and the selection among all."""
 
     previous: bool = switch(
-        True, "Add the previous best plan, shifted in time and free of the tracking cost: it keeps a way once found.",
-        live=False,
+        True, "Add the previous best plan as a candidate, shifted in time and without the tracking cost, so that the "
+        "drone stays on a path once found.",
+        live=False, label="Previous plan",
     )  # fmt: skip
-    brake: bool = switch(True, "Add a guide that brakes, for when all others cross an obstacle.", live=False)
+    brake: bool = switch(
+        True, "Add a braking candidate, for when every other candidate crosses an obstacle.",
+        live=False, label="Braking candidate",
+    )  # fmt: skip
     safe_clearance: float = live(
-        0.27, "m", 0.0, 5.0, "A candidate that comes nearer than this is not safe: the drone's radius, and a margin."
+        0.27, "m", 0.0, 5.0, "Clearance below which a candidate is unsafe: the radius of the drone plus a margin."
     )
     between_steps: bool = switch(
-        True, "Judge what is safe half way between two steps, too: at 7 m/s they lie 0.35 m apart."
-    )
+        True, "Also check the clearance halfway between two time steps, which are 0.35 m apart at 7 m/s.",
+        label="Check between time steps",
+    )  # fmt: skip
     prefer_safe: bool = switch(
-        True, "Let a safe candidate win over any other, and brake when none is safe. Off as in the paper: the least S2 "
-        "wins, and the drone brakes when that one is not safe.",
+        True, "Select the cheapest safe candidate, and brake if no candidate is safe. Off as in the paper: the "
+        "candidate with the lowest S2 is selected, and the drone brakes if it is unsafe.",
+        label="Prefer safe candidates",
     )  # fmt: skip
     brake_reach: float = live(
-        0.35, "", 0.1, 1.0, "End of the braking guide, as a fraction of v T; the smaller, the harder it brakes."
-    )
+        0.35, "", 0.1, 1.0, "Length of the braking guide as a fraction of v T; smaller values brake harder.",
+        label="Braking distance factor",
+    )  # fmt: skip
     brake_fan: float = live(
-        20.0, "deg", 0.0, 45.0, "Angle between five ways to brake, of which the one that stays farthest from "
-        "obstacles is flown: straight ahead may be what the drone was avoiding. 0 brakes straight ahead only.",
+        20.0, "deg", 0.0, 45.0, "Angle between the five braking candidates, of which the one with the largest "
+        "clearance is flown: there may be an obstacle straight ahead. 0 brakes straight ahead only.",
+        label="Braking fan angle",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class SamplingConfig(ParameterSection, section="sampling"):
-    """MPPI: samples, horizon, noise, weights."""
+    """MPPI: rollouts, horizon, noise and weights."""
 
-    samples: int = structural(128, 1, 4096, "Rollouts of each instance.", symbol="K")
-    steps: int = structural(25, 2, 200, "Steps of the horizon.", symbol="N")
-    dt: float = live(0.05, "s", 0.005, 0.5, "Length of a step.", symbol="dt")
-    temperature: float = live(0.1, "", 1e-3, 1e3, "Softness of the weights.", scale="log", symbol="lambda")
-    variance_thrust: float = live(1.0, "N^2", 0.0, 100.0, "Noise variance of the thrust.", symbol="Sigma_F")
+    samples: int = structural(128, 1, 4096, "Rollouts per instance.", symbol="K", group="Horizon")
+    steps: int = structural(
+        25, 2, 200, "Time steps of the horizon.", label="Horizon steps", symbol="N", group="Horizon"
+    )
+    dt: float = live(0.05, "s", 0.005, 0.5, "Length of a time step.", label="Time step", symbol="dt", group="Horizon")
+    temperature: float = live(
+        0.1, "", 1e-3, 1e3, "Temperature of the weights: higher values average over more samples.",
+        scale="log", symbol="lambda", group="Noise and weights",
+    )  # fmt: skip
+    variance_thrust: float = live(
+        1.0, "N^2", 0.0, 100.0, "Variance of the noise on the thrust.",
+        label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights",
+    )  # fmt: skip
     variance_rate_xy: float = live(
-        1.0, "rad^2/s^2", 0.0, 100.0, "Noise variance of roll and pitch rate.", symbol="Sigma_xy"
-    )
-    variance_rate_z: float = live(0.5, "rad^2/s^2", 0.0, 100.0, "Noise variance of the yaw rate.", symbol="Sigma_z")
+        1.0, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the roll and pitch rates.",
+        label="Roll and pitch rate noise variance", symbol="Sigma_xy", group="Noise and weights",
+    )  # fmt: skip
+    variance_rate_z: float = live(
+        0.5, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the yaw rate.",
+        label="Yaw rate noise variance", symbol="Sigma_z", group="Noise and weights",
+    )  # fmt: skip
     correlation: float = live(
-        0.8, "", 0.0, 0.99, "Correlation of the noise from step to step, AR(1): smooth detours; 0 as in the paper."
-    )
-    keep_nominal: bool = switch(True, "Let the first sample be the nominal itself, noise-free; off as in the paper.")
-    fresh_noise: bool = switch(True, "Draw new noise at every plan; otherwise every plan draws the same.")
+        0.8, "", 0.0, 0.99, "Correlation of the noise between consecutive time steps, AR(1), which yields smooth "
+        "detours; 0 as in the paper.",
+        label="Noise correlation", group="Noise and weights",
+    )  # fmt: skip
+    keep_nominal: bool = switch(
+        True, "Use the nominal controls without noise as the first sample; off as in the paper.",
+        label="Noise-free first sample", group="Noise and weights",
+    )  # fmt: skip
+    fresh_noise: bool = switch(
+        True, "Draw new noise for every plan. Off, every plan uses the same noise.",
+        label="New noise for every plan", group="Noise and weights",
+    )  # fmt: skip
     nominal: str = choice(
-        "guide", ("guide", "hover"), "Nominal controls: the guide's by differential flatness, or hovering."
-    )
-    replan_period: float = live(0.02, "s", 0.001, 1.0, "Time between two plans when the states carry no time.")
+        "guide", ("guide", "hover"), "Initial nominal controls: from the guide, by differential flatness, or hover.",
+        label="Nominal controls", group="Planning",
+    )  # fmt: skip
+    replan_period: float = live(
+        0.02, "s", 0.001, 1.0, "Time between two plans, used if the vehicle states carry no time.",
+        label="Replanning period", group="Planning",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CostConfig(ParameterSection, section="costs"):
     """Weights of the costs. Stage I: S1 = J_track + J_vnorm + J_ctrl + S2. Stage II: S2 = J_goal + J_col."""
 
-    q_position: float = live(3.0, "1/m", 0.0, 1e3, "Distance to the goal.", symbol="Q_p")
-    q_velocity: float = live(0.25, "s/m", 0.0, 1e3, "Difference to the goal's velocity.", symbol="Q_v")
-    q_attitude: float = live(1.0, "", 0.0, 1e3, "Difference to the goal's attitude.", symbol="Q_q")
-    q_vnorm: float = live(0.15, "s^2/m^2", 0.0, 1e3, "Squared speed.", symbol="Q_vnorm")
-    q_track: float = live(5.0, "1/m", 0.0, 1e3, "Distance to the guide; 15 in the paper.", symbol="Q_track")
-    q_control: float = live(0.5, "", 0.0, 1e3, "Squared controls.", symbol="Q_c")
-    q_control_rate: float = live(0.5, "", 0.0, 1e3, "Squared change of the controls.", symbol="Q_cd")
-    q_speed: float = live(10.0, "s^2/m^2", 0.0, 1e5, "Squared excess over the speed limit; 0 as in the paper.")
+    q_position: float = live(
+        3.0, "1/m", 0.0, 1e3, "Weight of the distance to the goal.",
+        label="Goal position weight", symbol="Q_p", group="Goal",
+    )  # fmt: skip
+    q_velocity: float = live(
+        0.25, "s/m", 0.0, 1e3, "Weight of the difference to the goal velocity.",
+        label="Goal velocity weight", symbol="Q_v", group="Goal",
+    )  # fmt: skip
+    q_attitude: float = live(
+        1.0, "", 0.0, 1e3, "Weight of the difference to the goal attitude.",
+        label="Goal attitude weight", symbol="Q_q", group="Goal",
+    )  # fmt: skip
+    q_vnorm: float = live(
+        0.15, "s^2/m^2", 0.0, 1e3, "Weight of the squared speed.",
+        label="Speed weight", symbol="Q_vnorm", group="Tracking and effort",
+    )  # fmt: skip
+    q_track: float = live(
+        5.0, "1/m", 0.0, 1e3, "Weight of the distance to the guide; 15 in the paper.",
+        label="Guide tracking weight", symbol="Q_track", group="Tracking and effort",
+    )  # fmt: skip
+    q_control: float = live(
+        0.5, "", 0.0, 1e3, "Weight of the squared controls.",
+        label="Control effort weight", symbol="Q_c", group="Tracking and effort",
+    )  # fmt: skip
+    q_control_rate: float = live(
+        0.5, "", 0.0, 1e3, "Weight of the squared change of the controls between time steps.",
+        label="Control change weight", symbol="Q_cd", group="Tracking and effort",
+    )  # fmt: skip
+    q_speed: float = live(
+        10.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the speed limit; 0 as in the paper.",
+        label="Speed limit weight", group="Tracking and effort",
+    )  # fmt: skip
     distance_min: float = live(
-        0.28, "m", 0.0, 5.0, "Clearance below which the full penalty applies; 0.4 in the paper.", symbol="d_min"
-    )
+        0.28, "m", 0.0, 5.0, "Clearance below which the full penalty applies; 0.4 in the paper.",
+        label="Full-penalty clearance", symbol="d_min", group="Obstacles",
+    )  # fmt: skip
     distance_max: float = live(
-        0.55, "m", 0.05, 5.0, "Clearance above which nothing is paid; 1.0 in the paper.", symbol="d_max"
-    )
-    penalty: float = live(1e5, "", 0.0, 1e9, "Penalty of a step below d_min; 1e6 in the paper.", symbol="C")
+        0.55, "m", 0.05, 5.0, "Clearance above which there is no penalty; 1.0 in the paper.",
+        label="Penalty-free clearance", symbol="d_max", group="Obstacles",
+    )  # fmt: skip
+    penalty: float = live(
+        1e5, "", 0.0, 1e9, "Penalty of a time step with a clearance below d_min; 1e6 in the paper.",
+        label="Collision penalty", symbol="C", group="Obstacles",
+    )  # fmt: skip
     shape: str = choice(
         "quadratic", ("quadratic", "exponential"),
-        "Between d_min and d_max: soft_weight s^2 with s = (d_max - d) / (d_max - d_min), and C (2 - d / d_min) below; "
-        "or the paper's C exp(-a (d - d_min)), and C below, whose step at d_max makes a wall of every gap narrower "
-        "than 2 d_max.",
+        "Quadratic: soft_weight s^2 with s = (d_max - d) / (d_max - d_min) above d_min, and C (2 - d / d_min) below. "
+        "Exponential, as in the paper: C exp(-a (d - d_min)) and C; its step at d_max turns every gap narrower than "
+        "2 d_max into a wall.",
+        label="Penalty shape", group="Obstacles",
     )  # fmt: skip
-    decay: float = live(5.0, "1/m", 0.0, 100.0, "Decay of the exponential penalty.", symbol="a")
-    soft_weight: float = live(100.0, "", 0.0, 1e6, "Weight of the quadratic penalty at soft_speed and above.")
+    decay: float = live(
+        5.0, "1/m", 0.0, 100.0, "Decay rate of the exponential penalty.",
+        label="Penalty decay rate", symbol="a", group="Obstacles",
+    )  # fmt: skip
+    soft_weight: float = live(
+        100.0, "", 0.0, 1e6, "Weight of the quadratic penalty for speed limits of at least soft_speed.",
+        label="Quadratic penalty weight", group="Obstacles",
+    )  # fmt: skip
     soft_speed: float = live(
         7.0, "m/s", 0.1, 50.0,
-        "Speed limit below which soft_weight shrinks in proportion: a slower drone spends more steps in the same gap, "
-        "and would pay more for the passage than it is worth.",
+        "Speed limit below which soft_weight is scaled down in proportion: a slower drone spends more time steps in "
+        "the same gap and would otherwise pay more for the passage than it is worth.",
+        label="Full-weight speed limit", group="Obstacles",
     )  # fmt: skip
     q_blocked: float = live(
-        300.0, "1/m", 0.0, 1e6, "Cost-to-go: blocked metres on the way from the last state to the goal; 0 in the paper."
-    )
+        300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the path from the final state to the "
+        "goal; 0 in the paper.",
+        label="Blocked path weight", group="Cost-to-go",
+    )  # fmt: skip
     way_ahead: float = live(
         3.0, "m", 0.0, 30.0,
-        "That way keeps the anchor's direction until this far from the drone before it turns to the goal: guides that "
-        "end nearer, as slow ones do, see no way round an obstacle by themselves. 0 turns at once.",
+        "Distance from the drone up to which that path follows the direction of the anchor, before it turns to the "
+        "goal. Guides that end sooner, such as slow ones, do not lead around an obstacle by themselves. 0 turns to the "
+        "goal immediately.",
+        label="Waypoint distance", group="Cost-to-go",
     )  # fmt: skip
-    blocked_range: float = live(5.0, "m", 0.5, 20.0, "Length of the way that is looked at.")
-    blocked_radius: float = live(0.35, "m", 0.0, 5.0, "Clearance below which the way is blocked.")
+    blocked_range: float = live(
+        5.0, "m", 0.5, 20.0, "Length of the path that is checked for obstacles.",
+        label="Cost-to-go range", group="Cost-to-go",
+    )  # fmt: skip
+    blocked_radius: float = live(
+        0.35, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
+        label="Cost-to-go clearance", group="Cost-to-go",
+    )  # fmt: skip
     floor: float = live(
         -1000.0, "m", -1000.0, 1000.0, "World height that counts as an obstacle from there down: the ground, for a "
         "sensor that does not see what is below it. At -1000 this is off.",
     )  # fmt: skip
 
 
+RENAMED: dict[str, str] = {}
+"""New path of each renamed parameter by its old path, which files and flags accept for one release."""
+
+REMOVED: dict[str, str] = {}
+"""Reason for each removed parameter by its path, which files and flags ignore for one release."""
+
+
 @dataclass(frozen=True)
 class PlannerConfig(SectionedConfig):
-    """All parameters. The default is the best configuration known; `preset("paper")` is the literal paper.
+    """All parameters of the planner.
+
+    The default is the best configuration known; `preset("paper")` is the literal paper.
 
     Raises:
-        ValueError: a parameter is outside its bounds or contradicts another one; names field, value and range.
+        ValueError: a parameter is out of bounds or contradicts another one; names parameter, value and range.
     """
+
+    renamed: ClassVar[Mapping[str, str]] = RENAMED
+    removed: ClassVar[Mapping[str, str]] = REMOVED
 
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     partition: PartitionConfig = field(default_factory=PartitionConfig)
@@ -205,34 +323,37 @@ class PlannerConfig(SectionedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for stem in ("vehicle.thrust", "costs.distance", "partition.range"):
-            low, high = self.get(f"{stem}_min"), self.get(f"{stem}_max")
-            if low >= high:  # type: ignore[operator]
-                raise ValueError(f"{stem}_min is {low}; it must be less than {stem}_max, which is {high}.")
+        for path, low, high in (
+            ("vehicle.thrust", self.vehicle.thrust_min, self.vehicle.thrust_max),
+            ("costs.distance", self.costs.distance_min, self.costs.distance_max),
+            ("partition.range", self.partition.range_min, self.partition.range_max),
+        ):
+            if low >= high:
+                raise ValueError(f"{path}_min is {low}; it must be less than {path}_max, which is {high}.")
 
     @property
     def anchor_count(self) -> int:
-        """M_h M_v."""
+        """Number of anchors, M_h M_v."""
         return self.anchors.columns * self.anchors.rows
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kind of each instance, length M: the anchors, then the other candidates."""
-        others = ("previous",) * self.candidates.previous + ("brake",) * self.candidates.brake
-        return ("anchor",) * self.anchor_count + others
+        """Kind of each instance, length M: first the anchors, then the additional candidates."""
+        additional = ("previous",) * self.candidates.previous + ("brake",) * self.candidates.brake
+        return ("anchor",) * self.anchor_count + additional
 
     @property
     def horizon(self) -> float:
-        """T = N dt [s]."""
+        """Length of the horizon, T = N dt [s]."""
         return self.sampling.steps * self.sampling.dt
 
     def structure(self) -> tuple[Value, ...]:
-        """Return the structural values: two configurations with the same structure share buffers and kernels."""
+        """Return the values of the structural parameters; configurations with equal structure can share buffers."""
         return tuple(self.get(info.path) for info in parameters() if not info.live)
 
     @classmethod
     def presets(cls) -> dict[str, str]:
-        """Return the names of all presets, each with one sentence."""
+        """Return the description of each preset by name."""
         return {name: help for name, (help, _) in _PRESETS.items()}
 
     @classmethod
@@ -240,7 +361,7 @@ class PlannerConfig(SectionedConfig):
         """Return a preset by name.
 
         Raises:
-            ValueError: no such preset; the message lists them.
+            ValueError: there is no such preset; the message lists the presets.
         """
         if name not in _PRESETS:
             raise ValueError(f"unknown preset {name!r}{did_you_mean(name, _PRESETS)}; known: {', '.join(_PRESETS)}.")

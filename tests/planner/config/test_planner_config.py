@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -29,6 +30,20 @@ def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterIn
     if info.scale == "log":
         assert info.low > 0
     assert PlannerConfig().get(info.path) == info.default
+
+
+def test_labels_tell_the_parameters_of_a_section_apart():
+    names = [(info.section, info.label) for info in parameters()]
+    assert len(names) == len(set(names))
+    assert all(info.label[0].isupper() and not info.label.endswith(".") and info.group for info in parameters())
+    assert find_parameter("costs.q_position").title == "Goal position weight Q_p [1/m]"
+    assert find_parameter("sampling.samples").title == "Samples K"
+
+
+def test_groups_are_contiguous():
+    groups = [(info.section, info.group) for info in parameters() if info.live]
+    changes = sum(before != after for before, after in itertools.pairwise(groups))
+    assert changes + 1 == len(set(groups))
 
 
 def test_physical_parameters_have_a_unit():
