@@ -31,12 +31,12 @@ def load_world(spec: str, *, seed: int = 0, count: int | None = None):
     Raises:
         UserError: there is no such scene or file, or the file is malformed.
     """
-    from aero_viz.scenes import World, scene
+    from aero_viz.scenes import World, load_map, scene
 
     if is_map(spec) or spec.endswith(".json") or "/" in spec:
         if count is not None:
             raise UserError(f"--count belongs to a scene's generator, and {spec} is a file; leave it out.")
-        return World.from_map(spec) if is_map(spec) else World.load(spec)
+        return load_map(spec) if is_map(spec) else World.load(spec)
     return scene(spec, seed=seed, count=count)
 
 

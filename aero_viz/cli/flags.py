@@ -16,7 +16,7 @@ from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.vehicle import PLANNED
-from aero_viz.scenes import SCENES, World
+from aero_viz.scenes import SCENES, World, load_map
 from aero_viz.sensors import LidarModel, lidar_model
 from aero_viz.session.ground import preset_above
 
@@ -215,7 +215,7 @@ class WorldFlags:
         """
         if is_map(spec) and self.count is None:
             voxel = {} if self.voxel is None else {"voxel": self.voxel}
-            return World.from_map(spec, start=self.start, goal=self.goal, **voxel)
+            return load_map(spec, start=self.start, goal=self.goal, **voxel)
         if self.voxel is not None and not is_map(spec):
             raise UserError(f"--voxel applies to point-cloud maps only, and {spec} is not one; leave it out.")
         world = load_world(spec, seed=seed, count=self.count)

@@ -7,7 +7,6 @@ from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.interrupt import FlightInterrupted
 from aero_viz.flight.memory import memory_per_flight
 from aero_viz.flight.metrics import FlightResult
-from aero_viz.flight.progress import ProgressBar
 from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.source import FlightSource
 from aero_viz.flight.vehicle import VehicleModel
@@ -18,7 +17,6 @@ __all__ = [
     "FlightResult",
     "FlightRules",
     "FlightSource",
-    "ProgressBar",
     "Simulator",
     "StateNoise",
     "VehicleModel",

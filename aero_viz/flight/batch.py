@@ -16,7 +16,7 @@ from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import explain, refuse_impossible
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
 from aero_viz.flight.metrics import FlightResult, flight_results
-from aero_viz.flight.progress import share_of_way
+from aero_viz.flight.progress import distance_share
 from aero_viz.flight.simulator import FlightRules, Record, Simulator
 from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.flight.vehicle import VehicleModel
@@ -305,7 +305,7 @@ def fly(
 
     def tell_way(finished: int, total: int, simulated: float) -> None:
         if progress is not None:
-            progress(share_of_way(world, simulator.vehicle.position.numpy()[0]), simulated)
+            progress(distance_share(world, simulator.vehicle.position.numpy()[0]), simulated)
 
     with trajectory_file(trajectory) as write_row:
 

@@ -14,7 +14,8 @@ from aero_planner.config.parameter import ParameterSection, live, structural
 from aero_planner.warp_init import quieten
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
-from aero_viz.scenes.geometry import DeviceWorlds, Geometry, world_distance
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.scenes.geometry import Geometry, world_distance
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import Lidar, LidarModel
 

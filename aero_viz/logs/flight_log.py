@@ -25,7 +25,7 @@ from aero_viz.flight import FlightInterrupted, FlightResult, FlightRules, Flight
 from aero_viz.flight.batch import Way
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import deferred_interrupt
-from aero_viz.flight.progress import share_of_way
+from aero_viz.flight.progress import distance_share
 from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.logs.messages import body_rates, encode_goal, encode_plan, encode_sweep
 from aero_viz.scenes import World
@@ -290,7 +290,7 @@ def fly_and_log(
                 flight_log.write(frame)
                 plan_ms.append(frame.timings_ms["plan"])
                 if progress is not None:
-                    progress(share_of_way(world, drone.position.numpy()[0]), frame.time)
+                    progress(distance_share(world, drone.position.numpy()[0]), frame.time)
                 over = source.outcome is not None or pressed()
             result = source.result()
     except OSError as error:

@@ -14,7 +14,7 @@ from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
 from aero_viz.flight.vehicle import Vehicle
 from aero_viz.rig.faults import Channel
 from aero_viz.scenes import World
-from aero_viz.scenes.geometry import DeviceWorlds
+from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.lidar import Lidar, LidarModel
 
 __all__ = ["PACKET_POINTS", "SimulatedMid360"]

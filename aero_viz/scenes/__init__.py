@@ -1,9 +1,10 @@
-"""Worlds: primitives, JSON, seeded generators, maps of points, meshes for drawing."""
+"""Worlds: primitives and triangles, JSON files, seeded generators, maps from files, meshes for drawing."""
 
 from __future__ import annotations
 
 from aero_viz.scenes.generators import SCENES, SceneKind, density, forest, inclines, scene, verticals
-from aero_viz.scenes.mesh import Mesh
+from aero_viz.scenes.maps import load_map
+from aero_viz.scenes.mesh import Mesh, world_meshes
 from aero_viz.scenes.rooms import double_wall_trap, pillars, random_clutter, wall
 from aero_viz.scenes.world import World
 
@@ -16,9 +17,11 @@ __all__ = [
     "double_wall_trap",
     "forest",
     "inclines",
+    "load_map",
     "pillars",
     "random_clutter",
     "scene",
     "verticals",
     "wall",
+    "world_meshes",
 ]

@@ -1,17 +1,16 @@
-"""Worlds as triangle meshes, for drawing only: distances and rays use the exact primitives."""
+"""Worlds as triangle meshes for drawing. Distances and rays use the exact primitives instead."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from aero_viz.scenes.world import World
+from aero_viz.scenes.world import World
 
-__all__ = ["Mesh", "to_meshes"]
+__all__ = ["Mesh", "world_meshes"]
 
 _SIDES = 8
 _RINGS = 4
@@ -19,14 +18,17 @@ _RINGS = 4
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles: vertices [m], float32 [v, 3], world frame; faces, int32 [f, 3], outward counter-clockwise."""
+    """Vertices [m], float32 [v, 3], world frame, and faces, int32 [f, 3], counter-clockwise seen from outside."""
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
 
 
-def to_meshes(world: World) -> dict[str, Mesh]:
-    """Return one merged mesh each of "cylinders", "boxes", "ground", "spheres" and "triangles", where present."""
+def world_meshes(world: World) -> dict[str, Mesh]:
+    """Return one merged mesh per kind of obstacle.
+
+    Keys are "cylinders", "boxes" (without the ground), "ground", "spheres" and "triangles"; absent kinds are left out.
+    """
     ground = world.ground
     parts = {
         "cylinders": _instances(_unit_cylinder(), *_cylinder_frames(world.cylinders)),
@@ -39,7 +41,7 @@ def to_meshes(world: World) -> dict[str, Mesh]:
 
 
 def _instances(shape: Mesh, linear: NDArray[np.float64], offset: NDArray[np.float64]) -> Mesh:
-    """Merge copies of `shape` under x -> linear x + offset; [n, 3, 3] and [n, 3]."""
+    """Merge n copies of `shape`, transformed by x -> linear x + offset, with linear [n, 3, 3] and offset [n, 3]."""
     vertices = np.einsum("nij,vj->nvi", linear, shape.vertices) + offset[:, None, :]
     first = np.arange(len(offset)) * len(shape.vertices)
     faces = shape.faces[None] + first[:, None, None]
@@ -78,7 +80,7 @@ def _unit_box() -> Mesh:
 
 
 def _surface_of_revolution(profile: list[tuple[float, float]]) -> Mesh:
-    """Sweep (radius, z) pairs, from the bottom up, around z; the first and last pair are poles of radius 0."""
+    """Revolve (radius, z) pairs, from the bottom up, around z; the first and the last pair are poles of radius 0."""
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     rings = [[(r * np.cos(a), r * np.sin(a), z) for a in angle] for r, z in profile[1:-1]]
     poles = [(0.0, 0.0, profile[0][1]), (0.0, 0.0, profile[-1][1])]
@@ -95,7 +97,7 @@ def _surface_of_revolution(profile: list[tuple[float, float]]) -> Mesh:
 
 
 def _unit_cylinder() -> Mesh:
-    # The rims appear twice so that shading by vertex normals keeps the edge.
+    # The rims appear twice, so that shading by vertex normals keeps the edge sharp.
     return _surface_of_revolution([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (1.0, 1.0), (1.0, 1.0), (0.0, 1.0)])
 
 

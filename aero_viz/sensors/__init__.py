@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from aero_viz.scenes.geometry import DeviceWorlds
+from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.coverage import coverage
 from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, full_sphere, lidar_model, livox_mid360, spinning64
 from aero_viz.sensors.raycast import cast

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from aero_planner.config.parameter import ParameterSection, choice, live, structural
 from aero_viz.errors import UserError
-from aero_viz.scenes.geometry import DeviceWorlds, Geometry
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.scenes.geometry import Geometry
 from aero_viz.sensors.raycast import ray_range
 
 __all__ = ["LIDARS", "Lidar", "LidarModel", "full_sphere", "lidar_model", "livox_mid360", "spinning64"]

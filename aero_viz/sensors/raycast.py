@@ -11,7 +11,8 @@ import math
 
 import warp as wp
 
-from aero_viz.scenes.geometry import BOX, CYLINDER, FAR, DeviceWorlds, Geometry, Primitive, rotate_z
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.scenes.geometry import BOX, CYLINDER, FAR, Geometry, Primitive, rotate_z
 from aero_viz.scenes.triangles import mesh_range
 
 __all__ = ["cast", "primitive_range", "ray_range"]

@@ -10,7 +10,7 @@ from aero_planner import PlannerConfig
 from aero_viz.evaluation.score import load_trajectory
 from aero_viz.flight import FlightInterrupted, fly
 from aero_viz.flight.interrupt import deferred_interrupt
-from aero_viz.flight.progress import share_of_way
+from aero_viz.flight.progress import distance_share
 from aero_viz.logs import fly_and_log
 from aero_viz.recordings import inspect
 from aero_viz.scenes import scene
@@ -87,4 +87,4 @@ def test_progress_goes_from_start_to_goal(tmp_path) -> None:
         shares, times = np.array(told).T
         assert result.arrived and shares[0] == 0.0 and shares[-1] > 0.7, i
         assert np.all(np.diff(times) > 0.0) and times[-1] == pytest.approx(result.flight_time_s)
-    assert share_of_way(world, world.goal) == 1.0
+    assert distance_share(world, world.goal) == 1.0

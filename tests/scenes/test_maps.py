@@ -6,7 +6,7 @@ import pytest
 from aero_viz.catalog import load_world, open_source
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
-from aero_viz.scenes import World
+from aero_viz.scenes import load_map
 from aero_viz.scenes.passable import is_passable
 
 
@@ -33,7 +33,7 @@ def contains(boxes, points):
 def test_boxes_fill_the_occupied_voxels_and_nothing_else(tmp_path):
     points = np.random.default_rng(0).uniform(0.0, 2.0, (300, 3))
     path = save(tmp_path / "cloud.npy", points)
-    world = World.from_map(path, voxel=0.25, start=[0, 0, 5], goal=[5, 0, 5])
+    world = load_map(path, voxel=0.25, start=[0, 0, 5], goal=[5, 0, 5])
     occupied = np.unique(np.floor(points / 0.25), axis=0)
     centres = 0.25 * (np.stack(np.meshgrid(*[np.arange(-1, 10)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + 0.5)
     inside = contains(world.boxes, centres).sum(axis=1)
@@ -45,13 +45,13 @@ def test_boxes_fill_the_occupied_voxels_and_nothing_else(tmp_path):
 def test_a_full_wall_becomes_one_box(tmp_path):
     y, z = np.meshgrid(np.arange(0.05, 3.0, 0.1), np.arange(0.05, 2.0, 0.1))
     path = save(tmp_path / "wall.npy", np.stack([np.full_like(y, 1.05), y, z], axis=-1).reshape(-1, 3))
-    world = World.from_map(path, voxel=0.1, start=[0, 0, 1], goal=[5, 0, 1])
+    world = load_map(path, voxel=0.1, start=[0, 0, 1], goal=[5, 0, 1])
     np.testing.assert_allclose(world.boxes, [[1.05, 1.5, 1.0, 0.1, 3.0, 2.0, 0.0]], atol=1e-9)
     assert world.name == "wall"
 
 
 def test_default_start_and_goal(hall):
-    world = World.from_map(hall)
+    world = load_map(hall)
     # 2 m over the floor at z = -1.5; near the origin, and as far as 45 m allow, through the gate.
     assert world.start[2] == pytest.approx(0.5, abs=0.3) and world.goal[2] == pytest.approx(0.5, abs=0.3)
     assert np.linalg.norm(world.start[:2]) < 2.0
@@ -68,21 +68,21 @@ def test_default_goal_is_reachable_when_the_wall_is_closed(hall, tmp_path):
     y, z = np.meshgrid(np.arange(-10.0, 10.0, 0.1), np.arange(6.0, 8.0, 0.1), indexing="ij")
     top = np.stack([np.full_like(y, 20.05), y, z], axis=-1).reshape(-1, 3)
     roof = np.array([[x, y, 8.0] for x in np.arange(-10.0, 50.0, 0.2) for y in np.arange(-10.0, 10.0, 0.2)])
-    world = World.from_map(save(tmp_path / "closed.npy", np.vstack([points, gate, top, roof])))
+    world = load_map(save(tmp_path / "closed.npy", np.vstack([points, gate, top, roof])))
     assert world.goal[0] < 20.0
 
 
 def test_given_start_and_goal_are_kept(hall):
-    world = World.from_map(hall, start=[1.0, 2.0, 1.0], goal=[9.0, 3.0, 1.0])
+    world = load_map(hall, start=[1.0, 2.0, 1.0], goal=[9.0, 3.0, 1.0])
     np.testing.assert_array_equal([world.start, world.goal], [[1, 2, 1], [9, 3, 1]])
-    only_goal = World.from_map(hall, goal=[-5.0, 0.0, 1.0])
+    only_goal = load_map(hall, goal=[-5.0, 0.0, 1.0])
     np.testing.assert_array_equal(only_goal.goal, [-5.0, 0.0, 1.0])
     assert 40.0 < np.linalg.norm(only_goal.start - only_goal.goal) < 50.0
 
 
 def test_geographic_coordinates_move_to_the_origin(hall, tmp_path):
     far = save(tmp_path / "far.npy", np.add(np.load(hall), [500_000.0, 4_000_000.0, 300.0]))
-    world = World.from_map(far, start=[500_000.0, 4_000_000.0, 300.5], goal=[500_009.0, 4_000_000.0, 300.5])
+    world = load_map(far, start=[500_000.0, 4_000_000.0, 300.5], goal=[500_009.0, 4_000_000.0, 300.5])
     np.testing.assert_allclose(world.start, [10.0, 10.0, 2.5], atol=1.0)
     np.testing.assert_allclose(world.goal - world.start, [9.0, 0.0, 0.0], atol=1e-6)
     assert np.abs(world.boxes[:, :3]).max() < 100.0
@@ -94,13 +94,13 @@ def test_geographic_coordinates_move_to_the_origin(hall, tmp_path):
 )
 def test_impossible_arguments_are_refused(hall, options, expected):
     with pytest.raises(UserError, match=expected):
-        World.from_map(hall, **options)
+        load_map(hall, **options)
 
 
 def test_no_free_place(tmp_path):
     grid = np.stack(np.meshgrid(*[np.arange(0.0, 4.0, 0.2)] * 3), axis=-1).reshape(-1, 3)
     with pytest.raises(UserError, match="give start and goal"):
-        World.from_map(save(tmp_path / "solid.npy", grid), voxel=0.4)
+        load_map(save(tmp_path / "solid.npy", grid), voxel=0.4)
 
 
 def test_a_real_map_becomes_a_world(shared_datasets):

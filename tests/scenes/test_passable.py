@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from aero_viz.scenes import World, forest, inclines, verticals
-from aero_viz.scenes.passable import ClearanceGrid, is_passable, widest_radius
+from aero_viz.scenes.clearance_grid import ClearanceGrid
+from aero_viz.scenes.passable import is_passable, widest_radius
 
 START, GOAL = np.array([0.0, 0.0, 2.0]), np.array([10.0, 0.0, 2.0])
 REGION = [[-1.0, -4.0], [11.0, 4.0]]
@@ -78,7 +79,7 @@ def test_distances_of_the_grid_are_exact_up_to_the_reach():
         boxes=np.array([[5.0, 2.0, 1.0, 1.0, 2.0, 3.0, 0.7], [5.0, 0.0, -0.5, 60.0, 60.0, 1.0, 0.0]]),
         spheres=np.array([[2.0, -2.0, 2.0, 0.5]]),
     )
-    grid = ClearanceGrid.of(world, cell=0.3, reach=0.8)
+    grid = ClearanceGrid.measure(world, cell=0.3, distance_max=0.8)
     places = grid.corner + 0.3 * np.moveaxis(np.indices(grid.distance.shape), 0, -1)
     expected = np.minimum(world.distance(places), 0.8).reshape(grid.distance.shape)
     np.testing.assert_allclose(grid.distance, expected, atol=1e-5)

@@ -13,7 +13,7 @@ from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.surface import surface_points
 from aero_viz.flight import FlightBatch, FlightRules, fly
-from aero_viz.scenes import World
+from aero_viz.scenes import World, load_map
 from aero_viz.scenes.passable import is_passable, widest_radius
 from aero_viz.sensors import DeviceWorlds, LidarModel, cast
 
@@ -151,20 +151,20 @@ def hall(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".glb", ".off", ".ply"])
 def test_mesh_files(hall, suffix):
-    loaded = World.from_map(hall(suffix), start=[0, 0, 2], goal=[30, 0, 2])
+    loaded = load_map(hall(suffix), start=[0, 0, 2], goal=[30, 0, 2])
     assert (loaded.name, len(loaded.triangles), len(loaded.boxes)) == ("hall", 12 + 1280, 0)
     np.testing.assert_allclose(loaded.distance([[15, 0.5, 6.0], [0, 0, 2.0]]), [2.0, 2.0], atol=0.03)
 
 
 def test_start_and_goal_stand_over_the_floor_of_a_mesh(hall):
-    found = World.from_map(hall(".stl"))
+    found = load_map(hall(".stl"))
     assert found.start[2] == found.goal[2] == 2.0 and np.linalg.norm(found.goal - found.start) > 20.0
     assert found.distance([found.start, found.goal]).min() >= 0.75
 
 
 def test_a_ply_of_points_stays_a_map_of_voxels(tmp_path):
     trimesh.PointCloud(np.random.default_rng(0).uniform(0, 9, (500, 3))).export(tmp_path / "points.ply")
-    found = World.from_map(tmp_path / "points.ply", start=[-5, 0, 2], goal=[15, 0, 2])
+    found = load_map(tmp_path / "points.ply", start=[-5, 0, 2], goal=[15, 0, 2])
     assert len(found.boxes) > 100 and len(found.triangles) == 0
 
 
@@ -181,21 +181,21 @@ def test_a_ply_of_points_stays_a_map_of_voxels(tmp_path):
 def test_damaged_meshes_are_named_in_one_sentence(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(UserError) as caught:
-        World.from_map(tmp_path / name, start=[0, 0, 2], goal=[9, 0, 2])
+        load_map(tmp_path / name, start=[0, 0, 2], goal=[9, 0, 2])
     assert said in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_mesh_has_no_voxels_and_voxels_have_a_size(hall, tmp_path):
     with pytest.raises(UserError, match="no voxels"):
-        World.from_map(hall(".stl"), voxel=0.2)
+        load_map(hall(".stl"), voxel=0.2)
     np.save(tmp_path / "a.npy", np.zeros((3, 3)))
     with pytest.raises(UserError, match=r"edge of 1e-09 m; it must be in \[0.01, 100.0\]"):
-        World.from_map(tmp_path / "a.npy", voxel=1e-9)
+        load_map(tmp_path / "a.npy", voxel=1e-9)
 
 
 def test_a_flight_sees_triangles_and_collides_with_them(hall):
     flown = fly(
-        World.from_map(hall(".stl"), start=[0, 0, 2], goal=[30, 0, 2]), config=PlannerConfig.preset("fast-cpu"), seed=2
+        load_map(hall(".stl"), start=[0, 0, 2], goal=[30, 0, 2]), config=PlannerConfig.preset("fast-cpu"), seed=2
     )
     assert flown.arrived and flown.min_clearance is not None and 0.25 <= flown.min_clearance < 2.0
     wall = [[0.2, -9, -9, 0.2, 9, -9, 0.2, 0, 9]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aero_viz.errors import UserError
-from aero_viz.scenes import World
+from aero_viz.scenes import World, world_meshes
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_ground_is_the_box_under_start_and_goal(world):
 
 
 def test_meshes_lie_on_the_surfaces(world):
-    meshes = world.to_meshes()
+    meshes = world_meshes(world)
     assert set(meshes) == {"cylinders", "boxes", "ground", "spheres"}
     for mesh in meshes.values():
         assert mesh.faces.max() < len(mesh.vertices)
@@ -157,11 +157,11 @@ def test_meshes_lie_on_the_surfaces(world):
 def test_mesh_faces_point_outward(world):
     # The signed volume of a closed mesh with outward faces is positive and near that of the solid, which it
     # approximates from inside: coarsely, since it is for drawing only.
-    box = world.to_meshes()["boxes"]
+    box = world_meshes(world)["boxes"]
     a, b, c = (box.vertices[box.faces[:, i]].astype(float) for i in range(3))
     assert np.sum(np.cross(a, b) * c) / 6.0 == pytest.approx(4.0, rel=1e-5)
     for kind, volume in (("spheres", 4 / 3 * np.pi), ("cylinders", np.pi * (0.09 * 5.0 + 0.25 * 3.0))):
-        mesh = world.to_meshes()[kind]
+        mesh = world_meshes(world)[kind]
         a, b, c = (mesh.vertices[mesh.faces[:, i]].astype(float) for i in range(3))
         assert 0.6 * volume < np.sum(np.cross(a, b) * c) / 6.0 < volume
 

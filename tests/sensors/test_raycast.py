@@ -156,7 +156,7 @@ def voxel_map() -> World:
 
 
 def test_cubes_match_the_float64_reference(monkeypatch):
-    monkeypatch.setattr("aero_viz.scenes.geometry._MANY", 0)
+    monkeypatch.setattr("aero_viz.scenes.device_worlds.COLUMNS_PRIMITIVES_MAX", 0)
     rng = np.random.default_rng(3)
     places = rng.uniform([-6, -6, 0], [6, 6, 5], (250, 3))
     world = make(boxes=np.column_stack([places, rng.uniform(0.1, 0.6, (250, 3)), rng.uniform(-3, 3, 250)]))
@@ -175,7 +175,7 @@ def test_cubes_and_columns_find_the_same_hits(voxel_map, monkeypatch):
     origin = [1.0, 0.5, 2.0]
     assert DeviceWorlds([voxel_map]).geometry.grids.numpy()["layers"][0] > 5
     in_cubes = ranges(voxel_map, origin, directions, range_max=40.0)
-    monkeypatch.setattr("aero_viz.scenes.geometry._MANY", 1_000_000)
+    monkeypatch.setattr("aero_viz.scenes.device_worlds.COLUMNS_PRIMITIVES_MAX", 1_000_000)
     assert DeviceWorlds([voxel_map]).geometry.grids.numpy()["layers"][0] == 1
     np.testing.assert_array_equal(ranges(voxel_map, origin, directions, range_max=40.0), in_cubes)
 

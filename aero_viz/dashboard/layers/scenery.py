@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply, polylines
+from aero_viz.scenes import world_meshes
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
 
@@ -41,7 +42,7 @@ class ObstacleLayer(Layer):
     def enter(self, source: Source) -> list[Change]:
         world = source.scenery.world
         self.available = world is not None
-        meshes = world.to_meshes() if world is not None else {}
+        meshes = world_meshes(world) if world is not None else {}
         changes: list[Change] = []
         for shape, node in self._nodes.items():
             mesh = meshes.get(shape)

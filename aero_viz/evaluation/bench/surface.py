@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.scenes import World
-from aero_viz.scenes.world import primitive_bounds
+from aero_viz.scenes.primitives import primitive_bounds
 
 __all__ = ["FORMATS", "export_world", "surface_points"]
 
