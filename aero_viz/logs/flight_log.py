@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.config.file import format_config
-from aero_planner.onboard.messages import DEFINITIONS, Encoded, pose_messages
+from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightInterrupted, FlightResult, FlightRules, FlightSource, StateNoise, VehicleModel
 from aero_viz.flight.batch import Way

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import VehicleState
-from aero_planner.onboard.messages import Encoded, goal_message, plan_messages, sweep
+from aero_planner.onboard.ros_messages import Encoded, goal_message, plan_messages, sweep
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.session.frame import Frame
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, PlannerConfig, PlanStatus, VehicleState
-from aero_planner.onboard.safety import State
+from aero_planner.onboard.safety_machine import State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP
-from aero_planner.onboard.wire import Kind, Message, MessageReader
+from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Observation, Scenery

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
     from aero_planner.deploy.bundle import Bundle
     from aero_planner.onboard.node import Node
-    from aero_planner.onboard.record import Observer
+    from aero_planner.onboard.observer import Observer
     from aero_planner.onboard.settings import OnboardConfig
 
 __all__ = ["GROUP", "main", "write_bundle"]
@@ -261,8 +261,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> bool:
     """Fly as the options say; return whether every thread of the node has ended."""
-    from aero_planner.onboard.assemble import open_lidar, open_link
-    from aero_planner.onboard.guard import Guard
+    from aero_planner.onboard.connections import open_lidar, open_link
+    from aero_planner.onboard.failsafe_process import FailsafeProcess
     from aero_planner.onboard.node import Node
     from aero_planner.onboard.settings import above_fence
     from aero_planner.planner import Planner
@@ -278,7 +278,7 @@ def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> bool:
         link = _opened(opened, lambda: open_link(onboard, planner_config.vehicle))
         lidar = _opened(opened, lambda: open_lidar(onboard))
         observers = _observers(options, planner_config, onboard, opened)
-        guard = _opened(opened, lambda: Guard(onboard, planner_config.vehicle, lambda: link.partner))
+        guard = _opened(opened, lambda: FailsafeProcess(onboard, planner_config.vehicle, lambda: link.partner))
         with _plannable(options.device):
             node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers, guard=guard)
             took = node.warm_up()

@@ -52,8 +52,8 @@ import sys
 import numpy as np
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.onboard.flight_log import FlightLog
-from aero_planner.onboard.lidar import PointPacket
-from aero_planner.onboard.link import VehicleSample
+from aero_planner.onboard.point_source import PointPacket
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
 import time
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_planner.onboard.guard import takeover_time
+from aero_planner.onboard.failsafe_process import takeover_time
 from aero_planner.onboard.livox import CARTESIAN_CM
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig import Fault, RigResult, fly_rig

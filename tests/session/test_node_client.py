@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.onboard.record import PlanRecord
-from aero_planner.onboard.safety import Cause, Change, State
+from aero_planner.onboard.observer import PlanRecord
+from aero_planner.onboard.safety_machine import Cause, Change, State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
-from aero_planner.onboard.wire import Kind, encode
+from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels.goal import GoalPanel
@@ -238,7 +238,7 @@ _LOST_LINK = """
 import socket, subprocess, threading
 from aero_planner import PlannerConfig
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.wire import Kind, encode
+from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_viz.session.node_client import NodeClient
 from aero_viz.errors import UserError
 

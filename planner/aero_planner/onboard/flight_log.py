@@ -17,14 +17,14 @@ import numpy as np
 
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config
-from aero_planner.onboard import messages
-from aero_planner.onboard.lidar import PointPacket
-from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.mailbox import Mailbox
-from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import Change
+from aero_planner.mailbox import Mailbox
+from aero_planner.onboard import ros_messages as messages
+from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.point_source import PointPacket
+from aero_planner.onboard.safety_machine import Change
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.settings_file import format_onboard
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import quaternion_from_angles, rotate
 
 __all__ = ["FlightLog"]

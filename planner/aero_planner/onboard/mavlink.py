@@ -3,7 +3,7 @@
 The state comes from ODOMETRY or, while there is none that can be used, from LOCAL_POSITION_NED with
 ATTITUDE_QUATERNION; a goal from SET_POSITION_TARGET_LOCAL_NED addressed to this component. The estimate has jumped when
 ODOMETRY's reset counter changes, when LOCAL_POSITION_NED, which has none, moves as no flight does
-(`aero_planner.onboard.jumps`), and when the state comes from the other message.
+(`aero_planner.onboard.estimator_reset`), and when the state comes from the other message.
 
 Commands are SET_ATTITUDE_TARGET with body rates, forward-right-down, and normalised thrust. Besides them only a
 heartbeat per second and requests for ODOMETRY are sent: nothing here can arm, or switch a mode.
@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.clock import HostClock
+from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
 from aero_planner.onboard.frames import attitude_from_ned, frd_from_flu, world_from_ned
-from aero_planner.onboard.jumps import Fix, jumped
-from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.port import Port, open_port
+from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.thrust import signal_from_force
+from aero_planner.onboard.transport import Transport, open_transport
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
@@ -57,7 +57,7 @@ def load_dialect() -> Any:
 
 
 class MavlinkSender:
-    """Packs commands and other messages and sends them; implements `aero_planner.onboard.link.CommandSink`.
+    """Packs commands and other messages and sends them; implements `aero_planner.onboard.vehicle_link.CommandSink`.
 
     Args:
         port: to the autopilot; None sends nothing. It may be replaced at any time.
@@ -72,7 +72,7 @@ class MavlinkSender:
 
     def __init__(
         self,
-        port: Port | None,
+        port: Transport | None,
         *,
         system: int,
         component: int,
@@ -122,10 +122,10 @@ class MavlinkSender:
 
 
 class MavlinkLink:
-    """A connection to an autopilot that speaks MAVLink; implements `aero_planner.onboard.link.VehicleLink`.
+    """A connection to an autopilot that speaks MAVLink; implements `aero_planner.onboard.vehicle_link.VehicleLink`.
 
     Args:
-        url: see `aero_planner.onboard.port.open_port`.
+        url: see `aero_planner.onboard.transport.open_transport`.
         baud: of a serial device [bit/s].
         system: system id of the autopilot and of this computer.
         component: component id of this computer.
@@ -137,7 +137,7 @@ class MavlinkLink:
 
     Raises:
         ImportError: pymavlink is not installed.
-        ValueError, OSError: see `open_port`.
+        ValueError, OSError: see `open_transport`.
 
     Attributes:
         state, goal: see `VehicleLink`.
@@ -161,7 +161,7 @@ class MavlinkLink:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._dialect = load_dialect()
-        self._port = open_port(url, baud=baud)
+        self._port = open_transport(url, baud=baud)
         self._system, self._component = system, component
         self._sender = MavlinkSender(
             self._port,
@@ -187,7 +187,7 @@ class MavlinkLink:
         self._heartbeat_time = self._odometry_time = self._heartbeat_sent = self._requested = -np.inf
         self._odometry_count = 0
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
-        self._fix: Fix | None = None
+        self._fix: EstimatorState | None = None
         self._origin: tuple[Any, ...] | None = None
         self._resets = self._jumps = 0
 
@@ -198,7 +198,7 @@ class MavlinkLink:
 
     @property
     def partner(self) -> str | None:
-        """Where commands go, see `aero_planner.onboard.port.Port`; None before the autopilot has been heard."""
+        """Where commands go, see `aero_planner.onboard.transport.Port`; None before the autopilot has been heard."""
         return self._port.partner
 
     def _new_protocol(self) -> Any:
@@ -337,8 +337,8 @@ class MavlinkLink:
         time = self._clocks["LOCAL_POSITION_NED"].to_host(stamp, arrival)
         position = np.array([message.x, message.y, message.z])
         velocity = np.array([message.vx, message.vy, message.vz])
-        fix = Fix(stamp, position, velocity, integrate_rates(attitude, rates, stamp - measured), rates)
-        jumps = self._jumps + (self._fix is not None and jumped(self._fix, fix))
+        fix = EstimatorState(stamp, position, velocity, integrate_rates(attitude, rates, stamp - measured), rates)
+        jumps = self._jumps + (self._fix is not None and is_estimator_reset(self._fix, fix))
         if self._set_state(("LOCAL_POSITION_NED", jumps), time, position, velocity, fix.attitude):
             self._fix, self._jumps = fix, jumps
 

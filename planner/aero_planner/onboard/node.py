@@ -19,27 +19,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.deadlines import Pacer
-from aero_planner.onboard.guard import Guard, takeover_time
-from aero_planner.onboard.lidar import PointSource
-from aero_planner.onboard.link import VehicleLink, VehicleSample
-from aero_planner.onboard.motion import DeadReckoning, Motion, StopController
-from aero_planner.onboard.plan_track import PlanTrack
-from aero_planner.onboard.planning import Planning, Situation
-from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import (
+from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, StopController
+from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
+from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.periodic_loop import PeriodicLoop
+from aero_planner.onboard.plan_schedule import PlanSchedule
+from aero_planner.onboard.point_source import PointSource
+from aero_planner.onboard.replanner import ControlSnapshot, Replanner
+from aero_planner.onboard.safety_machine import (
     AS_PLANNED,
     COMMANDING,
     Change,
     Inputs,
     Reaction,
-    Safety,
+    SafetyMachine,
     State,
     blind_time_left,
     inside_fence,
 )
 from aero_planner.onboard.settings import OnboardConfig, check_together
-from aero_planner.onboard.watchdog import AHEAD, Beat, Watchdog
+from aero_planner.onboard.vehicle_link import VehicleLink, VehicleSample
+from aero_planner.onboard.watchdog import AHEAD, Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
 
@@ -78,7 +78,7 @@ class Node:
         goal: ArrayLike | None = None,
         clock: Callable[[], float] = time.monotonic,
         observers: Sequence[Observer] = (),
-        guard: Guard | None = None,
+        guard: FailsafeProcess | None = None,
     ) -> None:
         config = config or OnboardConfig()
         check_together(planner.config, config)
@@ -98,16 +98,16 @@ class Node:
         self._observers = tuple(observers)
         self._guard = guard
         self._vehicle = planner.config.vehicle
-        self._track = PlanTrack()
-        self._planning = Planning(planner, config, self._track, clock)
-        self._safety = Safety(config.limits, on_change=self._on_change)
+        self._track = PlanSchedule()
+        self._planning = Replanner(planner, config, self._track, clock)
+        self._safety = SafetyMachine(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle)
         self._stop = StopController(self._vehicle, config.brake)
         period, replan_period, limits = 1.0 / config.rates.control, 1.0 / config.rates.replan, config.limits
         self._watchdog = Watchdog(
             link, self._stop, self._vehicle, period=period, deadline=limits.deadline, blind_time=limits.blind_time
         )
-        self._situation: Situation | None = None
+        self._situation: ControlSnapshot | None = None
         self._sample: VehicleSample | None = None
         self._state_finite = True
         self._points_time = -math.inf
@@ -117,9 +117,9 @@ class Node:
         self._stopped = threading.Event()
         loop: dict[str, Any] = dict(clock=clock, stopped=self._stopped)
         self._pacers = {
-            "control": Pacer(period, self._control, **loop),
-            "planning": Pacer(replan_period, lambda: _tried(self.plan_once, "a plan"), on_grid=False, **loop),
-            "watchdog": Pacer(period, lambda: _tried(self.watch_once, "the watchdog"), **loop),
+            "control": PeriodicLoop(period, self._control, **loop),
+            "planning": PeriodicLoop(replan_period, lambda: _tried(self.plan_once, "a plan"), on_grid=False, **loop),
+            "watchdog": PeriodicLoop(period, lambda: _tried(self.watch_once, "the watchdog"), **loop),
         }
         self._threads: list[threading.Thread] = []
 
@@ -131,7 +131,7 @@ class Node:
         return self._safety.state
 
     @property
-    def safety(self) -> Safety:
+    def safety(self) -> SafetyMachine:
         """The state machine; only read it."""
         return self._safety
 
@@ -154,8 +154,8 @@ class Node:
             "planner_failures": self._planning.failures,
             "control_failures": self.failures,
             "watchdog_interventions": self._watchdog.interventions,
-            "guard_interventions": self._guard.interventions if self._guard is not None else None,
-            "guard_lost": self._guard.lost if self._guard is not None else None,
+            "failsafe_interventions": self._guard.interventions if self._guard is not None else None,
+            "failsafe_lost": self._guard.lost if self._guard is not None else None,
             "commands_sent": self.sent,
             "lidar_packets": counters.packets,
             "lidar_lost": counters.lost,
@@ -185,8 +185,8 @@ class Node:
         given = command if obeyed else None
         self._reckoning.command(now, given)
         if self._sample is not None and motion is not None:
-            self._situation = Situation(self._sample, motion, self._goal, given, reaction in AS_PLANNED)
-        beat = Beat(now, motion, given, self._ahead(now) if reaction in AS_PLANNED else None)
+            self._situation = ControlSnapshot(self._sample, motion, self._goal, given, reaction in AS_PLANNED)
+        beat = Heartbeat(now, motion, given, self._ahead(now) if reaction in AS_PLANNED else None)
         self._watchdog.beat(beat)
         if self._guard is not None:
             self._guard.beat(beat)
@@ -266,7 +266,7 @@ class Node:
                 self._planning.take(packet)
                 self._tell(lambda observer, packet=packet: observer.points(packet))
 
-    def _inputs(self, now: float, loop_age: float) -> tuple[Inputs, Motion | None]:
+    def _inputs(self, now: float, loop_age: float) -> tuple[Inputs, MotionState | None]:
         latest, sample = self._link.state, self._sample
         plan = self._track.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
@@ -291,7 +291,7 @@ class Node:
         return inputs, motion
 
     def _command(
-        self, now: float, reaction: Reaction, inputs: Inputs, motion: Motion | None
+        self, now: float, reaction: Reaction, inputs: Inputs, motion: MotionState | None
     ) -> NDArray[np.float64] | None:
         """Return thrust [N] and body rates [rad/s], shape [4]; None for silence."""
         if reaction is not Reaction.HOLD:
@@ -335,7 +335,7 @@ class Node:
     # --- life -------------------------------------------------------------------------------------------------------
 
     def warm_up(self) -> float:
-        """Load the kernels before the first state comes; returns the time of a plan [s]. See `Planning.warm_up`."""
+        """Load the kernels before the first state comes; returns the time of a plan [s]. See `Replanner.warm_up`."""
         return self._planning.warm_up()
 
     def start(self) -> None:

@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import Bundle
-from aero_planner.onboard.assemble import open_lidar, open_link
-from aero_planner.onboard.guard import Guard
-from aero_planner.onboard.lidar import PointSource
-from aero_planner.onboard.link import VehicleLink, VehicleSample
-from aero_planner.onboard.safety import inside_fence
+from aero_planner.onboard.connections import open_lidar, open_link
+from aero_planner.onboard.failsafe_process import FailsafeProcess
+from aero_planner.onboard.point_source import PointSource
+from aero_planner.onboard.safety_machine import inside_fence
 from aero_planner.onboard.settings import OnboardConfig, check_together
-from aero_planner.onboard.sweeps import SweepBuffer
+from aero_planner.onboard.sweep_buffer import SweepBuffer
 from aero_planner.onboard.thrust import force_from_signal
+from aero_planner.onboard.vehicle_link import VehicleLink, VehicleSample
 from aero_planner.quaternions import quaternion_from_angles
 
 __all__ = ["Check", "PreflightReport", "check_inputs", "preflight"]
@@ -243,7 +243,7 @@ def _receive_buffer() -> Iterator[Check]:
 def _guard(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     began = time.monotonic()
     try:
-        guard = Guard(onboard, planner.vehicle, lambda: None)
+        guard = FailsafeProcess(onboard, planner.vehicle, lambda: None)
         try:
             guard.wait(_GUARD_TIME)
         finally:

@@ -7,7 +7,7 @@ prints what docs/onboard.md holds.
 
 from __future__ import annotations
 
-from aero_planner.onboard.safety import (
+from aero_planner.onboard.safety_machine import (
     COMMANDING,
     DETECTION,
     FAULTS,

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import os
 
-from aero_planner.onboard.mailbox import Mailbox
+from aero_planner.mailbox import Mailbox
 
 __all__ = ["StderrHandler", "log_to_stderr"]
 

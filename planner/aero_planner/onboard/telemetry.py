@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from aero_planner.config import PlannerConfig
-from aero_planner.onboard.mailbox import yield_to_others
-from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import Change
+from aero_planner.mailbox import lower_thread_priority
+from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.safety_machine import Change
 from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
-from aero_planner.onboard.wire import Kind, encode
+from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_planner.plan import VehicleState
 
 __all__ = ["POINT_STEP", "Telemetry", "encode_change", "encode_hello", "encode_plan"]
@@ -145,7 +145,7 @@ class Telemetry(Observer):
     # --- the thread -------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        yield_to_others()
+        lower_thread_priority()
         try:
             while not self._closed:
                 for key, events in self._selector.select(timeout=1.0):

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.link import CommandSink
-from aero_planner.onboard.motion import Motion, StopController, propagate
+from aero_planner.onboard.dead_reckoning import MotionState, StopController, propagate
+from aero_planner.onboard.vehicle_link import CommandSink
 
-__all__ = ["AHEAD", "Beat", "Watchdog"]
+__all__ = ["AHEAD", "Heartbeat", "Watchdog"]
 
 _log = logging.getLogger(__name__)
 
@@ -26,12 +26,12 @@ _LATE = 1.5
 _ROUNDING = 1e-6
 
 
-class Beat(NamedTuple):
+class Heartbeat(NamedTuple):
     """What is known at the end of a tick of the control loop, or of one in its place."""
 
     time: float
     """When the tick began [s]."""
-    motion: Motion | None
+    motion: MotionState | None
     """Of the drone, where known, then."""
     command: NDArray[np.float64] | None
     """What it obeys from then on, shape [4]; None where it does not obey us."""
@@ -75,15 +75,15 @@ class Watchdog:
         self._blind_time = blind_time
         self._name = name
         # Replaced whole by the loop and only read here.
-        self._beat = Beat(math.nan, None, None)
+        self._beat = Heartbeat(math.nan, None, None)
         # What was told the drone last in the loop's place, after which beat, and after which one to brake.
         self._own = self._beat
-        self._acted_on: Beat | None = None
-        self._braked_on: Beat | None = None
+        self._acted_on: Heartbeat | None = None
+        self._braked_on: Heartbeat | None = None
         self.interventions = 0
         """Times that the loop was replaced."""
 
-    def beat(self, beat: Beat) -> None:
+    def beat(self, beat: Heartbeat) -> None:
         """End a tick of the control loop."""
         self._beat = beat
 
@@ -105,7 +105,7 @@ class Watchdog:
         """Whether the drone obeys the loop and has not been braked to the end in its place."""
         return _obeyed(self._last(self._beat))
 
-    def check(self, now: float) -> Beat | None:
+    def check(self, now: float) -> Heartbeat | None:
         """Speak if the loop does not; return what was said, as a beat, or None."""
         beat = self._beat
         last = self._last(beat)
@@ -118,36 +118,36 @@ class Watchdog:
         step = int(silent / self._period + _ROUNDING)
         if beat.ahead is None or step > len(beat.ahead):
             return None
-        return self._say(beat, Beat(now, motion, beat.ahead[step - 1], beat.ahead[step:]))
+        return self._say(beat, Heartbeat(now, motion, beat.ahead[step - 1], beat.ahead[step:]))
 
-    def _brake(self, beat: Beat, now: float, motion: Motion) -> Beat | None:
+    def _brake(self, beat: Heartbeat, now: float, motion: MotionState) -> Heartbeat | None:
         silent = now - beat.time
         remaining = self._patience + self._blind_time - silent
         begins = self._braked_on is not beat
         self._braked_on = beat
         if remaining < 0.0:
-            self._acted_on, self._own = beat, Beat(now, None, None)
+            self._acted_on, self._own = beat, Heartbeat(now, None, None)
             if begins:
                 return None
             self._link.send(self._stop.hover)
             _log.warning("the %s has braked for as long as it may: the autopilot has the drone", self._name)
             return self._own
-        said = self._say(beat, Beat(now, motion, self._stop.command(motion, remaining=remaining)))
+        said = self._say(beat, Heartbeat(now, motion, self._stop.command(motion, remaining=remaining)))
         if begins:
             self.interventions += 1
             _log.error("the control loop has stood still for %.0f ms: the %s brakes", 1e3 * silent, self._name)
         return said
 
-    def _say(self, beat: Beat, own: Beat) -> Beat:
+    def _say(self, beat: Heartbeat, own: Heartbeat) -> Heartbeat:
         assert own.command is not None
         self._link.send(own.command)
         self._acted_on, self._own = beat, own
         return own
 
-    def _last(self, beat: Beat) -> Beat:
+    def _last(self, beat: Heartbeat) -> Heartbeat:
         """Return what the drone was told last: `beat` by the loop, or something since in its place."""
         return self._own if self._acted_on is beat else beat
 
 
-def _obeyed(beat: Beat) -> bool:
+def _obeyed(beat: Heartbeat) -> bool:
     return beat.motion is not None and beat.command is not None

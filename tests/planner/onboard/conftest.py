@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.record import Observer, PlanRecord
+from aero_planner.onboard.observer import Observer, PlanRecord
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, in_flight, poles
 
 

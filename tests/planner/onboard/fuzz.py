@@ -30,7 +30,7 @@ from aero_planner.deploy.bundle import open_bundle
 from aero_planner.deploy.export import pack, write_manifest
 from aero_planner.onboard.livox import LivoxPacket, LivoxSource, Reject, encode_packet, parse_packet
 from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
-from aero_planner.onboard.sweeps import SweepBuffer
+from aero_planner.onboard.sweep_buffer import SweepBuffer
 
 __all__ = ["TARGETS", "run"]
 

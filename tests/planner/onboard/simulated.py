@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Plan, Planner, PlannerConfig, VehicleState
-from aero_planner.onboard.lidar import PointCounters, PointPacket
-from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.motion import Motion, StopController, propagate
+from aero_planner.onboard.dead_reckoning import MotionState, StopController, propagate
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.record import Observer
-from aero_planner.onboard.safety import State
+from aero_planner.onboard.observer import Observer
+from aero_planner.onboard.point_source import PointCounters, PointPacket
+from aero_planner.onboard.safety_machine import State
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import conjugate, rotate
 
 STEP = 0.005
@@ -148,7 +148,7 @@ class Simulation:
         planner.reset()
         self.now = 100.0
         self.plan_time, self.state_delay = plan_time, state_delay
-        self.motion = Motion(self.now, np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        self.motion = MotionState(self.now, np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
         self.link = SimulatedLink(self)
         self.lidar = SimulatedLidar(self, world)
         self.planner = SlowPlanner(planner, self)
@@ -221,7 +221,7 @@ class Simulation:
             moved = propagate(self.motion, command, self.now + dt, self._vehicle)
             self.motion = dataclasses.replace(moved, velocity=moved.velocity + dt * self.wind)
         else:
-            self.motion = Motion(self.now + dt, self.motion.position, np.zeros(3), self.motion.quaternion)
+            self.motion = MotionState(self.now + dt, self.motion.position, np.zeros(3), self.motion.quaternion)
         self.now += dt
 
 

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner, PlanStatus, VehicleState
-from aero_planner.onboard.plan_track import FlyablePlan
-from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import Reaction, State
+from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.plan_schedule import ScheduledPlan
+from aero_planner.onboard.safety_machine import Reaction, State
 from aero_planner.quaternions import rotate
 from tests.planner.onboard.simulated import GOAL, LANE, PLACES, WORLD, Simulation, in_flight, spoiled
 
@@ -53,10 +53,10 @@ def test_a_flight_from_start_to_goal(small_planner: Planner):
 
 def check_planned(flight: Simulation, seconds: float) -> None:
     """Check, while time goes on, that what is sent is the planned control of that time."""
-    plans: list[tuple[float, FlyablePlan]] = []
+    plans: list[tuple[float, ScheduledPlan]] = []
     append = flight.node._track.append
 
-    def keep(plan: FlyablePlan, now: float) -> None:
+    def keep(plan: ScheduledPlan, now: float) -> None:
         plans.append((flight.now, plan))
         append(plan, now)
 

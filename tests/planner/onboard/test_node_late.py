@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.safety import State
+from aero_planner.onboard.safety_machine import State
 from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, spoiled
 
 PERIOD = 0.02

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 
 from aero_planner import Planner, VehicleState
 from aero_planner.cli import _fly
-from aero_planner.onboard.lidar import PointCounters, PointPacket
-from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.record import Observer, PlanRecord
-from aero_planner.onboard.safety import Reaction, State
+from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.point_source import PointCounters, PointPacket
+from aero_planner.onboard.safety_machine import Reaction, State
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.vehicle_link import VehicleSample
 from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, in_flight
 
 

@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
-from aero_planner.onboard.record import PlanRecord
-from aero_planner.onboard.safety import Cause, Change, State
+from aero_planner.onboard.observer import PlanRecord
+from aero_planner.onboard.safety_machine import Cause, Change, State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP, Telemetry, encode_plan
-from aero_planner.onboard.wire import Kind, Message, MessageReader, encode
+from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader, encode
 
 CHANGE = Change(12.5, State.FLYING, State.BRAKING, Cause.CLOUD_STALE)
 

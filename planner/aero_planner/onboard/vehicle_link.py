@@ -29,7 +29,7 @@ class VehicleSample:
     heartbeat_time: float
     """When the newest heartbeat arrived, host time [s]; -inf before the first."""
     resets: int = 0
-    """How often the autopilot's estimate has jumped: places from before and after a jump do not go together."""
+    """Number of resets of the autopilot's estimator; positions before and after a reset are not comparable."""
 
 
 class CommandSink(Protocol):

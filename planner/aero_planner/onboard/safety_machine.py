@@ -32,7 +32,7 @@ __all__ = [
     "Change",
     "Inputs",
     "Reaction",
-    "Safety",
+    "SafetyMachine",
     "State",
     "Transition",
     "blind_time_left",
@@ -112,7 +112,7 @@ class Inputs:
     stopping: bool = False
     """Whether the node has been told to end."""
     seen_disarmed: bool = True
-    """Whether the vehicle was disarmed at any time since the start; `Safety` fills this and the next three."""
+    """Whether the vehicle was disarmed at any time since the start; `SafetyMachine` fills this and the next three."""
     state_time: float = 0.0
     """Since the present state was entered [s]."""
     fault_time: float = 0.0
@@ -190,7 +190,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
 }
 """Settings whose sum is the time from the event to its detection; the reaction follows within one control period."""
 
-Guard = Callable[[Inputs, LimitSettings], bool]
+FailsafeProcess = Callable[[Inputs, LimitSettings], bool]
 
 
 def _older(age: float, limit: float) -> bool:
@@ -198,7 +198,7 @@ def _older(age: float, limit: float) -> bool:
     return not age <= limit
 
 
-_GUARDS: dict[Cause, Guard] = {
+_GUARDS: dict[Cause, FailsafeProcess] = {
     Cause.TAKEN_OVER: lambda i, _: not (i.armed and i.offboard),
     Cause.ARMED_AT_START: lambda i, _: i.armed and not i.seen_disarmed,
     Cause.DISARMED: lambda i, _: not i.armed,
@@ -325,7 +325,7 @@ class Change:
     """A transition that happened."""
 
     time: float
-    """Of the clock that `Safety.step` was given [s]."""
+    """Of the clock that `SafetyMachine.step` was given [s]."""
     source: State
     target: State
     cause: Cause
@@ -334,7 +334,7 @@ class Change:
         return f"{self.source.name} -> {self.target.name}: {self.cause.value}"
 
 
-class Safety:
+class SafetyMachine:
     """The state machine in time.
 
     Args:

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from aero_planner.plan import PlanStatus
 
-__all__ = ["FlyablePlan", "PlanTrack"]
+__all__ = ["PlanSchedule", "ScheduledPlan"]
 
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class FlyablePlan:
+class ScheduledPlan:
     """Controls over time."""
 
     number: int
@@ -37,21 +37,21 @@ class FlyablePlan:
         return self.controls[step] if 0 <= step < len(self.controls) else None
 
 
-class PlanTrack:
+class PlanSchedule:
     """The newest plan, and those before it that are flown until it begins.
 
     Replaced whole by one thread and read by others.
     """
 
     def __init__(self) -> None:
-        self._plans: tuple[FlyablePlan, ...] = ()
+        self._plans: tuple[ScheduledPlan, ...] = ()
 
     @property
-    def newest(self) -> FlyablePlan | None:
+    def newest(self) -> ScheduledPlan | None:
         """The newest plan."""
         return self._plans[0] if self._plans else None
 
-    def append(self, plan: FlyablePlan, now: float) -> None:
+    def append(self, plan: ScheduledPlan, now: float) -> None:
         """Add a plan, and forget those that nobody needs who asks for `now` [s] or later."""
         kept = [plan]
         for older in self._plans:
@@ -60,7 +60,7 @@ class PlanTrack:
                 break
         self._plans = tuple(kept)
 
-    def at(self, now: float) -> FlyablePlan | None:
+    def at(self, now: float) -> ScheduledPlan | None:
         """Return the newest plan that has begun and has not ended at `now` [s]."""
         return next((plan for plan in self._plans if plan.command(now) is not None), None)
 

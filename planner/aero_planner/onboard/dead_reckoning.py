@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.link import VehicleSample
 from aero_planner.onboard.settings import BrakeSettings
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import conjugate, integrate_rates, rotate
 
-__all__ = ["DeadReckoning", "Motion", "StopController", "acceleration", "propagate"]
+__all__ = ["DeadReckoning", "MotionState", "StopController", "acceleration", "propagate"]
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _REMEMBERED = 600
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionState:
     """State at one time, float64, world frame."""
 
     time: float
@@ -56,18 +56,18 @@ def acceleration(quaternion: ArrayLike, thrust: float, vehicle: VehicleConfig) -
     return rotate(quaternion, (thrust / vehicle.mass) * _UP) - vehicle.gravity * _UP
 
 
-def propagate(motion: Motion, command: ArrayLike | None, time: float, vehicle: VehicleConfig) -> Motion:
+def propagate(motion: MotionState, command: ArrayLike | None, time: float, vehicle: VehicleConfig) -> MotionState:
     """Return the motion at `time` [s] when `command`, F_t [N] and omega [rad/s], acts until then.
 
     The attitude is exact; the thrust points as it does halfway. Without a command the velocity stays.
     """
     dt = time - motion.time
     if command is None:
-        return Motion(time, motion.position + dt * motion.velocity, motion.velocity, motion.quaternion)
+        return MotionState(time, motion.position + dt * motion.velocity, motion.velocity, motion.quaternion)
     values = np.asarray(command, dtype=np.float64)
     change = dt * acceleration(integrate_rates(motion.quaternion, values[1:], 0.5 * dt), float(values[0]), vehicle)
     quaternion = integrate_rates(motion.quaternion, values[1:], dt)
-    return Motion(
+    return MotionState(
         time,
         motion.position + dt * motion.velocity + 0.5 * dt * change,
         motion.velocity + change,
@@ -81,8 +81,8 @@ class DeadReckoning:
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._vehicle = vehicle
         self._commands: deque[tuple[float, Array | None]] = deque(maxlen=_REMEMBERED)
-        self._base: Motion | None = None
-        self._carried: Motion | None = None
+        self._base: MotionState | None = None
+        self._carried: MotionState | None = None
 
     def correct(self, sample: VehicleSample) -> None:
         """Take over a measured state."""
@@ -90,7 +90,7 @@ class DeadReckoning:
         position, velocity, quaternion = (
             np.asarray(value, dtype=np.float64) for value in (state.position, state.velocity, state.quaternion)
         )
-        self._base = self._carried = Motion(sample.time, position, velocity, quaternion)
+        self._base = self._carried = MotionState(sample.time, position, velocity, quaternion)
         while len(self._commands) > 1 and self._commands[1][0] <= sample.time:
             self._commands.popleft()
 
@@ -98,7 +98,7 @@ class DeadReckoning:
         """Say what the autopilot obeys from `time` [s] on; None where it does not obey us."""
         self._commands.append((time, None if command is None else np.array(command, dtype=np.float64)))
 
-    def at(self, time: float) -> Motion | None:
+    def at(self, time: float) -> MotionState | None:
         """Return the motion at `time` [s], not before the newest state; None before the first."""
         if self._carried is None or self._base is None:
             return None
@@ -133,7 +133,7 @@ class StopController:
         """The command of a level drone at rest, shape [4]."""
         return np.array([self._vehicle.mass * self._vehicle.gravity, 0.0, 0.0, 0.0])
 
-    def command(self, motion: Motion, *, hold: Array | None = None, remaining: float = math.inf) -> Array:
+    def command(self, motion: MotionState, *, hold: Array | None = None, remaining: float = math.inf) -> Array:
         """Return thrust F_t [N] and body rates omega [rad/s], shape [4], within the vehicle's bounds.
 
         Args:

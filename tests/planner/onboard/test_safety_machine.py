@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aero_planner import PlanStatus
-from aero_planner.onboard.safety import (
+from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
+from aero_planner.onboard.safety_machine import (
     AS_PLANNED,
     BLINDING,
     COMMANDING,
@@ -24,7 +25,7 @@ from aero_planner.onboard.safety import (
     Cause,
     Inputs,
     Reaction,
-    Safety,
+    SafetyMachine,
     State,
     faults,
     holds,
@@ -32,7 +33,6 @@ from aero_planner.onboard.safety import (
     next_state,
     reaction_to,
 )
-from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
 from aero_planner.onboard.settings import LimitSettings, OnboardConfig
 
 LIMITS = LimitSettings()
@@ -203,7 +203,7 @@ class World:
 
     def __init__(self) -> None:
         self.now = 0.0
-        self.safety = Safety(LIMITS)
+        self.safety = SafetyMachine(LIMITS)
         self.fresh: dict[str, float] = dict.fromkeys(SOURCES, 0.0)
         """When each thing was last in order."""
 
@@ -268,15 +268,15 @@ def test_reactions_come_in_time_whatever_breaks_when(plan: list[tuple[float, fro
                 assert reaction is Reaction.SILENT or world.safety.state is State.READY
 
 
-def run(safety: Safety, inputs: Inputs, seconds: float, start: float) -> float:
+def run(safety: SafetyMachine, inputs: Inputs, seconds: float, start: float) -> float:
     for _ in range(round(seconds / PERIOD)):
         start += PERIOD
         safety.step(start, inputs)
     return start
 
 
-def flying() -> tuple[Safety, float]:
-    safety = Safety(LIMITS)
+def flying() -> tuple[SafetyMachine, float]:
+    safety = SafetyMachine(LIMITS)
     now = run(safety, dataclasses.replace(WELL, armed=False, offboard=False), 0.1, 0.0)
     now = run(safety, WELL, 0.1, now)
     assert safety.state is State.FLYING
@@ -285,7 +285,7 @@ def flying() -> tuple[Safety, float]:
 
 def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
     changes = []
-    safety = Safety(LIMITS, on_change=changes.append)
+    safety = SafetyMachine(LIMITS, on_change=changes.append)
     ground = dataclasses.replace(WELL, armed=False, offboard=False)
     now = run(safety, dataclasses.replace(ground, inside_fence=False), 0.1, 0.0)
     assert safety.state is State.WAITING and safety.missing() == (Cause.FENCE,)
@@ -313,7 +313,7 @@ def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
 
 
 def test_a_drone_that_is_armed_when_the_node_starts_is_left_alone():
-    safety = Safety(LIMITS)
+    safety = SafetyMachine(LIMITS)
     now = run(safety, dataclasses.replace(WELL, offboard=False), 1.0, 0.0)
     now = run(safety, WELL, 1.0, now)
     assert safety.state is State.HANDED_BACK and safety.reaction is Reaction.SILENT
@@ -321,14 +321,14 @@ def test_a_drone_that_is_armed_when_the_node_starts_is_left_alone():
     run(safety, WELL, 0.1, now)
     assert safety.state is State.FLYING
 
-    joining = Safety(dataclasses.replace(LIMITS, join_armed=True))
+    joining = SafetyMachine(dataclasses.replace(LIMITS, join_armed=True))
     now = run(joining, dataclasses.replace(WELL, offboard=False), 0.1, 0.0)
     run(joining, WELL, 0.1, now)
     assert joining.state is State.FLYING
 
 
 def test_before_the_first_heartbeat_nobody_was_seen_disarmed():
-    safety = Safety(LIMITS)
+    safety = SafetyMachine(LIMITS)
     unknown = dataclasses.replace(WELL, armed=False, offboard=False, heartbeat_age=math.inf)
     now = run(safety, unknown, 1.0, 0.0)
     run(safety, WELL, 0.1, now)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aero_planner.onboard.clock import HostClock
+from aero_planner.onboard.host_clock import HostClock
 
 OFFSET = 5000.0
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.onboard.lidar import PointPacket
-from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.safety import Cause, Change, State
+from aero_planner.onboard.point_source import PointPacket
+from aero_planner.onboard.safety_machine import Cause, Change, State
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.plan import Plan, VehicleState
 
 __all__ = ["Observer", "PlanRecord"]

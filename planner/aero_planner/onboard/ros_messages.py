@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.safety import Change
+from aero_planner.onboard.safety_machine import Change
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.onboard.lidar import PointPacket
-from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.motion import Motion, acceleration, propagate
-from aero_planner.onboard.plan_track import FlyablePlan, PlanTrack
+from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
+from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
+from aero_planner.onboard.point_source import PointPacket
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.sweeps import SweepBuffer
+from aero_planner.onboard.sweep_buffer import SweepBuffer
+from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.quaternions import quaternion_from_angles
 
-__all__ = ["MadePlan", "Planning", "Situation"]
+__all__ = ["ControlSnapshot", "PlanResult", "Replanner"]
 
 _log = logging.getLogger(__name__)
 
@@ -32,11 +32,11 @@ _STEP = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class ControlSnapshot:
     """What the control loop knows; replaced whole at each tick."""
 
     sample: VehicleSample
-    motion: Motion
+    motion: MotionState
     """At the time of the tick."""
     goal: NDArray[np.float64] | None
     command: NDArray[np.float64] | None
@@ -46,12 +46,12 @@ class Situation:
 
 
 @dataclass(frozen=True, eq=False)
-class MadePlan:
+class PlanResult:
     """A plan and what it was made from."""
 
     number: int
     time: float
-    situation: Situation
+    situation: ControlSnapshot
     goal: NDArray[np.float64]
     state: VehicleState
     points: NDArray[np.float32]
@@ -60,7 +60,7 @@ class MadePlan:
     plan_ms: float
 
 
-class Planning:
+class Replanner:
     """Owns the planner and the cloud; called from one thread, save `take`.
 
     Args:
@@ -70,7 +70,9 @@ class Planning:
         clock: host time [s].
     """
 
-    def __init__(self, planner: Planner, config: OnboardConfig, track: PlanTrack, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, planner: Planner, config: OnboardConfig, track: PlanSchedule, clock: Callable[[], float]
+    ) -> None:
         lidar = config.lidar
         self.planner = planner
         self.failures = 0
@@ -124,7 +126,7 @@ class Planning:
         self.planner.reset()
         return took
 
-    def plan_once(self, situation: Situation | None) -> MadePlan | None:
+    def plan_once(self, situation: ControlSnapshot | None) -> PlanResult | None:
         """Update the cloud and, when state, goal and cloud are there, plan; None when there is no new plan."""
         self._place_arrivals()
         if situation is None or situation.goal is None:
@@ -153,9 +155,9 @@ class Planning:
         self._number += 1
         dt = self.planner.config.sampling.dt
         status = PlanStatus(int(plan.status))  # type: ignore[arg-type]
-        flown = FlyablePlan(self._number, situation.sample.time, float(state.time), dt, controls, status)  # type: ignore[arg-type]
+        flown = ScheduledPlan(self._number, situation.sample.time, float(state.time), dt, controls, status)  # type: ignore[arg-type]
         self._track.append(flown, began)
-        return MadePlan(self._number, began, situation, situation.goal, state, points, age, plan, 1e3 * took)
+        return PlanResult(self._number, began, situation, situation.goal, state, points, age, plan, 1e3 * took)
 
     def _fail(self, text: str) -> None:
         self.failures += 1
@@ -187,7 +189,7 @@ class Planning:
         self.planner.reset()
         _log.warning("the autopilot's estimate has jumped: the cloud begins anew")
 
-    def _state(self, situation: Situation, now: float) -> VehicleState:
+    def _state(self, situation: ControlSnapshot, now: float) -> VehicleState:
         """Return the state to plan from: where the drone will be when the plan is ready, flying what it flies now."""
         vehicle = self.planner.config.vehicle
         motion = situation.motion
@@ -200,7 +202,7 @@ class Planning:
         change = np.zeros(3) if command is None else acceleration(motion.quaternion, float(command[0]), vehicle)
         return VehicleState(motion.position, motion.velocity, motion.quaternion, change, motion.time)
 
-    def _next_command(self, situation: Situation, time: float) -> NDArray[np.float64] | None:
+    def _next_command(self, situation: ControlSnapshot, time: float) -> NDArray[np.float64] | None:
         """Return what the drone will obey at `time` [s], as far as is known."""
         planned = self._track.command(time) if situation.flying else None
         return situation.command if planned is None else planned

@@ -7,12 +7,12 @@ import os
 import socket
 from typing import Protocol
 
-__all__ = ["Port", "open_port"]
+__all__ = ["Transport", "open_transport"]
 
 _CHUNK = 4096
 
 
-class Port(Protocol):
+class Transport(Protocol):
     """A connection that never blocks."""
 
     datagrams: bool
@@ -20,7 +20,7 @@ class Port(Protocol):
 
     @property
     def partner(self) -> str | None:
-        """Where `send` goes, as `open_port` takes it, so that another process can; None while there is nobody."""
+        """Where `send` goes, as `open_transport` takes it, so that another process can; None while there is nobody."""
         ...
 
     def receive(self) -> bytes | None:
@@ -40,7 +40,7 @@ class Port(Protocol):
         ...
 
 
-def open_port(url: str, *, baud: int | None = 921_600) -> Port:
+def open_transport(url: str, *, baud: int | None = 921_600) -> Transport:
     """Open "udpin:ADDRESS:PORT", "udpout:ADDRESS:PORT" or a serial device such as "/dev/ttyTHS1".
 
     Args:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from aero_planner.onboard.port import open_port
+from aero_planner.onboard.transport import open_transport
 
 
 @pytest.mark.parametrize(
@@ -18,21 +18,21 @@ from aero_planner.onboard.port import open_port
 )
 def test_urls_that_are_none(url: str, error: str):
     with pytest.raises(ValueError, match=error):
-        open_port(url)
+        open_transport(url)
 
 
 def test_devices_that_are_none(tmp_path: Path):
     with pytest.raises(OSError, match="missing"):
-        open_port(str(tmp_path / "missing"))
+        open_transport(str(tmp_path / "missing"))
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="no serial device"):
-        open_port(str(tmp_path / "file"))
+        open_transport(str(tmp_path / "file"))
     with pytest.raises(ValueError, match="baud rate"):
-        open_port("/dev/null", baud=12345)
+        open_transport("/dev/null", baud=12345)
 
 
 def test_a_taken_port_is_an_error():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(OSError, match="in use"):
-            open_port(f"udpin:127.0.0.1:{taken.getsockname()[1]}")
+            open_transport(f"udpin:127.0.0.1:{taken.getsockname()[1]}")

@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.onboard.dead_reckoning import MotionState
+from aero_planner.onboard.failsafe_process import FailsafeProcess, HeartbeatMemory, takeover_time
 from aero_planner.onboard.frames import flu_from_frd
-from aero_planner.onboard.guard import BeatMemory, Guard, takeover_time
 from aero_planner.onboard.mavlink import load_dialect
-from aero_planner.onboard.motion import Motion
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.port import open_port
-from aero_planner.onboard.safety import State
+from aero_planner.onboard.safety_machine import State
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.watchdog import AHEAD, Beat
+from aero_planner.onboard.transport import open_transport
+from aero_planner.onboard.watchdog import AHEAD, Heartbeat
 from tests.planner.onboard.simulated import GOAL
 from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
 
@@ -39,9 +39,9 @@ PATIENCE = 20.0
 """With a busy machine [s]."""
 
 
-def forward(now: float) -> Motion:
+def forward(now: float) -> MotionState:
     """Level, north at 4 m/s."""
-    return Motion(now, np.zeros(3), np.array([4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+    return MotionState(now, np.zeros(3), np.array([4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
 # --- the memory -------------------------------------------------------------------------------------------------------
@@ -49,22 +49,22 @@ def forward(now: float) -> Motion:
 
 @pytest.fixture
 def file() -> Iterator[int]:
-    file = BeatMemory.new_file()
+    file = HeartbeatMemory.new_file()
     yield file
     os.close(file)
 
 
 @pytest.fixture
-def memory(file: int) -> BeatMemory:
-    return BeatMemory(file)
+def memory(file: int) -> HeartbeatMemory:
+    return HeartbeatMemory(file)
 
 
-def test_what_is_written_is_read_by_the_other_side(memory: BeatMemory, file: int):
-    other = BeatMemory(file)
+def test_what_is_written_is_read_by_the_other_side(memory: HeartbeatMemory, file: int):
+    other = HeartbeatMemory(file)
     assert other.read() is None
-    motion = Motion(4.9, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([0.5, 0.5, -0.5, 0.5]))
+    motion = MotionState(4.9, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([0.5, 0.5, -0.5, 0.5]))
     for count in range(1, 5):
-        memory.write(Beat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count])), "udpout:10.0.0.1:14540")
+        memory.write(Heartbeat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count])), "udpout:10.0.0.1:14540")
         number, beat, target = other.read() or pytest.fail("there is none")
         assert (number, beat.time, target) == (count, 5.0 + count, "udpout:10.0.0.1:14540")
         assert beat.motion is not None and beat.motion.time == 4.9
@@ -73,31 +73,31 @@ def test_what_is_written_is_read_by_the_other_side(memory: BeatMemory, file: int
         np.testing.assert_array_equal(beat.command, [9.0, 0.1, 0.2, count])
     ahead = np.arange(4.0 * (AHEAD + 3)).reshape(-1, 4)
     for told in (ahead[:1], ahead[:5], ahead[:AHEAD], ahead):
-        memory.write(Beat(9.0, motion, HOVER, told), None)
+        memory.write(Heartbeat(9.0, motion, HOVER, told), None)
         _, beat, _ = other.read() or pytest.fail("there is none")
         np.testing.assert_array_equal(beat.ahead, told[:AHEAD])
-    memory.write(Beat(10.0, None, None), None)
-    assert other.read() == (9, Beat(10.0, None, None), None)
+    memory.write(Heartbeat(10.0, None, None), None)
+    assert other.read() == (9, Heartbeat(10.0, None, None), None)
     assert memory.reported() == (False, False, 0)
     other.report(8, 3)
     assert memory.reported() == (True, False, 3)
     other.report(9, 3)
     assert memory.reported() == (True, True, 3)
-    memory.write(Beat(11.0, None, None), None)
+    memory.write(Heartbeat(11.0, None, None), None)
     assert memory.reported() == (True, False, 3)  # it acts on a beat that is none any more
 
 
-def test_a_motion_that_is_not_finite_is_none(memory: BeatMemory):
-    memory.write(Beat(5.0, forward(math.nan), np.array([9.0, math.inf, 0.0, 0.0])), None)
-    assert memory.read() == (1, Beat(5.0, None, None), None)
+def test_a_motion_that_is_not_finite_is_none(memory: HeartbeatMemory):
+    memory.write(Heartbeat(5.0, forward(math.nan), np.array([9.0, math.inf, 0.0, 0.0])), None)
+    assert memory.read() == (1, Heartbeat(5.0, None, None), None)
 
 
 @pytest.mark.parametrize("written", [1, 2, 3, 4])
-def test_a_writer_stopped_anywhere_leaves_the_beat_before(memory: BeatMemory, written: int):
+def test_a_writer_stopped_anywhere_leaves_the_beat_before(memory: HeartbeatMemory, written: int):
     for count in range(1, written + 1):
-        memory.write(Beat(float(count), forward(count), HOVER + count), f"udpout:127.0.0.1:{count}")
+        memory.write(Heartbeat(float(count), forward(count), HOVER + count), f"udpout:127.0.0.1:{count}")
     before = memory._memory[:]
-    memory.write(Beat(-7.0, forward(-7.0), -HOVER), "/dev/ttyTHS1")
+    memory.write(Heartbeat(-7.0, forward(-7.0), -HOVER), "/dev/ttyTHS1")
     after = memory._memory[:]
     (changed,) = np.nonzero(np.frombuffer(before, np.uint8) != np.frombuffer(after, np.uint8))
     first, last = int(changed[0]), int(changed[-1])
@@ -158,19 +158,19 @@ def autopilot() -> Iterator[Autopilot]:
 
 
 @pytest.fixture
-def guard(autopilot: Autopilot) -> Iterator[Guard]:
-    guard = Guard(CONFIG, VEHICLE, lambda: autopilot.url)
+def guard(autopilot: Autopilot) -> Iterator[FailsafeProcess]:
+    guard = FailsafeProcess(CONFIG, VEHICLE, lambda: autopilot.url)
     guard.wait(PATIENCE)
     yield guard
     guard.close()
 
 
-def fly(guard: Guard, ticks: int = 10) -> float:
+def fly(guard: FailsafeProcess, ticks: int = 10) -> float:
     """Be a node that is obeyed, for some ticks; return when it was last [s]."""
     now = time.monotonic()
     for _ in range(ticks):
         now = time.monotonic()
-        guard.beat(Beat(now, forward(now), HOVER))
+        guard.beat(Heartbeat(now, forward(now), HOVER))
         time.sleep(PERIOD)
     return now
 
@@ -186,7 +186,7 @@ def check_braking(commands: list[tuple[float, np.ndarray]]) -> None:
     assert len(commands) > 5
 
 
-def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: Guard, autopilot: Autopilot):
+def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: FailsafeProcess, autopilot: Autopilot):
     last = fly(guard)
     commands = autopilot.receive_all()
     assert takeover_time(CONFIG) < commands[0][0] - last < takeover_time(CONFIG) + 1.0
@@ -198,10 +198,10 @@ def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: Guard, autopilot:
     assert guard.interventions == 2 and not guard.lost
 
 
-def test_until_then_it_goes_on_with_the_plan(guard: Guard, autopilot: Autopilot):
+def test_until_then_it_goes_on_with_the_plan(guard: FailsafeProcess, autopilot: Autopilot):
     now = time.monotonic()
     ahead = np.array([[VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.01 * k] for k in range(1, 7)])
-    guard.beat(Beat(now, forward(now), HOVER, ahead))
+    guard.beat(Heartbeat(now, forward(now), HOVER, ahead))
     commands = autopilot.receive_all()
     planned = [values for _, values in commands if values[3] != 0.0]
     braking = commands[len(planned) :]
@@ -211,7 +211,7 @@ def test_until_then_it_goes_on_with_the_plan(guard: Guard, autopilot: Autopilot)
     check_braking(braking)
 
 
-def test_beats_that_come_back_make_it_silent_at_once(guard: Guard, autopilot: Autopilot):
+def test_beats_that_come_back_make_it_silent_at_once(guard: FailsafeProcess, autopilot: Autopilot):
     fly(guard, 3)
     assert not guard.braking
     assert autopilot.receive(PATIENCE) is not None
@@ -225,23 +225,23 @@ def test_beats_that_come_back_make_it_silent_at_once(guard: Guard, autopilot: Au
     assert autopilot.receive(0.0) is None
 
 
-def test_closed_in_flight_it_says_nothing(guard: Guard, autopilot: Autopilot):
+def test_closed_in_flight_it_says_nothing(guard: FailsafeProcess, autopilot: Autopilot):
     fly(guard)
     guard.close()
     guard.close()
-    guard.beat(Beat(time.monotonic(), None, None))
+    guard.beat(Heartbeat(time.monotonic(), None, None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
     assert not guard.lost
 
 
-def test_where_the_drone_does_not_obey_it_says_nothing(guard: Guard, autopilot: Autopilot):
+def test_where_the_drone_does_not_obey_it_says_nothing(guard: FailsafeProcess, autopilot: Autopilot):
     fly(guard)
     now = time.monotonic()
-    guard.beat(Beat(now, forward(now), None))
+    guard.beat(Heartbeat(now, forward(now), None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
 
 
-def test_signals_to_all_do_not_end_it(guard: Guard, autopilot: Autopilot):
+def test_signals_to_all_do_not_end_it(guard: FailsafeProcess, autopilot: Autopilot):
     assert os.getpgid(guard._process.pid) != os.getpgid(0)  # what Ctrl-C and Ctrl-Z reach
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         guard._process.send_signal(number)
@@ -249,7 +249,7 @@ def test_signals_to_all_do_not_end_it(guard: Guard, autopilot: Autopilot):
     check_braking(autopilot.receive_all())
 
 
-def test_a_guard_that_dies_is_told_of_once(guard: Guard, caplog: pytest.LogCaptureFixture):
+def test_a_guard_that_dies_is_told_of_once(guard: FailsafeProcess, caplog: pytest.LogCaptureFixture):
     fly(guard, 2)
     assert not guard.lost
     guard._process.kill()
@@ -261,13 +261,13 @@ def test_a_guard_that_dies_is_told_of_once(guard: Guard, caplog: pytest.LogCaptu
 
 def test_a_guard_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    guard = Guard(CONFIG, VEHICLE, lambda: None)
+    guard = FailsafeProcess(CONFIG, VEHICLE, lambda: None)
     with pytest.raises(OSError, match=r"the guard, .*, has ended with code 1"):
         guard.wait(PATIENCE)
     guard.close()
     monkeypatch.setattr(sys, "executable", "/absent/python")
     with pytest.raises(OSError, match="absent"):
-        Guard(CONFIG, VEHICLE, lambda: None)
+        FailsafeProcess(CONFIG, VEHICLE, lambda: None)
 
 
 CALM = CONFIG.replace({"limits.deadline": 1.0})
@@ -275,10 +275,10 @@ CALM = CONFIG.replace({"limits.deadline": 1.0})
 
 NODE = """
 import sys, time
-from aero_planner.onboard.guard import Guard
-from tests.planner.onboard.test_guard import CALM, PATIENCE, VEHICLE, fly
+from aero_planner.onboard.failsafe_process import FailsafeProcess
+from tests.planner.onboard.test_failsafe_process import CALM, PATIENCE, VEHICLE, fly
 
-guard = Guard(CALM, VEHICLE, lambda: sys.argv[1])
+guard = FailsafeProcess(CALM, VEHICLE, lambda: sys.argv[1])
 guard.wait(PATIENCE)
 print("flying", flush=True)
 while True:
@@ -319,10 +319,10 @@ def test_a_process_that_is_stopped_is_replaced_and_takes_over_again(node: subpro
 def test_a_serial_line_is_shared():
     there, device = os.openpty()
     name = os.ttyname(device)
-    port = open_port(name, baud=115_200)
+    port = open_transport(name, baud=115_200)
     before = termios.tcgetattr(device)
     assert port.partner == name and port.send(b"the node's last words")
-    guard = Guard(CONFIG, VEHICLE, lambda: port.partner)
+    guard = FailsafeProcess(CONFIG, VEHICLE, lambda: port.partner)
     try:
         guard.wait(PATIENCE)
         fly(guard)
@@ -342,7 +342,7 @@ def test_a_serial_line_is_shared():
 
 
 def test_it_and_the_nodes_own_watchdog_never_speak_both(
-    small_planner: Planner, guard: Guard, autopilot: Autopilot, caplog: pytest.LogCaptureFixture
+    small_planner: Planner, guard: FailsafeProcess, autopilot: Autopilot, caplog: pytest.LogCaptureFixture
 ):
     small_planner.reset()
     link = StandingLink()
@@ -369,11 +369,11 @@ def test_it_and_the_nodes_own_watchdog_never_speak_both(
     assert autopilot.receive(2 * takeover_time(config)) is None
     statistics = node.statistics()
     assert statistics["watchdog_interventions"] == 1
-    assert statistics["guard_interventions"] == 0 and statistics["guard_lost"] is False
+    assert statistics["failsafe_interventions"] == 0 and statistics["failsafe_lost"] is False
 
 
 def test_after_the_guard_has_braked_the_watchdog_waits_for_the_control_loop(
-    small_planner: Planner, guard: Guard, autopilot: Autopilot
+    small_planner: Planner, guard: FailsafeProcess, autopilot: Autopilot
 ):
     small_planner.reset()
     link = StandingLink()

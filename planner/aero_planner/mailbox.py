@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-__all__ = ["Mailbox", "yield_to_others"]
+__all__ = ["Mailbox", "lower_thread_priority"]
 
 _log = logging.getLogger(__name__)
 
@@ -19,7 +19,7 @@ T = TypeVar("T")
 _NICENESS = 10
 
 
-def yield_to_others() -> None:
+def lower_thread_priority() -> None:
     """Let the calling thread run when the node's others need no processor, where the system has it (Linux)."""
     with contextlib.suppress(AttributeError, OSError):
         thread = threading.get_native_id()
@@ -68,7 +68,7 @@ class Mailbox(Generic[T]):
             self._changed.notify()
 
     def _run(self) -> None:
-        yield_to_others()
+        lower_thread_priority()
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._items or self._closed)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig, PlanStatus, VehicleState
-from aero_planner.onboard.link import VehicleSample
-from aero_planner.onboard.motion import DeadReckoning, Motion, StopController, acceleration, propagate
-from aero_planner.onboard.plan_track import FlyablePlan, PlanTrack
+from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, StopController, acceleration, propagate
+from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.settings import BrakeSettings
+from aero_planner.onboard.vehicle_link import VehicleSample
 
 VEHICLE = PlannerConfig().vehicle
 HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
@@ -27,7 +27,7 @@ def matrix(q: np.ndarray) -> np.ndarray:
     )
 
 
-def rk4(motion: Motion, command: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def rk4(motion: MotionState, command: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """dp = v, dv = R(q) [0, 0, F_t] / m + g, dq = 1/2 q (x) [0, omega], in a thousand steps."""
 
     def slope(y: np.ndarray) -> np.ndarray:
@@ -54,7 +54,7 @@ def tilted(angle: float, axis: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> 
 
 
 def test_one_step_is_the_vehicle_model():
-    motion = Motion(5.0, np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.0, -0.5]), tilted(0.4, (0.6, 0.8, 0.0)))
+    motion = MotionState(5.0, np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.0, -0.5]), tilted(0.4, (0.6, 0.8, 0.0)))
     command = np.array([12.0, 1.5, -2.0, 0.7])
     moved = propagate(motion, command, 5.05, VEHICLE)
     position, velocity, quaternion = rk4(motion, command, 5.05)
@@ -66,20 +66,20 @@ def test_one_step_is_the_vehicle_model():
 
 
 def test_without_command_the_velocity_stays():
-    motion = Motion(0.0, np.zeros(3), np.array([1.0, 2.0, 0.0]), tilted(0.3))
+    motion = MotionState(0.0, np.zeros(3), np.array([1.0, 2.0, 0.0]), tilted(0.3))
     moved = propagate(motion, None, 2.0, VEHICLE)
     np.testing.assert_array_equal(moved.position, [2.0, 4.0, 0.0])
     np.testing.assert_array_equal(moved.velocity, motion.velocity)
 
 
-def sample(motion: Motion) -> VehicleSample:
+def sample(motion: MotionState) -> VehicleSample:
     state = VehicleState(motion.position, motion.velocity, motion.quaternion, None, motion.time)
     return VehicleSample(motion.time, state, True, True, motion.time)
 
 
 def test_dead_reckoning_flies_the_commands_that_were_sent():
     rng = np.random.default_rng(0)
-    truth = Motion(10.0, np.zeros(3), np.array([3.0, 0.0, 0.0]), LEVEL)
+    truth = MotionState(10.0, np.zeros(3), np.array([3.0, 0.0, 0.0]), LEVEL)
     reckoning = DeadReckoning(VEHICLE)
     assert reckoning.at(10.0) is None
     reckoning.correct(sample(truth))
@@ -100,7 +100,7 @@ def test_dead_reckoning_flies_the_commands_that_were_sent():
 
 def test_where_the_drone_does_not_obey_it_goes_straight_on():
     reckoning = DeadReckoning(VEHICLE)
-    reckoning.correct(sample(Motion(1.0, np.zeros(3), np.array([2.0, 0.0, 0.0]), tilted(0.5))))
+    reckoning.correct(sample(MotionState(1.0, np.zeros(3), np.array([2.0, 0.0, 0.0]), tilted(0.5))))
     reckoning.command(1.0, HOVER)
     reckoning.command(1.0, None)
     found = reckoning.at(1.5)
@@ -113,7 +113,7 @@ def test_the_drone_comes_to_rest_from_any_attitude_and_stays(seed: int):
     rng = np.random.default_rng(seed)
     axis, velocity, angle = rng.normal(size=3), rng.uniform(-6, 6, 3), rng.uniform(0, math.pi)
     unit = tuple(axis / np.linalg.norm(axis))
-    motion = Motion(0.0, np.array([0.0, 0.0, 50.0]), velocity, tilted(angle, unit))
+    motion = MotionState(0.0, np.array([0.0, 0.0, 50.0]), velocity, tilted(angle, unit))
     stop, hold = StopController(VEHICLE, BrakeSettings()), None
     for k in range(400):
         if hold is None and motion.speed < 0.3:
@@ -128,16 +128,16 @@ def test_the_drone_comes_to_rest_from_any_attitude_and_stays(seed: int):
 
 
 def test_a_level_drone_at_six_metres_per_second_stops_within_five_metres():
-    motion = Motion(0.0, np.zeros(3), np.array([6.0, 0.0, 0.0]), LEVEL)
+    motion = MotionState(0.0, np.zeros(3), np.array([6.0, 0.0, 0.0]), LEVEL)
     stop = StopController(VEHICLE, BrakeSettings())
     for k in range(200):
         motion = propagate(motion, stop.command(motion), 0.02 * (k + 1), VEHICLE)
     assert 3.0 < motion.position[0] < 5.0 and abs(motion.position[2]) < 0.5
 
 
-def flyable(number: int, time: float, *, steps: int = 5, dt: float = 0.05) -> FlyablePlan:
+def flyable(number: int, time: float, *, steps: int = 5, dt: float = 0.05) -> ScheduledPlan:
     controls = np.arange(4.0 * steps).reshape(steps, 4) + 100.0 * number
-    return FlyablePlan(number, time, time, dt, controls, PlanStatus.OK)
+    return ScheduledPlan(number, time, time, dt, controls, PlanStatus.OK)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.1, 12345.678, 1e6 + 0.3])
@@ -151,7 +151,7 @@ def test_the_command_at_a_time_is_that_of_its_step(start: float):
 
 
 def test_the_plan_before_is_flown_until_the_newest_begins():
-    track = PlanTrack()
+    track = PlanSchedule()
     assert track.newest is None and track.command(0.0) is None
     track.append(flyable(1, 10.0), 9.95)
     track.append(flyable(2, 10.1), 10.05)
@@ -165,7 +165,7 @@ def test_the_plan_before_is_flown_until_the_newest_begins():
 
 
 def test_the_plan_being_flown_stays_however_many_wait_to_begin():
-    track = PlanTrack()
+    track = PlanSchedule()
     for number, time, now in ((1, 10.0, 9.9), (2, 10.1, 10.0), (3, 10.25, 10.1), (4, 10.24, 10.12), (5, 10.26, 10.15)):
         track.append(flyable(number, time), now)
     for now, number in ((10.15, 2), (10.23, 2), (10.24, 4), (10.27, 5)):

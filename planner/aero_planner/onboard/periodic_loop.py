@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DeadlineStatistics", "Pacer"]
+__all__ = ["DeadlineStatistics", "PeriodicLoop"]
 
 _KEPT = 30_000
 """Ticks: ten minutes at 50 Hz."""
@@ -59,7 +59,7 @@ class DeadlineStatistics:
         }
 
 
-class Pacer:
+class PeriodicLoop:
     """Calls a function at a fixed rate until told to stop; calls that take too long never bunch up.
 
     Args:

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from aero_planner.onboard.sweeps import SweepBuffer
+from aero_planner.onboard.sweep_buffer import SweepBuffer
 from aero_planner.quaternions import conjugate, multiply, quaternion_from_angles, rotate
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)

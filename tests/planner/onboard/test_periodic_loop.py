@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from aero_planner.onboard.deadlines import DeadlineStatistics, Pacer
-from aero_planner.onboard.mailbox import Mailbox
+from aero_planner.mailbox import Mailbox
+from aero_planner.onboard.periodic_loop import DeadlineStatistics, PeriodicLoop
 
 
 class Clock(threading.Event):
@@ -38,7 +38,7 @@ def test_deadlines_are_absolute_and_late_calls_skip(on_grid: bool, times: list[f
         if len(begun) == 6:
             clock.set()
 
-    pacer = Pacer(0.01, call, clock=clock, stopped=clock, on_grid=on_grid)
+    pacer = PeriodicLoop(0.01, call, clock=clock, stopped=clock, on_grid=on_grid)
     pacer.run()
     # What a call takes does not shift those after it; after one of 35 ms three deadlines are left out, or caught up.
     assert begun == times

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.jumps import Fix, jumped
-from aero_planner.onboard.safety import State
+from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
+from aero_planner.onboard.safety_machine import State
 from aero_planner.quaternions import integrate_rates, rotate
 from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import LANE, Simulation, in_flight, poles
@@ -18,14 +18,14 @@ OFFSET = np.array([-1.5, 0.5, 0.0])
 """Of the estimate after its jump [m]."""
 
 
-def flown(fix: Fix, acceleration: np.ndarray, turning: np.ndarray, dt: float) -> Fix:
+def flown(fix: EstimatorState, acceleration: np.ndarray, turning: np.ndarray, dt: float) -> EstimatorState:
     """The state after `dt` of constant acceleration [m/s^2] and angular acceleration [rad/s^2], by small steps."""
     time, p, v, q, rates = fix
     for _ in range(100):
         h = 0.01 * dt
         p, v = p + h * v + 0.5 * h * h * acceleration, v + h * acceleration
         q, rates = integrate_rates(q, rates + 0.5 * h * turning, h), rates + h * turning
-    return Fix(time + dt, p, v, q, rates)
+    return EstimatorState(time + dt, p, v, q, rates)
 
 
 @pytest.mark.parametrize("dt", [0.004, 0.02, 0.1, 0.3])
@@ -33,17 +33,21 @@ def test_no_flight_is_a_jump_and_every_jump_is_told(dt: float):
     random = np.random.default_rng(3)
     for _ in range(100):
         q = random.normal(size=4)
-        before = Fix(5.0, random.normal(size=3), random.normal(0, 5, 3), q / np.linalg.norm(q), random.normal(0, 3, 3))
+        before = EstimatorState(
+            5.0, random.normal(size=3), random.normal(0, 5, 3), q / np.linalg.norm(q), random.normal(0, 3, 3)
+        )
         # There and back, the most that a flight leaves the way that the mean velocity leads.
         hard, turning = random.normal(0, 10, 3), random.normal(0, 30, 3)
         after = flown(flown(before, hard, turning, 0.5 * dt), -hard, -turning, 0.5 * dt)
-        assert not jumped(before, after)
-        assert not jumped(before, after._replace(attitude=-after.attitude))  # the same attitude
+        assert not is_estimator_reset(before, after)
+        assert not is_estimator_reset(before, after._replace(attitude=-after.attitude))  # the same attitude
         side = rotate(q / np.linalg.norm(q), np.array([1.3 + 10.0 * dt * dt, 0.0, 0.0]))
-        assert jumped(before, after._replace(position=after.position + side))
+        assert is_estimator_reset(before, after._replace(position=after.position + side))
         turned = integrate_rates(after.attitude, np.array([0.0, 0.0, 1.0]), 0.35 + 100.0 * dt * dt)
-        assert dt > 0.1 or jumped(before, after._replace(attitude=turned))  # later, any attitude is possible
-        assert jumped(before, after._replace(time=4.9))  # the autopilot has started anew
+        assert dt > 0.1 or is_estimator_reset(
+            before, after._replace(attitude=turned)
+        )  # later, any attitude is possible
+        assert is_estimator_reset(before, after._replace(time=4.9))  # the autopilot has started anew
 
 
 def shift(simulation: Simulation) -> None:

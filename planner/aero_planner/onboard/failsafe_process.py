@@ -4,7 +4,8 @@ The guard is a process of its own. It does nothing but read, from memory that bo
 watch over them with a `Watchdog` like the node's own, which is a little less patient. A pipe tells it that the node's
 process is gone: a node that was obeyed until then is replaced at once.
 
-The node's side is `Guard`; `python -m aero_planner.onboard.guard`, which it starts, is the other one.
+The node's side is `FailsafeProcess`; it starts the other one,
+`python -m aero_planner.onboard.failsafe_process`.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ from collections.abc import Callable
 import numpy as np
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.assemble import make_sender
+from aero_planner.onboard.connections import make_sender
+from aero_planner.onboard.dead_reckoning import MotionState, StopController
 from aero_planner.onboard.mavlink import MavlinkSender
-from aero_planner.onboard.motion import Motion, StopController
-from aero_planner.onboard.port import open_port
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stderr import log_to_stderr
-from aero_planner.onboard.watchdog import AHEAD, Beat, Watchdog
+from aero_planner.onboard.transport import open_transport
+from aero_planner.onboard.watchdog import AHEAD, Heartbeat, Watchdog
 
-__all__ = ["BeatMemory", "Guard", "main", "takeover_time"]
+__all__ = ["FailsafeProcess", "HeartbeatMemory", "main", "takeover_time"]
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +54,7 @@ def takeover_time(onboard: OnboardConfig) -> float:
 # --- what both share --------------------------------------------------------------------------------------------------
 
 
-class BeatMemory:
+class HeartbeatMemory:
     """The newest beat, in memory that a writing and a reading process share.
 
     Two slots are written in turn, each with a count and a checksum. Whoever is stopped in the middle of a slot, perhaps
@@ -79,8 +80,8 @@ class BeatMemory:
         self._memory = mmap.mmap(file, 0)  # which holds on to it by itself
         self._count = 0
 
-    def write(self, beat: Beat, target: str | None) -> None:
-        """Replace the newest beat; `target` is where commands go, as `open_port` takes it. One thread at a time."""
+    def write(self, beat: Heartbeat, target: str | None) -> None:
+        """Replace the newest beat; `target` is where commands go, as `open_transport` takes it."""
         self._count += 1
         numbers = np.full(self._NUMBERS, math.nan)
         numbers[0] = beat.time
@@ -96,7 +97,7 @@ class BeatMemory:
         start = self._count % 2 * self._SIZE
         self._memory[start : start + self._SIZE] = data + struct.pack("<I", zlib.crc32(data))
 
-    def read(self) -> tuple[int, Beat, str | None] | None:
+    def read(self) -> tuple[int, Heartbeat, str | None] | None:
         """Return the count of the newest whole beat, the beat and its target; None when there is none."""
         whole = [data for data in map(self._get, (0, 1)) if data is not None]
         if not whole:
@@ -104,10 +105,10 @@ class BeatMemory:
         data = max(whole, key=lambda data: self._HEAD.unpack_from(data)[0])
         count, target = self._HEAD.unpack_from(data)
         numbers = np.frombuffer(data, np.float64, offset=self._HEAD.size)
-        motion = Motion(float(numbers[1]), numbers[2:5], numbers[5:8], numbers[8:12])
+        motion = MotionState(float(numbers[1]), numbers[2:5], numbers[5:8], numbers[8:12])
         command, ahead = numbers[12:16], numbers[16:].reshape(-1, 4)
         ahead = ahead[np.isfinite(ahead).all(axis=1)]
-        beat = Beat(
+        beat = Heartbeat(
             float(numbers[0]),
             motion if motion.finite else None,
             command if np.isfinite(command).all() else None,
@@ -138,12 +139,12 @@ class BeatMemory:
 # --- the node's side --------------------------------------------------------------------------------------------------
 
 
-class Guard:
+class FailsafeProcess:
     """A process that streams the braking command when this one falls silent although the drone obeys it.
 
     Args:
         onboard, vehicle: as the node's.
-        partner: returns where commands go, as `open_port` takes it; None while it is not known.
+        partner: returns where commands go, as `open_transport` takes it; None while it is not known.
 
     Raises:
         OSError: the process can't be started.
@@ -157,11 +158,11 @@ class Guard:
         """Whether it has ended although it should not have."""
         self.interventions = 0
         """Times that it had to brake."""
-        file = BeatMemory.new_file()
+        file = HeartbeatMemory.new_file()
         try:
-            self._memory = BeatMemory(file)
+            self._memory = HeartbeatMemory(file)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "aero_planner.onboard.guard", str(file)],
+                [sys.executable, "-m", "aero_planner.onboard.failsafe_process", str(file)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 pass_fds=[file],
@@ -196,7 +197,7 @@ class Guard:
                 raise OSError(f"the guard, the process that brakes when this one dies, {how}; see what it wrote above.")
             time.sleep(0.01)
 
-    def beat(self, beat: Beat) -> None:
+    def beat(self, beat: Heartbeat) -> None:
         """Say that this process is there. Never blocks; any thread may call."""
         if not self._writing.acquire(blocking=False):
             return  # another thread says so
@@ -237,7 +238,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     log_to_stderr()
-    memory = BeatMemory(int(sys.argv[1]))
+    memory = HeartbeatMemory(int(sys.argv[1]))
     with open(0, "rb", buffering=0, closefd=False) as pipe:
         line = pipe.readline()
     if not line:
@@ -265,7 +266,7 @@ def main() -> None:
     _watch(memory, sender, watchdog, 1.0 / onboard.rates.control)
 
 
-def _watch(memory: BeatMemory, sender: MavlinkSender, watchdog: Watchdog, period: float) -> None:
+def _watch(memory: HeartbeatMemory, sender: MavlinkSender, watchdog: Watchdog, period: float) -> None:
     """Pass beats on to the watchdog, once per period, until the process at the other end of the pipe has ended."""
     seen, target, alone = 0, None, False
     due = time.monotonic()
@@ -299,7 +300,7 @@ def _point(sender: MavlinkSender, target: str) -> None:
     if before is not None:
         before.close()
     try:
-        sender.port = open_port(target, baud=None)
+        sender.port = open_transport(target, baud=None)
     except (OSError, ValueError) as error:
         _log.error("the guard can't reach the autopilot at %s: %s", target, error)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aero_planner.quaternions import integrate_rates
 
-__all__ = ["Fix", "jumped"]
+__all__ = ["EstimatorState", "is_estimator_reset"]
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _OFFSET, _ACCELERATION = 0.5, 30.0  # [m], [m/s^2]
 _TURN, _ANGULAR_ACCELERATION = 0.15, 200.0  # [rad], [rad/s^2]
 
 
-class Fix(NamedTuple):
+class EstimatorState(NamedTuple):
     """A state by the autopilot's own clock, in any frames as long as they stay the same."""
 
     time: float
@@ -33,7 +33,7 @@ class Fix(NamedTuple):
     """Body rates [rad/s], shape [3]."""
 
 
-def jumped(before: Fix, after: Fix) -> bool:
+def is_estimator_reset(before: EstimatorState, after: EstimatorState) -> bool:
     """Return whether no flight leads from one state to the other.
 
     That is: time goes back; or the position lies more than 0.5 m off where the mean of both velocities leads, or the
