@@ -16,9 +16,8 @@ from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.vehicle import PLANNED
-from aero_viz.scenes import SCENES, World, load_map
+from aero_viz.scenes import World, load_map
 from aero_viz.sensors import LidarModel, lidar_model
-from aero_viz.session.ground import preset_above
 
 __all__ = [
     "ConfigFlags",
@@ -112,12 +111,8 @@ class ConfigFlags:
     """Preset (default, paper, ..) or YAML file."""
     planner: Inline[PlannerFlags] = dataclasses.field(default_factory=PlannerFlags)
 
-    def load(self, ground: float | None = None) -> PlannerConfig:
+    def load(self) -> PlannerConfig:
         """Return the configuration that the flags describe.
-
-        Args:
-            ground: height of the flat ground that the drone took off from [m]. It sets costs.floor of every preset
-                but the paper's, unless that parameter is set.
 
         Raises:
             UserError: a name, file or value is wrong.
@@ -128,9 +123,7 @@ class ConfigFlags:
             for name, value in _set_values(flags).items()
         }
         try:
-            is_preset = self.config in PlannerConfig.presets()
-            config = preset_above(self.config, ground) if is_preset else config_from_name(self.config)
-            return config.replace(changes)
+            return config_from_name(self.config).replace(changes)
         except (ValueError, OSError) as error:
             raise UserError(str(error)) from error
 
@@ -194,14 +187,6 @@ class WorldFlags:
     """Goal position x y z [m]; by default the world's own, on a map a free place at most 45 m away."""
     voxel: float | None = None
     """Voxel size for a point-cloud map [m], about the spacing of its points."""
-
-    def ground(self, spec: str, *, seed: int) -> float | None:
-        """Return the height of a world's flat ground [m], or None where there is none, as in a map or a recording.
-
-        Raises:
-            UserError: as `load`.
-        """
-        return self.load(spec, seed=seed).ground_height if spec in SCENES or spec.endswith(".json") else None
 
     def load(self, spec: str, *, seed: int) -> World:
         """Return the world with its start and goal.

@@ -71,7 +71,7 @@ def fly(
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")
-        config = config_flags.load(world_flags.ground(world, seed=seed))
+        config = config_flags.load()
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
         opener = flight_opener(world, world_flags, flight_flags, config, lidar=lidar, device=device)
         return serve(world, opener, config, page_flags, seed=seed, device=device, log=log)
@@ -81,7 +81,7 @@ def fly(
     from aero_viz.flight import fly as fly_once
 
     loaded = world_flags.load(world, seed=seed)
-    config = config_flags.load(loaded.ground_height)
+    config = config_flags.load()
     options: dict[str, Any] = {
         "config": config,
         "config_name": config_flags.config,

@@ -70,7 +70,7 @@ def demo(
         flight_flags: the flight.
         config_flags: the planner's configuration.
     """
-    config = config_flags.load(world_flags.ground(scene, seed=seed))
+    config = config_flags.load()
     opener = flight_opener(scene, world_flags, flight_flags, config, lidar=lidar, device=device)
     serve(scene, opener, config, page_flags, seed=seed, device=device, log=log)
 

@@ -49,7 +49,7 @@ def snapshot(
     from aero_viz.dashboard.snapshot import snapshot as take_snapshot
 
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
-    config = config_flags.load(WorldFlags().ground(source, seed=seed))
+    config = config_flags.load()
     take_snapshot(opened, time=time, config=config, camera=camera, size=size, path=output, seed=seed, device=device)
     print(output)
 

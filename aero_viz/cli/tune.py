@@ -76,7 +76,7 @@ def tune(
         raise UserError("--flights and --check must be at least 1.")
     if output is not None:
         _check_output(output, overwrite=overwrite)
-    config = config_flags.load(world_flags.ground(world, seed=seed))
+    config = config_flags.load()
     config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
     spans = parse_spans(over, config)
     fixed_world = None if world in SCENES else world_flags.load(world, seed=seed)

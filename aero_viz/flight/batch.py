@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
@@ -132,6 +133,8 @@ class FlightBatch:
             noise=noise,
         )
         self.planner.reserve(SWEEPS * self.simulator.lidar.model.points_per_sweep)
+        heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
+        self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
         for sweep in range(-SWEEPS, 0):
             self.simulator.look(sweep)
             self._publish(sweep)

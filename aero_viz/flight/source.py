@@ -147,6 +147,7 @@ class FlightSource:
                 goal=Goal(self._goal),
                 points=self._points,
                 sweep_count=len(self._sweeps),
+                ground_height=self._world.ground_height,
                 true_state=self._true_state,
             )
         return self._observation

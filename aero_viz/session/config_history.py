@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from aero_planner import PlannerConfig
@@ -55,24 +54,6 @@ class ConfigHistory:
             self._version += 1
             return config
 
-    @contextlib.contextmanager
-    def amended(self, amend: Callable[[PlannerConfig], PlannerConfig]) -> Iterator[None]:
-        """Amend every configuration, so that undo keeps to it, too; what is raised inside takes that back."""
-        with self._lock:
-            before, index = self._configs, self._index
-            self._replace([amend(config) for config in before], index)
-        try:
-            yield
-        except BaseException:
-            with self._lock:
-                self._replace(before, index)
-            raise
-
-    def _replace(self, configs: list[PlannerConfig], index: int) -> None:
-        self._version += configs[index] is not self._configs[self._index]
-        self._configs, self._index = configs, index
-        self._last = (frozenset(), 0.0)
-
     def go(self, step: int) -> PlannerConfig:
         """Go back by -1 or forth by +1, within what is there, and return the configuration."""
         with self._lock:
@@ -90,4 +71,7 @@ class ConfigHistory:
             if wanted not in configs:
                 configs.insert(now, wanted)
             places = [i for i, config in enumerate(configs) if config == wanted]
-            self._replace(configs, min(places, key=lambda i: abs(i - now)))
+            index = min(places, key=lambda i: abs(i - now))
+            self._version += configs[index] is not present
+            self._configs, self._index = configs, index
+            self._last = (frozenset(), 0.0)

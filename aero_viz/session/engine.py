@@ -14,7 +14,6 @@ from aero_planner import Planner, PlannerConfig
 from aero_planner.planner import History
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
-from aero_viz.session.ground import move_ground
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Mark, Timeline
 
@@ -137,12 +136,10 @@ class Engine:
     def exchange(self, source: Source) -> None:
         """Go on with another source from its start. If its first tick fails, it is closed and the present one stays."""
         before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks)
-        left, ahead = self.source.scenery.ground_height, source.scenery.ground_height
         self.source, self.dropped_ticks = source, 0
         self._forget()
         try:
-            with self._configs.amended(lambda config: move_ground(config, left, ahead)):
-                self._plan()
+            self._plan()
         except Exception:
             self.source, self._timeline, history, self.dropped_ticks = before
             self._planner.restore(history)
@@ -180,6 +177,7 @@ class Engine:
             observation.goal,
             observation.points,
             cloud_age=observation.cloud_age,
+            ground_height=observation.ground_height,
             samples=self.samples,
         )
         planned = time.perf_counter()

@@ -32,6 +32,8 @@ class Observation:
     """Number of sweeps accumulated in `points`."""
     cloud_age: float = 0.0
     """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
+    ground_height: float | None = None
+    """Height of the flat ground [m], world frame; None where there is none or it is unknown."""
     true_state: VehicleState | None = None
     """True state of a simulated vehicle, None on a recording."""
 

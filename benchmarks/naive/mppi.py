@@ -121,20 +121,25 @@ def rollouts(
 
 @wp.func
 def distance_to(
-    x: wp.vec3, limit: float, b: int, floor: float, count: wp.array(dtype=int), filtered: wp.array2d(dtype=wp.vec3)
-) -> float:
-    """Distance from x to the nearest point of the filtered cloud or to the floor, cut at `limit`."""
+    x: wp.vec3, limit: float, b: int, ground: float, c: Params, count: wp.array(dtype=int),
+    filtered: wp.array2d(dtype=wp.vec3),
+) -> float:  # fmt: skip
+    """Return the distance from x to the nearest point of the filtered cloud or to the ground, at most `limit` [m]."""
     best = limit * limit
     for j in range(count[b]):
         d = filtered[b, j] - x
         best = wp.min(best, wp.dot(d, d))
-    return wp.min(wp.sqrt(best), wp.max(0.0, x[2] - floor))
+    nearest = wp.sqrt(best)
+    if c.use_ground == 0:
+        return nearest
+    return wp.min(nearest, wp.max(0.0, x[2] - ground))
 
 
 @wp.kernel
 def clearance(
     instances: int,
     steps: int,
+    ground_height: wp.array(dtype=float),
     params: wp.array(dtype=Params),
     count: wp.array(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
@@ -151,7 +156,7 @@ def clearance(
         limit = c.safe_clearance
     elif t >= steps:
         limit = c.blocked_radius
-    distance[i, k, t] = distance_to(positions[i, k, t], limit, b, params[b].floor, count, filtered)
+    distance[i, k, t] = distance_to(positions[i, k, t], limit, b, ground_height[b], c, count, filtered)
 
 
 @wp.func

@@ -194,8 +194,8 @@ class NaivePlanner:
     def _clearance(self) -> None:
         i, a = self._planner.inputs, self.arrays
         self._launch(
-            mppi.clearance, a.sample_distance.shape, self._M, self._config.sampling.steps, self.params, a.count,
-            a.filtered, a.sample_positions, a.sample_distance,
+            mppi.clearance, a.sample_distance.shape, self._M, self._config.sampling.steps, i.ground_height,
+            self.params, a.count, a.filtered, a.sample_positions, a.sample_distance,
         )  # fmt: skip
         self._launch(
             mppi.scores, a.cost.shape, self._M, i.goal_position, a.turn, self.params, a.sample_positions,
@@ -222,16 +222,16 @@ class NaivePlanner:
             a.J_goal, a.J_speed,
         )  # fmt: skip
         self._launch(
-            mppi.clearance, a.distance.shape, instances, self._config.sampling.steps, self.params, a.count, a.filtered,
-            a.positions, a.distance,
+            mppi.clearance, a.distance.shape, instances, self._config.sampling.steps, i.ground_height, self.params,
+            a.count, a.filtered, a.positions, a.distance,
         )  # fmt: skip
         self._launch(
             stage2.final_scores, count, instances, i.goal_position, a.turn, self.params, a.positions, a.distance,
             a.J_goal, a.J_speed, a.J_col, a.S2, a.nearest,
         )  # fmt: skip
         self._launch(
-            stage2.choose, self._batch, kinds.index("brake") if "brake" in kinds else -1, i.position, self.params,
-            i.cloud_age, a.count, a.filtered, a.S2, a.nearest, a.best, a.status, a.source,
+            stage2.choose, self._batch, kinds.index("brake") if "brake" in kinds else -1, i.position, i.ground_height,
+            self.params, i.cloud_age, a.count, a.filtered, a.S2, a.nearest, a.best, a.status, a.source,
         )  # fmt: skip
         self._launch(
             stage2.conclude, self._batch, a.best, a.source, a.anchor, a.guide, a.controls, a.states, a.J_goal, a.J_col,

@@ -120,6 +120,7 @@ def final_scores(
 def choose(
     brake_index: int,
     position: wp.array(dtype=wp.vec3),
+    ground_height: wp.array(dtype=float),
     params: wp.array(dtype=Params),
     cloud_age: wp.array(dtype=float),
     count: wp.array(dtype=int),
@@ -140,7 +141,7 @@ def choose(
     c = params[b]
     M = S2.shape[1] - BRAKES
     safe = c.safe_clearance
-    here = distance_to(position[b], safe, b, c.floor, count, filtered)
+    here = distance_to(position[b], safe, b, ground_height[b], c, count, filtered)
     if here < safe:  # too near already: not nearer still
         safe = here - 0.02
     chosen = int(0)

@@ -85,7 +85,8 @@ class Block:
 
 
 def input_block(batch: int, device: wp.Device) -> Block:
-    """State, goal and bookkeeping of each drone. A NaN goal velocity, goal quaternion or time means: derive it."""
+    """State, goal and bookkeeping of each drone. A NaN goal velocity, goal quaternion or time means: derive it. The
+    ground height is -inf where it is unknown."""
     vec3, vec4, shape = wp.vec3, wp.vec4, (batch,)
     spec: Spec = {
         "time": (wp.float64, shape),
@@ -97,6 +98,7 @@ def input_block(batch: int, device: wp.Device) -> Block:
         "goal_velocity": (vec3, shape),
         "goal_quaternion": (vec4, shape),
         "cloud_age": (wp.float32, shape),
+        "ground_height": (wp.float32, shape),
         "point_count": (wp.int32, shape),
     }
     return Block(spec, device)

@@ -264,13 +264,11 @@ def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> bool:
     from aero_planner.onboard.connections import open_lidar, open_link
     from aero_planner.onboard.failsafe_process import FailsafeProcess
     from aero_planner.onboard.node import Node
-    from aero_planner.onboard.settings import above_fence
     from aero_planner.planner import Planner
 
     planner_config, onboard = _load(options)
     if bundle is not None:
         bundle.fit(planner_config, options.device)
-    planner_config = above_fence(planner_config, onboard)
     with _plannable(options.device):
         planner = Planner(planner_config, device=options.device, seed=options.seed, threads=options.threads)
     opened: list[Any] = []

@@ -206,7 +206,8 @@ class Pipeline:
                 ("clearance", self._join),
                 ("clearance", launch(
                     clearance.query_clearance(some), (n, N + mppi.PROBES, stride * some.query), first, M, N, stride,
-                    w.sample_positions, i.position, params, *cloud, w.sample_clearance_cost, block_dim=128,
+                    w.sample_positions, i.position, i.ground_height, params, *cloud, w.sample_clearance_cost,
+                    block_dim=128,
                 )),
                 ("update", launch(
                     mppi.improve(some), (n, some.improve), first, M, i.goal_position, w.turn, params,
@@ -232,7 +233,8 @@ class Pipeline:
                 o.positions, o.velocities, o.quaternions, block_dim=32,
             ),
             launch(
-                selection.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position, *goal,
+                selection.evaluate(some), (B, rolled_out, 2 * N + mppi.PROBES + 1, some.team), i.position,
+                i.ground_height, *goal,
                 w.turn, params, *cloud, o.positions, o.velocities, o.quaternions, o.clearance, w.terms, block_dim=32,
             ),
             launch(

@@ -88,6 +88,7 @@ class Planner:
         for name in ("time", "goal_velocity", "goal_quaternion"):
             host[name][:] = np.nan
         host["quaternion"][:] = (1.0, 0.0, 0.0, 0.0)
+        host["ground_height"][:] = -np.inf
         self._inputs.upload()
 
     def _build(self) -> None:
@@ -125,8 +126,9 @@ class Planner:
     @property
     def inputs(self) -> SimpleNamespace:
         """Device arrays read by `launch`: position, velocity, acceleration, goal_position, goal_velocity [B] vec3;
-        quaternion, goal_quaternion [B] vec4, w x y z; time [B] float64 [s]; cloud_age [B] [s]; point_count [B]. NaN in
-        goal_velocity, goal_quaternion or time means: derive it. The cloud is `points`."""
+        quaternion, goal_quaternion [B] vec4, w x y z; time [B] float64 [s]; cloud_age [B] [s]; ground_height [B] [m],
+        -inf where it is unknown; point_count [B]. NaN in goal_velocity, goal_quaternion or time means: derive it. The
+        cloud is `points`."""
         return self._inputs.arrays
 
     @property
@@ -239,6 +241,7 @@ class Planner:
         points: Points,
         *,
         cloud_age: float = 0.0,
+        ground_height: ArrayLike | None = None,
         samples: bool = False,
     ) -> Plan:
         """Plan once.
@@ -250,6 +253,9 @@ class Planner:
                 Points that are not finite are dropped and counted. `Planner.points` is the cloud on the device, see
                 `upload`.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
+            ground_height: height of flat ground [m], world frame, which counts as an obstacle unless costs.use_ground
+                is off; one number, or an array of shape [B] for a batch, -inf for a drone whose ground is unknown.
+                None means unknown.
             samples: also return the Stage I rollouts.
 
         Returns:
@@ -259,7 +265,7 @@ class Planner:
             ValueError: an input has the wrong shape or is not finite; nothing was launched.
         """
         started = time.perf_counter()
-        self._write_inputs(state, goal, cloud_age)
+        self._write_inputs(state, goal, cloud_age, ground_height)
         self._write_points(points)
         self._inputs.upload()
         uploaded = time.perf_counter()
@@ -272,7 +278,7 @@ class Planner:
         stage_ms["total"] = 1e3 * (done - started)
         return self._to_plan(raw, stage_ms, samples)
 
-    def _write_inputs(self, state: VehicleState, goal: Goal, cloud_age: float) -> None:
+    def _write_inputs(self, state: VehicleState, goal: Goal, cloud_age: float, ground_height: ArrayLike | None) -> None:
         batch = (self._batch,) if self._batched else ()
         values = {
             "position": _checked("state.position", state.position, (*batch, 3)),
@@ -284,6 +290,7 @@ class Planner:
             "goal_velocity": _checked("goal.velocity", goal.velocity, (*batch, 3), missing=np.nan),
             "goal_quaternion": _checked("goal.quaternion", goal.quaternion, (*batch, 4), missing=np.nan),
             "cloud_age": _checked("cloud_age", cloud_age, (), limit=np.inf),
+            "ground_height": _checked_ground(ground_height, batch),
         }
         for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
             if (np.linalg.norm(values[name], axis=-1) < 1e-6).any():
@@ -373,6 +380,16 @@ def _find_device(name: str) -> wp.Device:
     except Exception as error:
         known = ", ".join(str(device) for device in wp.get_devices())
         raise ValueError(f"device {name!r} is not available: {error}; this machine has {known}.") from error
+
+
+def _checked_ground(height: ArrayLike | None, batch: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return ground heights [m] as float64 of shape [] or [B], -inf where they are unknown."""
+    if height is None:
+        return np.full(batch, -np.inf)
+    shape = () if np.ndim(height) == 0 else batch
+    array = np.asarray(height)
+    unknown = array == -np.inf if array.dtype.kind == "f" else np.zeros(array.shape, dtype=bool)
+    return np.where(unknown, -np.inf, _checked("ground_height", np.where(unknown, 0.0, array), shape))
 
 
 def _checked(

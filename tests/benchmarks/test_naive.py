@@ -203,7 +203,7 @@ def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
     config, case = config_of(preset), random_case(seed, count=1500, nearest=0.3)
     planner = Planner(config, device=device)
     naive = NaivePlanner(planner)
-    plan = case.plan(planner)
+    plan = case.plan(planner, ground_height=float(case.position[2]) - 1.0)
     naive.run()
     a, M, N = naive.arrays, len(plan.kinds), config.sampling.steps
     positions = a.positions.numpy()
@@ -211,7 +211,10 @@ def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
     a.positions.assign(positions)
     wp.launch(
         mppi.clearance, dim=a.distance.shape, device=device,
-        inputs=[M + guides.BRAKES, N, naive.params, a.count, a.filtered, a.positions, a.distance],
+        inputs=[
+            M + guides.BRAKES, N, planner.inputs.ground_height, naive.params, a.count, a.filtered, a.positions,
+            a.distance,
+        ],
     )  # fmt: skip
     expected = np.minimum(a.distance.numpy()[:M, 0, :N], np.float32(config.costs.distance_max))
     np.testing.assert_allclose(plan.clearance, expected, rtol=3e-7)

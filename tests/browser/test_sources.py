@@ -57,9 +57,8 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     assert desk.dashboard.failures == 0
 
 
-def test_a_mesh_is_seen_from_both_sides_and_its_ground_is_told(fresh_desk, tmp_path):
+def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(fresh_desk, tmp_path):
     desk = fresh_desk
-    desk.session.configure({"costs.floor": 0.0})  # as `demo` tells of the forest
     wall = np.array([[5.0, -3.0, -10.0, 5.0, 3.0, -10.0, 5.0, 0.0, -4.0]])
     ground = np.array([[5.0, 0.0, -10.5, 60.0, 60.0, 1.0, 0.0]])
     ends = np.array([[0.0, 0.0, -8.0], [10.0, 0.0, -8.0]])
@@ -67,7 +66,7 @@ def test_a_mesh_is_seen_from_both_sides_and_its_ground_is_told(fresh_desk, tmp_p
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")
     desk.wait_for(lambda: desk.session.frame.source.name == "one triangle", "the mesh")
-    assert desk.session.frame.config.costs.floor == -10.0
+    assert desk.session.frame.observation.ground_height == -10.0
     desk.dashboard.show_only(["obstacles"])
     for end, other in (ends, ends[::-1]):
         desk.wait_for(lambda: (desk.render(end, other)[..., 3] > 128).sum() > 5000, f"the wall from {end}")  # noqa: B023

@@ -1,4 +1,4 @@
-"""The configuration that flags describe, and what it is told of the world."""
+"""The configuration that flags describe."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from aero_viz.cli.flags import ConfigFlags, WorldFlags
+from aero_viz.cli.flags import ConfigFlags
 
 
 def flags(config: str = "default", **costs: Any) -> ConfigFlags:
@@ -15,26 +15,20 @@ def flags(config: str = "default", **costs: Any) -> ConfigFlags:
 
 
 @pytest.mark.parametrize(
-    ("given", "ground", "floor"),
+    ("given", "use_ground"),
     [
-        (flags(), 0.0, 0.0),
-        (flags("fast-cpu"), -2.5, -2.5),
-        (flags(), None, -1000.0),
-        (flags(floor=-1000.0), 0.0, -1000.0),
-        (flags(floor=0.7), 0.0, 0.7),
-        (flags("paper"), 0.0, -1000.0),
+        (flags(), True),
+        (flags("fast-cpu"), True),
+        (flags(use_ground=False), False),
+        (flags("paper"), False),
+        (flags("paper", use_ground=True), True),
     ],
 )
-def test_presets_are_told_of_the_ground(given: ConfigFlags, ground: float | None, floor: float):
-    assert given.load(ground).costs.floor == floor
+def test_only_the_paper_preset_ignores_the_ground(given: ConfigFlags, use_ground: bool):
+    assert given.load().costs.use_ground == use_ground
 
 
-def test_a_file_says_itself_where_the_floor_is(tmp_path):
+def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("costs:\n  q_track: 7\n")
-    assert flags(str(file)).load(0.0).costs.floor == -1000.0
-
-
-def test_scenes_have_ground_and_recordings_none():
-    assert WorldFlags().ground("forest", seed=0) == 0.0
-    assert WorldFlags().ground("flight.mcap", seed=0) is None
+    assert flags(str(file)).load().costs.use_ground

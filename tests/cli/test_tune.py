@@ -51,7 +51,7 @@ def test_json_is_complete_and_flags_reach_the_flights(
     assert [candidate["flights"] for candidate in content["candidates"]] == [2, 2, 2]
     assert content["simulation"]["rules"]["time_limit"] == 0.1 and content["simulation"]["vehicle"]["drag"] == 0.3
     assert content["simulation"]["lidar"]["points_per_sweep"] == 1000
-    assert content["config"]["vehicle"]["speed_limit"] == 4.0 and content["config"]["costs"]["floor"] == -0.0
+    assert content["config"]["vehicle"]["speed_limit"] == 4.0 and content["config"]["costs"]["use_ground"] is True
     assert load_config(path).to_dict() == content["config"]
 
 

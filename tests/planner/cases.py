@@ -13,6 +13,12 @@ from tests.planner.reference import Array, rotation, unit
 SMALL: dict[str, Value] = {"sampling.samples": 16}
 """Few samples keep tests fast; nothing but the statistics depends on K."""
 
+PLAN_ARRAYS = [
+    "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
+    "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
+    "goal_cost", "collision_cost", "clearance",
+]  # fmt: skip
+
 
 def config_of(preset: str = "default", **changes: Value) -> PlannerConfig:
     """A preset with few samples and `changes`, whose names carry "__" for the dot."""
@@ -53,6 +59,13 @@ def kept_points(plan: Plan) -> Array:
     """Filtered cloud of a single drone's plan."""
     assert isinstance(plan.filtered_points, np.ndarray)
     return plan.filtered_points
+
+
+def assert_same(a: Plan, b: Plan) -> None:
+    """Assert that two plans are equal bit for bit."""
+    for name in PLAN_ARRAYS:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    assert (a.kinds, a.best, a.status, a.dropped_points) == (b.kinds, b.best, b.status, b.dropped_points)
 
 
 def exact(values: object) -> Array:

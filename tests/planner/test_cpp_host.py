@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.deploy.export import export, makes_graphs, parse_architecture
-from aero_planner.onboard.settings import above_fence
 from aero_planner.onboard.settings_file import load_flight_config
 
 pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
@@ -74,8 +73,10 @@ def ask(example: Path, tmp_path: Path, device: str) -> Callable[..., Outcome]:
     return run
 
 
-def request(state: VehicleState, goal: Sequence[float], points: np.ndarray, age: float = 0.0) -> bytes:
-    floats = [state.position, state.velocity, state.quaternion, state.acceleration, goal, [age]]
+def request(
+    state: VehicleState, goal: Sequence[float], points: np.ndarray, age: float = 0.0, ground: float = -np.inf
+) -> bytes:
+    floats = [state.position, state.velocity, state.quaternion, state.acceleration, goal, [age], [ground]]
     parts = [np.asarray(part, dtype=np.float32).tobytes() for part in floats]
     assert state.time is not None
     head = struct.pack("<d", float(np.asarray(state.time))) + b"".join(parts) + struct.pack("<i", len(points))
@@ -88,7 +89,7 @@ def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> Veh
 
 def test_its_plans_are_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
     random = np.random.default_rng(4)
-    config = above_fence(*load_flight_config(bundle / "config.yaml"))  # as `run` flies it
+    config, _ = load_flight_config(bundle / "config.yaml")
     planner = Planner(config, device=device, seed=0)
     requests, expected, seen = b"", [], set()
     for tick in range(10):
@@ -98,9 +99,10 @@ def test_its_plans_are_those_of_python(ask: Callable[..., Outcome], bundle: Path
         points[::50] = np.nan
         state = state_of(random.normal(size=3), random.normal(size=3), 0.05 * tick)
         goal, age = [20.0, float(random.normal()), 1.0], 2.0 if tick == 4 else 0.0
-        plan = planner.plan(state, Goal(goal), points, cloud_age=age)
+        ground = -np.inf if tick % 2 else float(random.normal(-1.0, 0.3))
+        plan = planner.plan(state, Goal(goal), points, cloud_age=age, ground_height=ground)
         seen.add(plan.status)
-        requests += request(state, goal, points, age)
+        requests += request(state, goal, points, age, ground)
         outputs = planner.outputs
         arrays = (planner.command, outputs.controls, outputs.positions, outputs.S2)
         expected.append((int(plan.status), plan.best, [array.numpy()[0].copy() for array in arrays]))
@@ -200,6 +202,7 @@ def test_a_device_that_is_not_there_is_told(example: Path, tmp_path: Path, devic
         (request(state_of((0, 0, 2), (1, 0, 0)), (np.inf, 0, 2), np.zeros((0, 3))), "the goal's position"),
         (request(state_of((0, 0, 2), (1, 0, 0), np.inf), (20, 0, 2), np.zeros((0, 3))), "the state's time is infinite"),
         (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), np.nan), "the cloud's age"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), 0.0, np.nan), "the height of the"),
         (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((POINTS + 1, 3))), "than the graph has room for"),
         (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((5, 3)))[:-4], "ends within a record"),
         (b"", "holds no request"),

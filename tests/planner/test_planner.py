@@ -6,20 +6,7 @@ import warp as wp
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
 from tests.planner import reference
-from tests.planner.cases import Case, config_of, kept_points, random_case, shell
-
-ARRAYS = [
-    "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
-    "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
-    "goal_cost", "collision_cost", "clearance",
-]  # fmt: skip
-
-
-def assert_same(a: Plan, b: Plan) -> None:
-    """Every bit of two plans."""
-    for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
-    assert (a.kinds, a.best, a.status, a.dropped_points) == (b.kinds, b.best, b.status, b.dropped_points)
+from tests.planner.cases import PLAN_ARRAYS, Case, assert_same, config_of, kept_points, random_case, shell
 
 
 def assert_consistent(plan: Plan, case: Case, config: PlannerConfig) -> None:
@@ -177,7 +164,7 @@ def test_a_batch_is_so_many_single_planners(device: str):
         together = batch.plan(state, goal, [c.points for c in cases], samples=True)
         for b, (case, single) in enumerate(zip(cases, singles, strict=True)):
             alone = case.plan(single, samples=True)
-            for name in [*ARRAYS, "samples", "command"]:
+            for name in [*PLAN_ARRAYS, "samples", "command"]:
                 np.testing.assert_array_equal(getattr(together, name)[b], getattr(alone, name), err_msg=name)
             for name in ("best", "status", "dropped_points"):
                 assert getattr(together, name)[b] == getattr(alone, name)
@@ -273,9 +260,9 @@ def test_points_as_warp_arrays_lists_and_doubles(device: str):
 def test_plans_are_not_overwritten(device: str):
     planner = Planner(config_of(), device=device)
     plan = random_case(0).plan(planner)
-    copies = {name: getattr(plan, name).copy() for name in ARRAYS}
+    copies = {name: getattr(plan, name).copy() for name in PLAN_ARRAYS}
     random_case(1).plan(planner)
-    for name in ARRAYS:
+    for name in PLAN_ARRAYS:
         np.testing.assert_array_equal(getattr(plan, name), copies[name])
 
 

@@ -9,13 +9,11 @@ from typing import Any
 
 import viser
 
-from aero_planner import PlannerConfig
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
 from aero_viz.session.broadcast import Steerable
 from aero_viz.session.frame import Frame
-from aero_viz.session.ground import preset_above
 from aero_viz.session.source import Source
 
 __all__ = ["Page", "Panel"]
@@ -32,11 +30,6 @@ class Page:
     layers: Mapping[str, Layer]
     refresh: Callable[[], None]
     """Show the newest frame again: after a change that brings no frame of its own."""
-
-    def preset(self, name: str) -> PlannerConfig:
-        """Return a preset that is told of the ground of what is shown."""
-        frame = self.session.frame
-        return preset_above(name, None if frame is None else frame.source.scenery.ground_height)
 
     def attempt(self, action: Callable[[], Any], client: viser.ClientHandle | None = None) -> bool:
         """Run `action`; a user's mistake becomes a notification. Returns whether it went well."""

@@ -40,14 +40,16 @@ class ConfigurationPanel(Panel):
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None and self._preset.value != _OWN:
-                self.page.attempt(lambda: self.session.configure(self.page.preset(self._preset.value)), event.client)
+                self.page.attempt(
+                    lambda: self.session.configure(PlannerConfig.preset(self._preset.value)), event.client
+                )
 
         @steps.on_click
         async def _(event: viser.GuiEvent) -> None:
             actions = {
                 "undo": self.session.undo,
                 "redo": self.session.redo,
-                "reset all": lambda: self.session.configure(self.page.preset("default")),
+                "reset all": lambda: self.session.configure(PlannerConfig()),
             }
             self.page.attempt(actions[steps.value], event.client)
 
@@ -70,9 +72,8 @@ class ConfigurationPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         config = self.session.config
-        floor = {"costs.floor": config.costs.floor}  # is the world's, and no change of a preset
         presets = PlannerConfig.presets()
-        name = next((name for name in presets if PlannerConfig.preset(name).replace(floor) == config), _OWN)
+        name = next((name for name in presets if PlannerConfig.preset(name) == config), _OWN)
         return [(self._preset, "value", name)]
 
 

@@ -133,7 +133,7 @@ class LiveParameterPanel(_ParameterPanel):
     def _on_reset(self, button: viser.GuiButtonHandle, paths: Sequence[str]) -> None:
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
-            default = self.page.preset("default")
+            default = PlannerConfig()
             self.page.attempt(lambda: self.session.configure({p: default.get(p) for p in paths}), event.client)
 
 

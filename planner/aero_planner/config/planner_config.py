@@ -288,16 +288,19 @@ class CostConfig(ParameterSection, section="costs"):
         0.35, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
         label="Cost-to-go clearance", group="Cost-to-go",
     )  # fmt: skip
-    floor: float = live(
-        -1000.0, "m", -1000.0, 1000.0, "World height that counts as an obstacle from there down: the ground, for a "
-        "sensor that does not see what is below it. At -1000 this is off.",
+    use_ground: bool = switch(
+        True, "Treat the ground as an obstacle where its height is known: a LiDAR may not see what is below it. Off as "
+        "in the paper.",
+        label="Avoid the ground", group="Obstacles",
     )  # fmt: skip
 
 
 RENAMED: dict[str, str] = {}
 """New path of each renamed parameter by its old path, which files and flags accept for one release."""
 
-REMOVED: dict[str, str] = {}
+REMOVED: dict[str, str] = {
+    "costs.floor": "the ground height comes from the world or from the drone; costs.use_ground says whether it counts",
+}
 """Reason for each removed parameter by its path, which files and flags ignore for one release."""
 
 
@@ -390,6 +393,7 @@ _PAPER: dict[str, Value] = {
     "costs.shape": "exponential",
     "costs.q_blocked": 0.0,
     "costs.way_ahead": 0.0,
+    "costs.use_ground": False,
 }
 
 _PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

@@ -175,7 +175,6 @@ def _compile_elsewhere(work: Path, folder: Path, architectures: list[int], cpu: 
 
 
 def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> None:
-    from aero_planner.onboard.settings import above_fence
     from aero_planner.onboard.settings_file import load_flight_config
 
     planner, onboard = load_flight_config(folder / CONFIG)
@@ -184,7 +183,7 @@ def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> N
         place = folder / GRAPH / processor
         place.mkdir(parents=True)
         with kernels_in(work / "compiled"):
-            save_graph(above_fence(planner, onboard), onboard.lidar.points_max, place / _GRAPH_FILE, device=device)
+            save_graph(planner, onboard.lidar.points_max, place / _GRAPH_FILE, device=device)
         about = [wp.config.version, str(len(planner.kinds)), *(_cpu_features() if device == "cpu" else ())]
         (place / "target.txt").write_text("".join(f"{line}\n" for line in about), encoding="ascii")
 

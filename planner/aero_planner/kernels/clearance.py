@@ -21,7 +21,7 @@ from aero_planner.kernels.params import Params
 __all__ = [
     "FAR",
     "GRID",
-    "above_floor",
+    "above_ground",
     "allocate_rows",
     "cell_size",
     "clearance_at",
@@ -225,9 +225,12 @@ def clearance_at(width: int, threads: int) -> wp.Function:
 
 
 @wp.func
-def above_floor(d: float, x: wp.vec3, params: Params) -> float:
-    """Distance d from x to the nearest point, or to the floor where that is nearer [m]."""
-    return wp.min(d, wp.max(x[2] - params.floor, 0.0))
+def above_ground(d: float, x: wp.vec3, ground_height: float, params: Params) -> float:
+    """Return the smaller of d, the distance from x to the nearest point, and the height of x above the ground [m].
+
+    `ground_height` is -inf where the ground is unknown.
+    """
+    return wp.where(params.use_ground != 0, wp.min(d, wp.max(x[2] - ground_height, 0.0)), d)
 
 
 @wp.func
@@ -253,6 +256,7 @@ def query_clearance(of: Widths) -> wp.Kernel:
         stride: int,
         positions: wp.array4d(dtype=float),
         center: wp.array(dtype=wp.vec3),
+        ground_height: wp.array(dtype=float),
         params: wp.array(dtype=Params),
         beside: int,
         end: wp.array2d(dtype=int),
@@ -276,7 +280,8 @@ def query_clearance(of: Widths) -> wp.Kernel:
         size = cell_size(c)
         for k in range(lane, cost.shape[2], stride):
             x = wp.vec3(positions[i, t, 0, k], positions[i, t, 1, k], positions[i, t, 2, k])
-            d = above_floor(clearance(x, limit, b, thread, center[b], size, beside, end, blocks), x, c)
+            d = clearance(x, limit, b, thread, center[b], size, beside, end, blocks)
+            d = above_ground(d, x, ground_height[b], c)
             if thread == 0:
                 cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), wp.where(d < c.blocked_radius, 1.0, 0.0))
 

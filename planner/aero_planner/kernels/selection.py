@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.clearance import above_floor, cell_size, clearance_at, row_limit
+from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, row_limit
 from aero_planner.kernels.costs import collision_cost, goal_cost, speed_cost
 from aero_planner.kernels.dynamics import rk4_step
 from aero_planner.kernels.kernel_tuning import Widths, block_type, least_of, of_thread, sum_of
@@ -84,6 +84,7 @@ def evaluate(of: Widths) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate(
         position: wp.array(dtype=wp.vec3),
+        ground_height: wp.array(dtype=float),
         goal_position: wp.array(dtype=wp.vec3),
         goal_velocity: wp.array(dtype=wp.vec3),
         goal_quaternion: wp.array(dtype=wp.vec4),
@@ -117,7 +118,7 @@ def evaluate(of: Widths) -> wp.Kernel:
         elif t >= steps:
             x = probe(x, turn[b, m], goal_position[b], t - steps, c)
         d = nearest_point(x, limit, b, thread, position[b], cell_size(c), beside, end, blocks)
-        d = above_floor(d, x, c)
+        d = above_ground(d, x, ground_height[b], c)
         J_goal = float(0.0)
         J_speed = float(0.0)
         if t < steps:

@@ -95,6 +95,7 @@ class Replanner:
         self._next_cloud = -np.inf
         self._compensate = config.rates.compensate
         self._longest = 0.5 * config.limits.plan_age
+        self._fence_height = config.limits.fence_height_min
         self._track = track
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
@@ -137,7 +138,10 @@ class Replanner:
             return None
         state = self._state(situation, began)
         try:
-            plan = self.planner.plan(state, Goal(situation.goal), points, cloud_age=max(age, 0.0))
+            # A Mid-360 does not see the ground below it: the planner avoids everything below the geofence instead.
+            plan = self.planner.plan(
+                state, Goal(situation.goal), points, cloud_age=max(age, 0.0), ground_height=self._fence_height
+            )
         except (ValueError, RuntimeError, MemoryError) as error:
             self._fail(f"the planner failed: {error}")
             return None

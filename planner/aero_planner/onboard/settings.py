@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from aero_planner.config import PlannerConfig, find_parameter
+from aero_planner.config import PlannerConfig
 from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "RateSettings",
     "TelemetrySettings",
     "ThrustSettings",
-    "above_fence",
     "check_together",
 ]
 
@@ -198,13 +197,3 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             f"vehicle.thrust_max is {planner.vehicle.thrust_max} N; it must exceed the weight of "
             f"{planner.vehicle.mass * planner.vehicle.gravity:.2f} N, or the drone can't fly."
         )
-
-
-def above_fence(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerConfig:
-    """Return the planner's configuration with everything below the geofence as an obstacle.
-
-    A Mid-360 does not see the ground below it, and a slow drone that seeks free space sinks. A higher costs.floor
-    stays.
-    """
-    floor = min(max(planner.costs.floor, onboard.limits.fence_height_min), find_parameter("costs.floor").high)
-    return planner.replace({"costs.floor": floor})

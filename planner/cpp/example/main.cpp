@@ -3,7 +3,7 @@
 //     aero_example BUNDLE DEVICE REQUESTS ANSWERS
 //
 // DEVICE is cpu or cuda:0. REQUESTS holds binary records: double time; float position[3], velocity[3], quaternion[4],
-// acceleration[3], goal[3], cloud_age; int32 count; float points[count][3]. ANSWERS holds for each: int32 status, best;
+// acceleration[3], goal[3], cloud_age, ground_height; int32 count; float points[count][3]. ANSWERS holds for each: int32 status, best;
 // float command[N][4], controls[R][N][4], positions[R][N+1][3], S2[R].
 #include "aero_planner.h"
 
@@ -64,11 +64,12 @@ int main(int count, char** arguments)
     aero_state state;
     while (read(requests, &state.time)) {
         aero_goal goal;
-        float cloud_age = 0.0f;
+        float cloud_age = 0.0f, ground_height = -INFINITY;
         int32_t number = 0;
         const bool whole = read(requests, state.position, 3) && read(requests, state.velocity, 3)
             && read(requests, state.quaternion, 4) && read(requests, state.acceleration, 3)
-            && read(requests, goal.position, 3) && read(requests, &cloud_age) && read(requests, &number);
+            && read(requests, goal.position, 3) && read(requests, &cloud_age) && read(requests, &ground_height)
+            && read(requests, &number);
         const bool fits = number >= 0 && number <= sizes.points; // aero_plan refuses what doesn't
         if (!whole || (fits && !read(requests, points.data(), 3 * static_cast<size_t>(number)))) {
             std::fprintf(stderr, "%s ends within a record\n", arguments[3]);
@@ -78,7 +79,7 @@ int main(int count, char** arguments)
         std::fill_n(goal.quaternion, 4, NAN); // nose toward the goal
 
         const auto start = std::chrono::steady_clock::now();
-        if (aero_plan(planner.get(), &state, &goal, points.data(), number, cloud_age) != 0) {
+        if (aero_plan(planner.get(), &state, &goal, points.data(), number, cloud_age, ground_height) != 0) {
             std::fprintf(stderr, "%s\n", aero_problem(planner.get()));
             return 2;
         }

@@ -55,13 +55,15 @@ void aero_close(aero_planner* planner);
 aero_sizes aero_get_sizes(const aero_planner* planner);
 
 /* Plan once, and wait for it. `points` are `count` x 3 [m], world frame; those that are not finite are dropped.
- * `cloud_age` is the time since they were measured [s].
+ * `cloud_age` is the time since they were measured [s]. Everything below `ground_height` [m], world frame, counts as an
+ * obstacle unless costs.use_ground is off; -INFINITY where the ground is unknown. `aero-planner run` gives
+ * limits.fence_height_min.
  *
  * Returns 0, or -1 where an input is not finite, a quaternion is zero, there are more points than there is room for, or
  * the device failed; there is no new plan then, and `aero_problem` says why.
  */
 int aero_plan(aero_planner* planner, const aero_state* state, const aero_goal* goal, const float* points,
-              int32_t count, float cloud_age);
+              int32_t count, float cloud_age, float ground_height);
 
 /* One sentence about the last call that failed. */
 const char* aero_problem(const aero_planner* planner);

@@ -96,6 +96,7 @@ struct aero_planner {
         } fixed[] = {
             {"time", 8}, {"position", 12}, {"velocity", 12}, {"quaternion", 16}, {"acceleration", 12},
             {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
+            {"ground_height", 4},
             {"point_count", 4}, {"best", 4}, {"status", 4}, {"seed", 4}, {"tick", 4}, {"previous_time", 8},
         };
         bool fits = true;
@@ -117,9 +118,10 @@ struct aero_planner {
 
     template <class T> const T* get(const char* name) { return static_cast<const T*>(graph->get(name)); }
 
-    void plan(const aero_state& state, const aero_goal& goal, const float* points, int32_t count, float cloud_age)
+    void plan(const aero_state& state, const aero_goal& goal, const float* points, int32_t count, float cloud_age,
+              float ground_height)
     {
-        if (const char* wrong = check(state, goal, cloud_age))
+        if (const char* wrong = check(state, goal, cloud_age, ground_height))
             throw std::runtime_error(wrong);
         if (count < 0 || count > sizes.points)
             throw std::runtime_error("the number of points is negative or more than the graph has room for; thin them "
@@ -133,6 +135,7 @@ struct aero_planner {
         put("goal_velocity", goal.velocity);
         put("goal_quaternion", goal.quaternion);
         put("cloud_age", cloud_age);
+        put("ground_height", ground_height);
         put("point_count", count);
         if (count)
             graph->put("points", points, sizeof(float) * 3 * static_cast<size_t>(count));
@@ -163,7 +166,7 @@ struct aero_planner {
     }
 
     // Returns what is wrong with the inputs, or nullptr.
-    static const char* check(const aero_state& state, const aero_goal& goal, float cloud_age)
+    static const char* check(const aero_state& state, const aero_goal& goal, float cloud_age, float ground_height)
     {
         const auto within = [](const float* values, int n) {
             for (int i = 0; i < n; ++i)
@@ -192,6 +195,8 @@ struct aero_planner {
             return "the goal's quaternion is not finite or zero; give a unit quaternion, or NaN to derive it";
         if (!std::isfinite(cloud_age))
             return "the cloud's age is not finite";
+        if (!(ground_height <= farthest) || (std::isfinite(ground_height) && ground_height < -farthest))
+            return "the height of the ground is NaN or beyond 1e6; give metres, or -INFINITY where it is unknown";
         return nullptr;
     }
 };
@@ -214,10 +219,10 @@ aero_sizes aero_get_sizes(const aero_planner* planner) { return planner->sizes; 
 
 int aero_plan(
     aero_planner* planner, const aero_state* state, const aero_goal* goal, const float* points, int32_t count,
-    float cloud_age
+    float cloud_age, float ground_height
 )
 {
-    return planner->attempt([&] { planner->plan(*state, *goal, points, count, cloud_age); });
+    return planner->attempt([&] { planner->plan(*state, *goal, points, count, cloud_age, ground_height); });
 }
 
 const char* aero_problem(const aero_planner* planner) { return planner->problem.c_str(); }

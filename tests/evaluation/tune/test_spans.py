@@ -19,7 +19,7 @@ CONFIG = PlannerConfig().replace({"costs.q_track": 4.0, "costs.q_speed": 0.0})
         ("costs.q-track", Span("costs.q_track", 1.0, 16.0)),
         ("sampling.correlation", Span("sampling.correlation", 0.2, 0.99)),  # never beyond the parameter's bounds
         ("costs.q_speed=0:20", Span("costs.q_speed", 0.0, 20.0)),
-        ("costs.floor=-1:0.5", Span("costs.floor", -1.0, 0.5)),
+        ("vehicle.gravity=9:9.5", Span("vehicle.gravity", 9.0, 9.5)),
     ],
 )
 def test_a_range_is_given_or_follows_from_the_value(text: str, span: Span) -> None:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aero_planner import Planner
+from aero_planner import Goal, Planner, VehicleState
 from tests.planner import reference
-from tests.planner.cases import config_of, kept_points, random_case
+from tests.planner.cases import assert_same, config_of, kept_points, random_case
 
 
 def check_against_brute_force(planner: Planner, case, config) -> None:
@@ -87,25 +87,52 @@ def test_points_on_the_rim_of_the_grid(device: str):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_floor_counts_as_an_obstacle(device: str, seed: int):
+def test_the_ground_counts_as_an_obstacle(device: str, seed: int):
     """Also where there is no point, and beyond the grid."""
     case = random_case(seed, count=300 * seed, nearest=0.5)
-    floor = float(case.position[2]) - 0.2
-    config = config_of(costs__floor=floor, candidates__prefer_safe=False)
-    plan = case.plan(Planner(config, device=device))
+    ground = float(case.position[2]) - 0.2
+    config = config_of(candidates__prefer_safe=False)
+    plan = case.plan(Planner(config, device=device), ground_height=ground)
     x = plan.positions[:, 1:].astype(np.float64)
     to_points = reference.clearance(x.reshape(-1, 3), kept_points(plan), 0.55).reshape(plan.clearance.shape)
-    expected = np.minimum(to_points, np.maximum(x[..., 2] - floor, 0.0))
+    expected = np.minimum(to_points, np.maximum(x[..., 2] - ground, 0.0))
     np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
     assert (plan.clearance < to_points - 0.01).any()
 
 
-def test_nothing_dives_to_an_unseen_floor(device: str):
-    """A goal ahead and 2 m below: without the floor the plan leads there, with it the drone keeps off."""
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_ground_that_is_unknown_or_not_used_changes_nothing(device: str, preset: str):
+    case = random_case(0, count=300, nearest=0.5)
+    ground = float(case.position[2]) - 0.2
+    expected = case.plan(Planner(config_of(preset, costs__use_ground=False), device=device))
+    assert_same(expected, case.plan(Planner(config_of(preset, costs__use_ground=True), device=device)))
+    unused = Planner(config_of(preset, costs__use_ground=False), device=device)
+    assert_same(expected, case.plan(unused, ground_height=ground))
+
+
+def test_each_drone_of_a_batch_has_its_own_ground(device: str):
+    cases = [random_case(seed, nearest=0.5) for seed in range(3)]
+    position, velocity, quaternion, acceleration = (
+        np.stack([getattr(case, name) for case in cases])
+        for name in ("position", "velocity", "quaternion", "acceleration")
+    )
+    state = VehicleState(position, velocity, quaternion, acceleration)
+    goal, clouds = Goal(np.stack([case.goal for case in cases])), [case.points for case in cases]
+    heights = np.array([cases[0].position[2] - 0.2, -np.inf, cases[2].position[2] - 1.0])
+    together = Planner(config_of(), device=device, batch=3).plan(state, goal, clouds, ground_height=heights)
+    for b, (case, height) in enumerate(zip(cases, heights, strict=True)):
+        known = None if np.isinf(height) else height
+        alone = case.plan(Planner(config_of(), device=device, seed=b), ground_height=known)
+        np.testing.assert_array_equal(together.controls[b], alone.controls)
+        np.testing.assert_array_equal(together.clearance[b], alone.clearance)
+
+
+def test_nothing_dives_to_unseen_ground(device: str):
+    """A goal ahead and 2 m below: without the ground the plan leads there, with it the drone keeps off."""
     case = random_case(0, count=0, tilt=0.0)
     case.velocity, case.acceleration, case.goal = np.array([3.0, 0, -2.0]), np.zeros(3), case.beside(6, 0, -2.0)
     lowest = []
-    for floor in (-1000.0, float(case.position[2]) - 1.0):
-        plan = case.plan(Planner(config_of(costs__floor=floor), device=device))
+    for ground in (None, float(case.position[2]) - 1.0):
+        plan = case.plan(Planner(config_of(), device=device), ground_height=ground)
         lowest.append(plan.positions[plan.best, :, 2].min() - case.position[2])
     assert lowest[0] < -0.75 < lowest[1]

@@ -14,7 +14,6 @@ from aero_planner.config.file import format_config
 from aero_planner.config.parameter import ParameterInfo
 from aero_planner.onboard.settings import (
     OnboardConfig,
-    above_fence,
     check_together,
 )
 from aero_planner.onboard.settings_file import format_onboard, load_file, load_flight_config, load_onboard
@@ -176,11 +175,3 @@ def test_written_files_explain_every_setting():
     for info in OnboardConfig.parameters():
         assert info.help in text and f"{info.name}: " in text
     assert list(OnboardConfig().to_dict()) == list(OnboardConfig.sections())
-
-
-@pytest.mark.parametrize(
-    ("floor", "fence", "told"), [(-1000.0, 0.3, 0.3), (0.5, 0.3, 0.5), (-1000.0, -1e4, -1000.0), (0.0, 9e3, 1000.0)]
-)
-def test_below_the_fence_is_an_obstacle(floor: float, fence: float, told: float):
-    onboard = OnboardConfig().replace({"limits.fence_height_min": fence, "limits.fence_height_max": 1e4})
-    assert above_fence(PlannerConfig().replace({"costs.floor": floor}), onboard).costs.floor == told
