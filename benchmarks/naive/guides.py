@@ -143,8 +143,8 @@ def guides(
         v1 = c.arrival_speed * wp.normalize(anchor[b, m] - p0)
         if reach[b] >= wp.length(way):
             v1 = goal_velocity[b]
-        elif reach[b] < c.way_ahead and c.way_ahead < wp.length(way):
-            turn[b, m] = p0 + c.way_ahead * wp.normalize(anchor[b, m] - p0)
+        elif reach[b] < c.waypoint_distance and c.waypoint_distance < wp.length(way):
+            turn[b, m] = p0 + c.waypoint_distance * wp.normalize(anchor[b, m] - p0)
     if m == previous_index:
         passed = float(time[b] - previous_time[b])
         if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):

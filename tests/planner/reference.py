@@ -207,7 +207,7 @@ def J_speed(v: Array, config: PlannerConfig) -> float:
 
 def turning_point(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:
     """Where the way of an anchor's instance turns to the goal; the goal itself where it does so at once."""
-    ahead = config.costs.way_ahead
+    ahead = config.costs.waypoint_distance
     if not reach < ahead < np.linalg.norm(goal - p0):
         return goal
     return p0 + ahead * (anchor - p0) / np.linalg.norm(anchor - p0)

@@ -268,12 +268,17 @@ class CostConfig(ParameterSection, section="costs"):
         "the same gap and would otherwise pay more for the passage than it is worth.",
         label="Full-weight speed limit", group="Obstacles",
     )  # fmt: skip
+    use_ground: bool = switch(
+        True, "Treat the ground as an obstacle where its height is known: a LiDAR may not see what is below it. Off as "
+        "in the paper.",
+        label="Avoid the ground", group="Obstacles",
+    )  # fmt: skip
     q_blocked: float = live(
         300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the path from the final state to the "
         "goal; 0 in the paper.",
         label="Blocked path weight", group="Cost-to-go",
     )  # fmt: skip
-    way_ahead: float = live(
+    waypoint_distance: float = live(
         3.0, "m", 0.0, 30.0,
         "Distance from the drone up to which that path follows the direction of the anchor, before it turns to the "
         "goal. Guides that end sooner, such as slow ones, do not lead around an obstacle by themselves. 0 turns to the "
@@ -288,14 +293,9 @@ class CostConfig(ParameterSection, section="costs"):
         0.35, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
         label="Cost-to-go clearance", group="Cost-to-go",
     )  # fmt: skip
-    use_ground: bool = switch(
-        True, "Treat the ground as an obstacle where its height is known: a LiDAR may not see what is below it. Off as "
-        "in the paper.",
-        label="Avoid the ground", group="Obstacles",
-    )  # fmt: skip
 
 
-RENAMED: dict[str, str] = {}
+RENAMED: dict[str, str] = {"costs.way_ahead": "costs.waypoint_distance"}
 """New path of each renamed parameter by its old path, which files and flags accept for one release."""
 
 REMOVED: dict[str, str] = {
@@ -392,7 +392,7 @@ _PAPER: dict[str, Value] = {
     "costs.penalty": 1e6,
     "costs.shape": "exponential",
     "costs.q_blocked": 0.0,
-    "costs.way_ahead": 0.0,
+    "costs.waypoint_distance": 0.0,
     "costs.use_ground": False,
 }
 

@@ -208,9 +208,9 @@ def make_guides(of: Widths) -> wp.Kernel:
         BRAKES, of.steps], which share the steps.
 
         `turn` is where the way beyond a guide, of which the cost-to-go asks whether it is blocked, turns to the goal:
-        on the line to the anchor at way_ahead, where that lies beyond the guide's end and before the goal, and the goal
-        itself otherwise. Braking stops within brake_reach v T. `previous_time` is NaN when there is no previous plan; a
-        `time` of NaN means one replan_period later.
+        on the line to the anchor at waypoint_distance, where that lies beyond the guide's end and before the goal, and
+        the goal itself otherwise. Braking stops within brake_reach v T. `previous_time` is NaN when there is no
+        previous plan; a `time` of NaN means one replan_period later.
         """
         b, m, lane = wp.tid()
         c = params[b]
@@ -244,8 +244,8 @@ def make_guides(of: Widths) -> wp.Kernel:
             v1 = c.arrival_speed * wp.normalize(p1 - p0)
             if reach[b] >= goal_distance:
                 v1 = goal_velocity[b]
-            elif c.way_ahead > reach[b] and c.way_ahead < goal_distance:
-                way_turn = p0 + c.way_ahead * wp.normalize(p1 - p0)
+            elif c.waypoint_distance > reach[b] and c.waypoint_distance < goal_distance:
+                way_turn = p0 + c.waypoint_distance * wp.normalize(p1 - p0)
         elif m == previous_index:
             # Compared in float64, since stamps may count from 1970.
             elapsed = float(time[b] - previous_time[b])

@@ -161,7 +161,7 @@ def test_states_without_time_are_one_replan_period_apart(device: str):
 def test_ways_keep_their_direction_until_they_turn_to_the_goal(
     device: str, speed: float, ahead: float, distance: float
 ):
-    config, case = config_of(costs__way_ahead=ahead), random_case(0, speed=speed)
+    config, case = config_of(costs__waypoint_distance=ahead), random_case(0, speed=speed)
     case.goal = case.beside(distance, 0, 0)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
