@@ -208,8 +208,8 @@ def _read_csv(path: Path) -> Trajectory:
 
 def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
     from aero_viz.recordings.contents import read_contents
-    from aero_viz.recordings.messages import POSE_TYPES
-    from aero_viz.recordings.poses import PoseTrack
+    from aero_viz.recordings.pose_messages import POSE_TYPES
+    from aero_viz.recordings.poses import RecordedPoses
     from aero_viz.recordings.storage import open_storage, readable
 
     storage = open_storage(path)
@@ -218,15 +218,15 @@ def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
             contents = read_contents(storage)
     finally:
         storage.close()
-    topics = [topic for topic in contents.of_types(POSE_TYPES) if len(topic.poses)]
+    topics = [topic for topic in contents.topics_with(POSE_TYPES) if len(topic.poses)]
     chosen = next((topic for topic in topics if pose_topic in (None, topic.name)), None)
     if chosen is None:
         offered = ", ".join(topic.name for topic in topics) or "none"
         wanted = "no topic with poses" if pose_topic is None else f"no poses on {pose_topic}"
         raise UserError(f"{path} has {wanted}; topics with poses: {offered}.")
     times, rows = chosen.poses.times(stamped=True), chosen.poses.rows()
-    track = PoseTrack.build((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
-    return Trajectory(path.name, track.times, track.positions + track.offset, track.velocities)
+    poses = RecordedPoses((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
+    return Trajectory(path.name, poses.times, poses.positions + poses.offset, poses.velocities)
 
 
 def _finite(value: float) -> float | None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from aero_viz.recordings.info import RecordingInfo, inspect
-from aero_viz.recordings.poses import Pose, PoseTrack
+from aero_viz.recordings.poses import Pose, RecordedPoses
 from aero_viz.recordings.recording import PointSweep, Recording, open_recording
 from aero_viz.recordings.source import RecordingSource
 
 __all__ = [
     "PointSweep",
     "Pose",
-    "PoseTrack",
+    "RecordedPoses",
     "Recording",
     "RecordingInfo",
     "RecordingSource",

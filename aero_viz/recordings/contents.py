@@ -1,4 +1,4 @@
-"""One pass over a recording: which topics it has, where its sweeps lie, and all its poses. Sweeps stay on disk."""
+"""One pass over a recording that finds its topics, its sweeps and all its poses. Sweeps stay on disk."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from aero_viz.errors import UserError
-from aero_viz.recordings.bagfile import BagFile, Message
-from aero_viz.recordings.clouds import CLOUD_TYPES, DamagedMessage, cloud_layout
-from aero_viz.recordings.messages import POSE_TYPES, TF_TYPES, decode_poses
+from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Message
+from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.pose_messages import POSE_TYPES, TRANSFORM_STAMPED, decode_poses
+from aero_viz.recordings.ros_messages import ENCODINGS, TF_TYPES, DamagedMessage
 from aero_viz.recordings.storage import Storage
-from aero_viz.recordings.transforms import Samples, TransformTree
+from aero_viz.recordings.transforms import PoseSamples, TransformTree
 
 __all__ = ["CloudEntry", "Contents", "Topic", "TopicContents", "read_contents"]
-
-ENCODINGS = ("cdr", "ros1")
 
 
 class Topic(NamedTuple):
@@ -24,48 +25,57 @@ class Topic(NamedTuple):
     name: str
     type: str
     count: int
+    """Number of messages."""
 
 
 class CloudEntry(NamedTuple):
-    """Where one cloud lies."""
+    """Location of a cloud in the recording."""
 
     stamp: int
     """Time in the header [ns], 0 where unset."""
     arrival: int
-    """When it was recorded [ns]."""
+    """Time of recording [ns]."""
     count: int
     """Number of points, invalid ones included."""
     frame: str
+    """Frame of the coordinates."""
     file: BagFile
     position: Any
+    """Argument of `BagFile.read`."""
 
     @property
     def time(self) -> int:
-        """The header's time or, where the driver set none, the time of arrival [ns]."""
+        """The stamp or, where the driver set none, the time of recording [ns]."""
         return self.stamp or self.arrival
 
 
 @dataclass
 class TopicContents:
-    """What one topic brought."""
+    """The messages of one topic."""
 
     name: str
     type: str
     encoding: str
     count: int = 0
+    """Number of messages."""
     damaged: int = 0
-    """Messages that cannot be decoded."""
+    """Number of messages that cannot be decoded."""
     reason: str = ""
-    """Why the first of them cannot."""
+    """Why the first of them cannot be decoded."""
     clouds: list[CloudEntry] = field(default_factory=list)
-    poses: Samples = field(default_factory=Samples)
+    poses: PoseSamples = field(default_factory=PoseSamples)
     child: str = ""
-    """Frame whose poses these are, empty where the messages do not say."""
+    """Frame that the poses place; empty where the messages do not say."""
+
+    def add_damaged(self, reason: str) -> None:
+        """Count a message that cannot be decoded."""
+        self.damaged += 1
+        self.reason = self.reason or reason
 
 
 @dataclass
 class Contents:
-    """What a recording holds."""
+    """Everything in a recording except the points."""
 
     path: Path
     topics: list[TopicContents]
@@ -73,52 +83,32 @@ class Contents:
     first: int | None
     """Time of the first message [ns], None without messages."""
     last: int | None
+    """Time of the last message [ns], None without messages."""
     problems: list[str]
+    """What the user should know, one sentence each."""
 
     @property
     def duration(self) -> float:
         """Time from the first to the last message [s]."""
         return 0.0 if self.first is None or self.last is None else (self.last - self.first) * 1e-9
 
-    def of_types(self, types: tuple[str, ...]) -> list[TopicContents]:
-        """Return the topics of these types that have messages, in the order of the types, busiest first."""
+    def topics_with(self, types: tuple[str, ...]) -> list[TopicContents]:
+        """Return the topics that have messages of `types`, in the order of the types, the busiest topic first."""
         found = [topic for topic in self.topics if topic.type in types and topic.count]
         return sorted(found, key=lambda topic: (types.index(topic.type), -topic.count, topic.name))
 
 
 def read_contents(storage: Storage) -> Contents:
-    """Scan all files of a recording.
+    """Scan all files of a recording. Damaged messages are counted and left out.
 
-    Damaged messages are counted and left out. Raises UserError when nothing at all can be read.
+    Raises:
+        UserError: nothing can be read.
     """
-    wanted = {*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES}
-    topics: dict[tuple[str, str], TopicContents] = {}
-    contents = Contents(storage.path, [], TransformTree(), None, None, list(storage.problems))
+    scanner = _Scanner(storage)
     for file in storage.files:
-        count = 0
-        for count, message in enumerate(file.scan(wanted), start=1):  # noqa: B007
-            channel = message.channel
-            topic = topics.get(channel[:2])
-            if topic is None:
-                topic = topics[channel[:2]] = TopicContents(*channel)
-            topic.count += 1
-            if not 0 <= message.time < 1 << 63:
-                _damaged(topic, "its time is impossible")
-                continue
-            contents.first = message.time if contents.first is None else min(contents.first, message.time)
-            contents.last = message.time if contents.last is None else max(contents.last, message.time)
-            if channel.type in wanted:
-                _take(message, file, topic, contents.transforms)
-        for channel in file.channels.values():
-            topics.setdefault(channel[:2], TopicContents(*channel))
-        name = getattr(file, "path", storage.path).name
-        contents.problems += [f"{name} is {problem}" for problem in file.problems]
-        if file.truncated:
-            whole = f"{count} messages are" if count > 1 else "one message is" if count else "no message is"
-            contents.problems.append(f"{name} is truncated, its end is missing: {whole} whole before the cut")
-        if file.damaged:
-            contents.problems.append(f"{file.damaged} damaged records or blocks of {name} are left out")
-    contents.topics = sorted(topics.values(), key=lambda topic: topic.name)
+        scanner.scan(file)
+    contents = scanner.contents
+    contents.topics = sorted(scanner.topics.values(), key=lambda topic: topic.name)
     for topic in contents.topics:
         if topic.damaged:
             contents.problems.append(
@@ -131,38 +121,85 @@ def read_contents(storage: Storage) -> Contents:
     return contents
 
 
-def _damaged(topic: TopicContents, reason: str) -> None:
-    topic.damaged += 1
-    topic.reason = topic.reason or reason
+class _Scanner:
+    """Collects the contents of one file after the other."""
 
+    def __init__(self, storage: Storage) -> None:
+        self.contents = Contents(storage.path, [], TransformTree(), None, None, list(storage.problems))
+        self.topics: dict[tuple[str, str], TopicContents] = {}
+        """By name and type."""
+        self._types = {*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES}
+        self._padded = np.zeros(HEAD_BYTES, np.uint8)
 
-def _take(message: Message, file: BagFile, topic: TopicContents, transforms: TransformTree) -> None:
-    channel = message.channel
-    if channel.encoding not in ENCODINGS:
-        _damaged(topic, f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1")
-        return
-    try:
-        if channel.type in CLOUD_TYPES:
-            layout = cloud_layout(message.head, message.size, channel.type, channel.encoding)
-            entry = CloudEntry(layout.stamp, message.time, layout.count, layout.frame, file, message.position)
-            topic.clouds.append(entry)
+    def scan(self, file: BagFile) -> None:
+        """Add the messages of a file, and the problems found in it."""
+        contents, count = self.contents, 0
+        for message in file.scan(self._types):
+            count += 1
+            key = message.channel[:2]
+            topic = self.topics.get(key)
+            if topic is None:
+                topic = self.topics[key] = TopicContents(*message.channel)
+            topic.count += 1
+            if not 0 <= message.time < 1 << 63:
+                topic.add_damaged("its time is impossible")
+                continue
+            contents.first = message.time if contents.first is None else min(contents.first, message.time)
+            contents.last = message.time if contents.last is None else max(contents.last, message.time)
+            if message.channel.type in self._types:
+                self._add(message, file, topic)
+        for channel in file.channels.values():
+            self.topics.setdefault(channel[:2], TopicContents(*channel))
+        name = file.path.name
+        contents.problems += [f"{name} is {problem}" for problem in file.problems]
+        if file.truncated:
+            precede = "1 message precedes" if count == 1 else f"{count or 'no'} messages precede"
+            contents.problems.append(f"{name} is truncated: {precede} the cut")
+        if file.damaged:
+            contents.problems.append(f"{file.damaged} damaged records or chunks of {name} are left out")
+
+    def _add(self, message: Message, file: BagFile, topic: TopicContents) -> None:
+        """Add a cloud or the poses of a message."""
+        channel = message.channel
+        if channel.encoding not in ENCODINGS:
+            topic.add_damaged(f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1")
             return
-        data = message.head if len(message.head) == message.size else file.read(message.position)
-        poses = decode_poses(data, channel.type, channel.encoding)
-    except DamagedMessage as error:
-        _damaged(topic, str(error))
-        return
-    except ValueError:
-        _damaged(topic, "its bytes are damaged")
-        return
-    if not all(pose.valid for pose in poses):
-        _damaged(topic, "its position or quaternion is not valid")
-    static = channel.topic.endswith("tf_static")
-    for pose in poses:
-        if not pose.valid:
-            continue
-        if pose.child and channel.type in (*TF_TYPES, POSE_TYPES[3]):
-            transforms.add(pose.parent, pose.child, pose.stamp, message.time, pose.values[:7], static=static)
-        if channel.type in POSE_TYPES:
-            topic.poses.add(pose.stamp, message.time, pose.values)
-            topic.child = pose.child
+        try:
+            if channel.type in CLOUD_TYPES:
+                cloud = read_cloud(self._without_points(message), channel.type, channel.encoding)
+                entry = CloudEntry(cloud.stamp, message.time, cloud.rows.size, cloud.frame, file, message.position)
+                topic.clouds.append(entry)
+                return
+            data = message.head if len(message.head) == message.size else file.read(message.position)
+            poses = decode_poses(data, channel.type, channel.encoding)
+        except DamagedMessage as error:
+            topic.add_damaged(str(error))
+            return
+        except ValueError:
+            topic.add_damaged("its bytes are damaged")
+            return
+        if not all(pose.is_valid for pose in poses):
+            topic.add_damaged("its position or quaternion is not valid")
+        static = channel.topic.endswith("tf_static")
+        for pose in poses:
+            if not pose.is_valid:
+                continue
+            if pose.child and channel.type in (*TF_TYPES, TRANSFORM_STAMPED):
+                self.contents.transforms.add(
+                    pose.parent, pose.child, pose.stamp, message.time, pose.values[:7], static=static
+                )
+            if channel.type in POSE_TYPES:
+                topic.poses.add(pose.stamp, message.time, pose.values)
+                topic.child = pose.child
+
+    def _without_points(self, message: Message) -> bytes | memoryview:
+        """Return the message with zeros behind its head, from which the layout of a cloud can be decoded.
+
+        Reading the points of a long recording only to count them would take minutes.
+        """
+        if len(message.head) == message.size:
+            return message.head
+        if len(self._padded) < message.size:
+            self._padded = np.zeros(message.size, np.uint8)  # pages that are never written take no memory
+        self._padded[: len(message.head)] = np.frombuffer(message.head, np.uint8)
+        return self._padded[: message.size].data

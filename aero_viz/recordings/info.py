@@ -1,4 +1,4 @@
-"""What is in a recording and what of it can be played."""
+"""A report on the contents of a recording and on what of it can be played."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ import numpy as np
 
 from aero_viz.errors import UserError
 from aero_viz.recordings.contents import Topic, read_contents
-from aero_viz.recordings.recording import Recording, require_topics
+from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.storage import open_storage, readable
+from aero_viz.recordings.topics import require_topics
+from aero_viz.text_table import format_table
 
 __all__ = ["PointsPerSweep", "RecordingInfo", "inspect"]
 
 
 @dataclass(frozen=True)
 class PointsPerSweep:
-    """Points of the playable sweeps as recorded, invalid ones included."""
+    """Number of points in a playable sweep, invalid ones included."""
 
     min: int
     median: int
@@ -35,43 +37,38 @@ class RecordingInfo:
     """Time from the first to the last message of any topic [s]."""
     topics: tuple[Topic, ...]
     sweeps: int
-    """How many sweeps can be played."""
+    """Number of sweeps that can be played."""
     poses: int
-    """How many poses place them."""
+    """Number of poses on the topic that is played."""
     points_topic: str | None
     pose_topic: str | None
     points_per_sweep: PointsPerSweep | None
     problems: tuple[str, ...]
-    """What keeps sweeps from being played, and what the user should know, one sentence each."""
+    """What keeps sweeps from being played, and what else the user should know, one sentence each."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as plain values for `json.dumps`."""
-        values = asdict(self)
-        values["topics"] = [topic._asdict() for topic in self.topics]
-        values["problems"] = list(self.problems)
-        return values
+        return {**asdict(self), "topics": [topic._asdict() for topic in self.topics], "problems": list(self.problems)}
 
     def format_table(self) -> str:
-        """Return the report as text for people."""
-        lines = [f"{self.path}: {self.format}, {self.duration_s:.1f} s"]
-        width = max((len(topic.name) for topic in self.topics), default=0)
-        kind = max((len(topic.type) for topic in self.topics), default=0)
-        for topic in self.topics:
-            use = {self.points_topic: "  <- sweeps", self.pose_topic: "  <- poses"}.get(topic.name, "")
-            lines.append(f"  {topic.name:<{width}}  {topic.type:<{kind}}  {topic.count:>8}{use}")
-        plural = "" if self.sweeps == 1 else "s"
-        playable = f"{self.sweeps} sweep{plural} can be played, {self.poses} pose{'' if self.poses == 1 else 's'}"
+        """Return the report as text for a terminal."""
+        use = {self.points_topic: "<- sweeps", self.pose_topic: "<- poses"}
+        rows = [["", topic.name, topic.type, str(topic.count), use.get(topic.name, "")] for topic in self.topics]
+        playable = f"{_count(self.sweeps, 'sweep')} can be played, {_count(self.poses, 'pose')}"
         if self.points_per_sweep:
-            p = self.points_per_sweep
-            playable += f"; points per sweep: {p.min} min, {p.median} median, {p.max} max"
-        return "\n".join([*lines, playable, *(f"note: {problem}" for problem in self.problems)])
+            points = self.points_per_sweep
+            playable += f"; points per sweep: {points.min} min, {points.median} median, {points.max} max"
+        title = f"{self.path}: {self.format}, {self.duration_s:.1f} s"
+        notes = [f"note: {problem}" for problem in self.problems]
+        return "\n".join([title, *([format_table(rows, right=[3])] if rows else []), playable, *notes])
 
 
 def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: str | None = None) -> RecordingInfo:
-    """Report what is in a recording; what keeps it from being played becomes one of the report's `problems`.
+    """Return a report on a recording. What keeps it from being played becomes one of the report's `problems`.
 
-    Raises UserError when there is no recording at `path`, nothing in it can be read, or a topic that is named is not
-    there or of the wrong type.
+    Raises:
+        UserError: there is no recording at `path`, nothing in it can be read, or a named topic does not exist or is of
+            the wrong type.
     """
     storage = open_storage(path)
     try:
@@ -81,10 +78,18 @@ def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: st
             try:
                 recording = Recording(storage, contents, points_topic, pose_topic)
             except UserError as error:
-                topics = tuple(Topic(topic.name, topic.type, topic.count) for topic in contents.topics)
-                problems = (*contents.problems, str(error))
-                return RecordingInfo(str(storage.path), storage.format, contents.duration, topics, 0, 0, None, None,
-                                     None, problems)  # fmt: skip
+                return RecordingInfo(
+                    path=str(storage.path),
+                    format=storage.format,
+                    duration_s=contents.duration,
+                    topics=tuple(Topic(topic.name, topic.type, topic.count) for topic in contents.topics),
+                    sweeps=0,
+                    poses=0,
+                    points_topic=None,
+                    pose_topic=None,
+                    points_per_sweep=None,
+                    problems=(*contents.problems, str(error)),
+                )
             counts = recording.sweep_counts
             return RecordingInfo(
                 path=str(storage.path),
@@ -100,3 +105,7 @@ def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: st
             )
     finally:
         storage.close()
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

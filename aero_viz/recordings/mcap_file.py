@@ -1,4 +1,4 @@
-"""MCAP files, read record by record: files whose end is missing read like whole ones."""
+"""MCAP files, read record by record so that a file without its end reads like a whole one."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import zlib
 from collections.abc import Collection, Iterator
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema
 
-from aero_viz.recordings.bagfile import BlockFile, Message, checked_channel, expand
+from aero_viz.recordings.bag_file import Buffer, ChunkedFile, Message, decompress, make_channel
 
 __all__ = ["MCAP_MAGIC", "McapFile"]
 
@@ -25,39 +26,70 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQII")
 
 
-class McapFile(BlockFile):
-    """One MCAP file (mcap.dev/spec). The summary at its end helps past damage and is not needed."""
+class _Record(NamedTuple):
+    """Location of a record's content in its buffer."""
+
+    opcode: int
+    start: int
+    stop: int
+    """Last byte + 1; the end of the buffer where the record is incomplete."""
+    complete: bool
+
+
+class _ChunkHeader(NamedTuple):
+    """The fields of a chunk before its records."""
+
+    compression: str
+    """"zstd", "lz4" or empty."""
+    start: int
+    """First byte of the records in the file."""
+    stored_size: int
+    """Length of the records in the file [bytes]."""
+    size: int
+    """Length of the decompressed records [bytes]."""
+    checksum: int
+    """CRC-32 of the decompressed records, 0 if unset."""
+
+
+class McapFile(ChunkedFile):
+    """One MCAP file (mcap.dev/spec).
+
+    The mcap package's readers give up on a truncated file; this one needs no summary and uses it only to continue
+    behind damage. mcap decodes the small records.
+    """
 
     def __init__(self, path: Path):
         super().__init__(path)
         self._schemas: dict[int, str] = {}
 
-    def scan(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Yield every message in the order of the file; past a damaged record, from the next chunk of the index on."""
+    def scan(self, types: Collection[str]) -> Iterator[Message]:
+        """Yield all messages in file order. Behind a damaged record, continue at the next chunk of the index."""
         chunks, start, finished, damaged = self._read_summary(), len(MCAP_MAGIC), False, False
         while not finished:
-            for opcode, body, end, whole in _records(self._map, start, len(self._map)):
-                if opcode == Opcode.DATA_END and whole:
+            for record in _records(self._map, start, len(self._map)):
+                if record.opcode == Opcode.DATA_END and record.complete:
                     finished = True
                     break
-                if opcode == Opcode.CHUNK:
-                    yield from self._chunk(body, end, whole, wanted)
-                elif whole:
-                    yield from self._record(self._map, opcode, body, end, None, wanted)
-                start = end if whole else start
+                if record.opcode == Opcode.CHUNK:
+                    yield from self._read_chunk(record, types)
+                elif record.complete:
+                    yield from self._read_record(self._map, record, None, types)
+                start = record.stop if record.complete else start
             later = [chunk for chunk in chunks if chunk > start]
             if finished or not later:
                 break
             start, damaged = min(later), True
         if damaged:
-            self.problems.append("damaged: a record's length is wrong and what follows it up to the next chunk is lost")
+            self.problems.append(
+                "damaged: the length of a record is wrong, and everything from it to the next chunk is lost"
+            )
         elif not finished:
             self.truncated = True
 
     def _read_summary(self) -> list[int]:
-        """Learn the channels from the summary, where there is one, and return where the chunks start.
+        """Read the channels from the summary, if there is one, and return the offsets of the chunks.
 
-        Channels are declared in the first chunk, too, which may be the damaged one.
+        The first chunk declares the channels, too, but it may be damaged.
         """
         footer = len(self._map) - _FOOTER
         if self._map[-len(MCAP_MAGIC) :] != MCAP_MAGIC or footer < 0:
@@ -65,76 +97,78 @@ class McapFile(BlockFile):
         (start,) = struct.unpack_from("<Q", self._map, footer + _RECORD.size)
         chunks = []
         if start:
-            for opcode, body, end, whole in _records(self._map, start, footer):
-                if opcode == Opcode.CHUNK_INDEX and whole and end - body >= 24:
-                    chunks.append(struct.unpack_from("<QQQ", self._map, body)[2])
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and whole:
-                    for _ in self._record(self._map, opcode, body, end, None, ()):
+            for record in _records(self._map, start, footer):
+                if record.opcode == Opcode.CHUNK_INDEX and record.complete and record.stop - record.start >= 24:
+                    chunks.append(struct.unpack_from("<QQQ", self._map, record.start)[2])
+                elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and record.complete:
+                    for _ in self._read_record(self._map, record, None, ()):
                         pass
         return chunks
 
-    def _chunk(self, body: int, end: int, whole: bool, wanted: Collection[str]) -> Iterator[Message]:
+    def _read_chunk(self, record: _Record, types: Collection[str]) -> Iterator[Message]:
         try:
-            compression, start, stored, _ = self._chunk_header(body)
-            # The last, incomplete chunk of a truncated file still holds whole messages when it is not compressed.
-            if compression and not whole:
+            header = self._chunk_header(record.start)
+            # The incomplete last chunk of a truncated file still has whole messages if it is not compressed.
+            if header.compression and not record.complete:
                 return
-            buffer = self.block(body) if compression else self._map
+            buffer = self.chunk(record.start) if header.compression else self._map
         except Exception:
             self.damaged += 1
             return
-        block = body if compression else None
-        first, last = (0, len(buffer)) if compression else (start, min(start + stored, end))
-        for opcode, record, stop, complete in _records(buffer, first, last):
-            if complete:
-                yield from self._record(buffer, opcode, record, stop, block, wanted)
+        if header.compression:
+            offset, start, stop = record.start, 0, len(buffer)
+        else:
+            offset, start, stop = None, header.start, min(header.start + header.stored_size, record.stop)
+        for inner in _records(buffer, start, stop):
+            if inner.complete:
+                yield from self._read_record(buffer, inner, offset, types)
 
-    def _record(self, buffer, opcode: int, body: int, end: int, block: int | None,
-                wanted: Collection[str]) -> Iterator[Message]:  # fmt: skip
+    def _read_record(
+        self, buffer: Buffer, record: _Record, chunk: int | None, types: Collection[str]
+    ) -> Iterator[Message]:
         try:
-            if opcode == Opcode.MESSAGE:
-                number, _, time, _ = _MESSAGE.unpack_from(buffer, body)
-                channel, position = self.channels[number], (block, body + _MESSAGE.size, end)
-                yield self.message(channel, time, position, buffer, wanted)
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(_stream(buffer, body, end))
+            if record.opcode == Opcode.MESSAGE:
+                number, _, time, _ = _MESSAGE.unpack_from(buffer, record.start)
+                position = (chunk, record.start + _MESSAGE.size, record.stop)
+                yield self.message(self.channels[number], time, position, buffer, types)
+            elif record.opcode == Opcode.SCHEMA:
+                schema = Schema.read(_stream(buffer, record))
                 self._schemas[schema.id] = schema.name
-            elif opcode == Opcode.CHANNEL:
-                record = ChannelRecord.read(_stream(buffer, body, end))
-                kind = self._schemas.get(record.schema_id, "")
-                self.channels[record.id] = checked_channel(record.topic, kind, record.message_encoding)
+            elif record.opcode == Opcode.CHANNEL:
+                channel = ChannelRecord.read(_stream(buffer, record))
+                type_name = self._schemas.get(channel.schema_id, "")
+                self.channels[channel.id] = make_channel(channel.topic, type_name, channel.message_encoding)
         except (KeyError, struct.error, UnicodeDecodeError, ValueError):
             self.damaged += 1
-        except Exception as error:  # mcap's own errors share no base class with a record that is too short
+        except Exception as error:  # mcap raises several unrelated classes for a record that is too short
             if not type(error).__module__.startswith("mcap"):
                 raise
             self.damaged += 1
 
-    def _chunk_header(self, body: int) -> tuple[str, int, int, tuple[int, int]]:
-        """Return compression, first data byte, compressed length, (expanded length, checksum)."""
-        _, _, size, checksum, length = _CHUNK.unpack_from(self._map, body)
-        name = body + _CHUNK.size
+    def _chunk_header(self, offset: int) -> _ChunkHeader:
+        _, _, size, checksum, length = _CHUNK.unpack_from(self._map, offset)
+        name = offset + _CHUNK.size
         compression = self._map[name : name + length].decode()
-        (stored,) = struct.unpack_from("<Q", self._map, name + length)
-        return compression, name + length + 8, stored, (size, checksum)
+        (stored_size,) = struct.unpack_from("<Q", self._map, name + length)
+        return _ChunkHeader(compression, name + length + 8, stored_size, size, checksum)
 
-    def expand_block(self, offset: int) -> bytes:
-        """Decompress the chunk whose content starts at byte `offset`; raises ValueError on a wrong checksum."""
-        compression, start, stored, (size, checksum) = self._chunk_header(offset)
-        raw = expand(compression, self._map[start : start + stored], size)
-        if checksum and zlib.crc32(raw) != checksum:
-            raise ValueError("a chunk's checksum is wrong")
+    def decompress_chunk(self, offset: int) -> bytes:
+        """Decompress the chunk whose content starts at byte `offset`. Raises ValueError if its checksum is wrong."""
+        header = self._chunk_header(offset)
+        raw = decompress(header.compression, self._map[header.start : header.start + header.stored_size], header.size)
+        if header.checksum and zlib.crc32(raw) != header.checksum:
+            raise ValueError("the checksum of a chunk is wrong")
         return raw
 
 
-def _records(buffer, start: int, stop: int) -> Iterator[tuple[int, int, int, bool]]:
-    """Yield (opcode, first byte, last byte + 1, whole) of each record; an incomplete last one ends at `stop`."""
+def _records(buffer: Buffer, start: int, stop: int) -> Iterator[_Record]:
+    """Yield the records between two bytes of a buffer. The last one may be incomplete."""
     while start + _RECORD.size <= stop:
         opcode, size = _RECORD.unpack_from(buffer, start)
-        body = start + _RECORD.size
-        start = body + size
-        yield opcode, body, min(start, stop), start <= stop
+        content = start + _RECORD.size
+        start = content + size
+        yield _Record(opcode, content, min(start, stop), start <= stop)
 
 
-def _stream(buffer, body: int, end: int) -> ReadDataStream:
-    return ReadDataStream(BytesIO(buffer[body:end]))
+def _stream(buffer: Buffer, record: _Record) -> ReadDataStream:
+    return ReadDataStream(BytesIO(buffer[record.start : record.stop]))

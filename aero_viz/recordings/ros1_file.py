@@ -1,4 +1,4 @@
-"""ROS 1 bags (format 2.0), read record by record: a bag without an index reads like any other."""
+"""ROS 1 bags (format 2.0), read record by record so that a bag without an index reads like a whole one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import struct
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
-from aero_viz.recordings.bagfile import BlockFile, Message, checked_channel, expand
+from aero_viz.recordings.bag_file import Buffer, ChunkedFile, Message, decompress, make_channel
 
 __all__ = ["ROS1_MAGIC", "Ros1File"]
 
@@ -17,97 +17,106 @@ _U32 = struct.Struct("<I")
 
 
 class _Record(NamedTuple):
+    """A record and the location of its content in its buffer."""
+
     op: int
+    """Kind of record; -1 where its header cannot be read."""
     header: dict[bytes, bytes]
-    begin: int
-    body: int
-    end: int
-    whole: bool
+    offset: int
+    """First byte of the record."""
+    start: int
+    """First byte of its content."""
+    stop: int
+    """Last byte of its content + 1; the end of the buffer where the record is incomplete."""
+    complete: bool
 
 
-class Ros1File(BlockFile):
-    """One ROS 1 bag (wiki.ros.org/Bags/Format/2.0). It needs no index; chunks may be plain, bz2 or lz4."""
+class Ros1File(ChunkedFile):
+    """One ROS 1 bag (wiki.ros.org/Bags/Format/2.0). It needs no index. Chunks may be plain, bz2 or lz4."""
 
-    def scan(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Yield every message in the order of the file."""
-        size, whole = len(self._map), True
+    def scan(self, types: Collection[str]) -> Iterator[Message]:
+        """Yield all messages in file order."""
+        size, complete = len(self._map), True
         for record in _records(self._map, len(ROS1_MAGIC), size):
-            whole &= record.whole
+            complete &= record.complete
             if record.op == _BAG_HEADER:
                 index = int.from_bytes(record.header.get(b"index_pos", b"\1"), "little")
-                whole &= index <= size
-                # The connections are repeated at the end: a damaged chunk must not hide them.
+                complete &= index <= size
+                # The index repeats the connections, which a damaged chunk would otherwise hide.
                 for connection in _records(self._map, index, size) if 0 < index < size else ():
-                    if connection.op == _CONNECTION and connection.whole:
-                        self._connection(self._map, connection)
+                    if connection.op == _CONNECTION and connection.complete:
+                        self._read_connection(self._map, connection)
                 if index == 0:
-                    self.problems.append("unindexed: the recording was interrupted; `rosbag reindex` repairs it")
+                    self.problems.append(
+                        "unindexed, because the recording was interrupted; `rosbag reindex` repairs it"
+                    )
             elif record.op == _CHUNK:
-                yield from self._chunk(record, wanted)
-            elif record.op == _CONNECTION and record.whole:
-                self._connection(self._map, record)
-        if not whole:
+                yield from self._read_chunk(record, types)
+            elif record.op == _CONNECTION and record.complete:
+                self._read_connection(self._map, record)
+        if not complete:
             self.truncated = True
 
-    def _chunk(self, chunk: _Record, wanted: Collection[str]) -> Iterator[Message]:
-        compression = chunk.header.get(b"compression", b"").decode(errors="replace")
-        plain = compression == "none"
-        if not plain and not chunk.whole:
+    def _read_chunk(self, chunk: _Record, types: Collection[str]) -> Iterator[Message]:
+        plain = chunk.header.get(b"compression", b"") == b"none"
+        if not plain and not chunk.complete:
             return
         try:
-            buffer = self._map if plain else self.block(chunk.begin)
+            buffer = self._map if plain else self.chunk(chunk.offset)
         except Exception:
             self.damaged += 1
             return
-        block = None if plain else chunk.begin
-        for record in _records(buffer, *((chunk.body, chunk.end) if plain else (0, len(buffer)))):
-            if not record.whole:
+        if plain:
+            offset, start, stop = None, chunk.start, chunk.stop
+        else:
+            offset, start, stop = chunk.offset, 0, len(buffer)
+        for record in _records(buffer, start, stop):
+            if not record.complete:
                 break
             try:
                 if record.op == _CONNECTION:
-                    self._connection(buffer, record)
+                    self._read_connection(buffer, record)
                 elif record.op == _MESSAGE:
                     channel = self.channels[_U32.unpack(record.header[b"conn"])[0]]
                     seconds, nanoseconds = struct.unpack("<II", record.header[b"time"])
-                    position = (block, record.body, record.end)
-                    time = seconds * 10**9 + nanoseconds
-                    yield self.message(channel, time, position, buffer, wanted)
+                    position = (offset, record.start, record.stop)
+                    yield self.message(channel, seconds * 10**9 + nanoseconds, position, buffer, types)
             except (KeyError, struct.error):
                 self.damaged += 1
 
-    def _connection(self, buffer, record: _Record) -> None:
+    def _read_connection(self, buffer: Buffer, record: _Record) -> None:
         try:
             number = _U32.unpack(record.header[b"conn"])[0]
             topic = record.header[b"topic"].decode()
-            kind = _fields(buffer[record.body : record.end])[b"type"].decode()
-            self.channels[number] = checked_channel(topic, kind, "ros1")
+            type_name = _fields(buffer[record.start : record.stop])[b"type"].decode()
+            self.channels[number] = make_channel(topic, type_name, "ros1")
         except (KeyError, struct.error, ValueError):
             self.damaged += 1
 
-    def expand_block(self, offset: int) -> bytes:
+    def decompress_chunk(self, offset: int) -> bytes:
         """Decompress the chunk whose record starts at byte `offset`."""
         chunk = next(_records(self._map, offset, len(self._map)))
         compression = chunk.header[b"compression"].decode()
-        return expand(compression, self._map[chunk.body : chunk.end], _U32.unpack(chunk.header[b"size"])[0])
+        return decompress(compression, self._map[chunk.start : chunk.stop], _U32.unpack(chunk.header[b"size"])[0])
 
 
-def _records(buffer, start: int, stop: int) -> Iterator[_Record]:
-    """Yield the records; the last one is not whole where the file ends within it or its header is damaged."""
+def _records(buffer: Buffer, start: int, stop: int) -> Iterator[_Record]:
+    """Yield the records between two bytes of a buffer. The last one is incomplete where it is cut or damaged."""
     while start < stop:
-        begin = start
+        offset = start
         try:
-            (length,) = _U32.unpack_from(buffer, start)
-            body = start + 4 + length + 4
-            if body > stop:
+            (length,) = _U32.unpack_from(buffer, offset)
+            content = offset + 4 + length + 4
+            if content > stop:
                 raise ValueError
-            header = _fields(buffer[start + 4 : body - 4])
-            (size,) = _U32.unpack_from(buffer, body - 4)
+            header = _fields(buffer[offset + 4 : content - 4])
+            (size,) = _U32.unpack_from(buffer, content - 4)
             op = header[b"op"][0]
         except (KeyError, IndexError, ValueError, struct.error):
-            yield _Record(-1, {}, begin, stop, stop, False)
+            yield _Record(-1, {}, offset, stop, stop, False)
             return
-        start = body + size
-        yield _Record(op, header, begin, body, min(start, stop), start <= stop)
+        start = content + size
+        yield _Record(op, header, offset, content, min(start, stop), start <= stop)
 
 
 def _fields(raw: bytes) -> dict[bytes, bytes]:

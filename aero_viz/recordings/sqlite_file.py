@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
-from aero_viz.recordings.bagfile import HEAD_BYTES, ZSTD_MAGIC, Channel, Message, checked_channel, unwrap
+from aero_viz.recordings.bag_file import HEAD_BYTES, ZSTD_MAGIC, Channel, Message, make_channel, unwrap
 
 __all__ = ["SQLITE_MAGIC", "SqliteFile"]
 
@@ -15,7 +15,7 @@ SQLITE_MAGIC = b"SQLite format 3\0"
 
 
 class SqliteFile:
-    """One SQLite file of rosbag2. A position is the row's number; heads are read without loading their messages."""
+    """One SQLite file of rosbag2. A position is a row number. Heads are read without loading their messages."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -23,31 +23,31 @@ class SqliteFile:
         self.truncated = False
         self.channels: dict[int, Channel] = {}
         self.damaged = 0
-        # Without a write-ahead log nobody else writes, and read-only folders need no lock file.
+        # Without a write-ahead log nobody is writing; `immutable` then allows a read-only folder.
         log = path.with_name(path.name + "-wal")
         mode = "mode=ro" if log.exists() and log.stat().st_size else "mode=ro&immutable=1"
-        # The session may play from another thread than the one that opened the file; it never uses two at once.
+        # A session may play in another thread than the one that opened the file, but never in two at once.
         self._database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True, check_same_thread=False)
 
-    def scan(self, wanted: Collection[str]) -> Iterator[Message]:
-        """Yield every message in the order of recording."""
+    def scan(self, types: Collection[str]) -> Iterator[Message]:
+        """Yield all messages in the order of recording."""
         try:
-            for row, topic, kind, encoding in self._database.execute(
+            for row, topic, type_name, encoding in self._database.execute(
                 "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
             ):
-                self.channels[row] = checked_channel(str(topic), str(kind), str(encoding))
-            # Walking the table by row leaves the messages' pages untouched and survives a damaged index.
+                self.channels[row] = make_channel(str(topic), str(type_name), str(encoding))
+            # Reading the table in row order skips the pages of the messages and survives a damaged index.
             rows = self._database.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
             for row, topic, time in rows:
                 if topic in self.channels and isinstance(time, int):
-                    yield self._message(row, self.channels[topic], time, wanted)
+                    yield self._message(row, self.channels[topic], time, types)
                 else:
                     self.damaged += 1
         except (sqlite3.Error, ValueError) as error:
-            self.problems.append(f"damaged or truncated ({error}): what could be read before that is used")
+            self.problems.append(f"damaged or truncated ({error}); only what precedes the damage is used")
 
-    def _message(self, row: int, channel: Channel, time: int, wanted: Collection[str]) -> Message:
-        if channel.type not in wanted:
+    def _message(self, row: int, channel: Channel, time: int, types: Collection[str]) -> Message:
+        if channel.type not in types:
             return Message(channel, time, row, 0, b"")
         try:
             with self._database.blobopen("messages", "data", row, readonly=True) as blob:
@@ -60,7 +60,7 @@ class SqliteFile:
             return Message(channel, time, row, 0, b"")
 
     def read(self, position: int) -> bytes:
-        """Return the message in that row; raises ValueError where the row is damaged."""
+        """Return the message of a row. Raises ValueError if the row is damaged."""
         try:
             (data,) = self._database.execute("SELECT data FROM messages WHERE id = ?", (position,)).fetchone()
             return unwrap(bytes(data))

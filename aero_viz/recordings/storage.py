@@ -1,10 +1,10 @@
-"""From a path to the files of a recording, by what the files contain rather than by how they are called."""
+"""Opening the files of a recording. The first bytes of a file decide its format, not its name."""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import yaml
 
 from aero_viz.errors import UserError
-from aero_viz.recordings.bagfile import ZSTD_MAGIC, BagFile
+from aero_viz.recordings.bag_file import ZSTD_MAGIC, BagFile
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
@@ -21,7 +21,7 @@ __all__ = ["SUPPORTED", "Storage", "open_storage", "readable"]
 
 SUPPORTED = "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files and ROS 1 .bag files (2.0)"
 
-_READERS: dict[bytes, tuple[str, type]] = {
+_READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
     MCAP_MAGIC: ("mcap", McapFile),
     ROS1_MAGIC: ("rosbag1", Ros1File),
     SQLITE_MAGIC: ("rosbag2-sqlite3", SqliteFile),
@@ -30,12 +30,20 @@ _SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
 
 
 class Storage:
-    """The open files of one recording, in the order of recording."""
+    """The open files of one recording.
 
-    def __init__(self, path: Path, files: list[Path], *, folder: bool):
+    Args:
+        path: file or folder that the user named.
+        files: files of the recording.
+        is_folder: True if `path` is a rosbag2 folder.
+    """
+
+    def __init__(self, path: Path, files: list[Path], *, is_folder: bool):
         self.path = path
         self.problems: list[str] = []
+        """What the user should know about the files, one sentence each."""
         self.files: list[BagFile] = []
+        """Open files in the order of recording."""
         self._stack = ExitStack()
         formats: set[str] = set()
         try:
@@ -43,17 +51,18 @@ class Storage:
                 name, bag = self._open(file)
                 self._stack.callback(bag.close)
                 self.files.append(bag)
-                formats.add(f"rosbag2-{name}" if folder and name == "mcap" else name)
+                formats.add(f"rosbag2-{name}" if is_folder and name == "mcap" else name)
         except BaseException:
             self._stack.close()
             raise
         self.format = "+".join(sorted(formats))
+        """"mcap", "rosbag1", "rosbag2-mcap" or "rosbag2-sqlite3"."""
 
     def _open(self, path: Path) -> tuple[str, BagFile]:
         with path.open("rb") as file:
             start = file.read(max(map(len, _READERS)))
         if not start:
-            raise UserError(f"{path} is empty: the recorder wrote nothing, record or copy it again")
+            raise UserError(f"{path} is empty: record or copy it again")
         for magic, (name, reader) in _READERS.items():
             if start.startswith(magic):
                 return name, reader(path)
@@ -61,11 +70,11 @@ class Storage:
             return self._open(self._decompressed(path))
         if start.startswith(b"#ROSBAG"):
             version = start.split(b"\n")[0].decode(errors="replace")
-            raise UserError(f"{path} is a bag of an old format ({version}): convert it with `rosbag fix` first")
-        raise UserError(f"{path} is no recording that AERO-Viz knows; it reads {SUPPORTED}")
+            raise UserError(f"{path} is a bag of an old format ({version}): convert it with `rosbag fix`")
+        raise UserError(f"{path} is not a recording that AERO-Viz can read; it reads {SUPPORTED}")
 
     def _decompressed(self, path: Path) -> Path:
-        """Expand a file that rosbag2 compressed as a whole into a temporary one."""
+        """Return a temporary file with the content of a file that rosbag2 compressed as a whole."""
         import zstandard
 
         folder = self._stack.enter_context(TemporaryDirectory(prefix="aero-viz-"))
@@ -75,7 +84,7 @@ class Storage:
         return target
 
     def close(self) -> None:
-        """Close all files and remove temporary ones."""
+        """Close all files and remove the temporary ones."""
         self.files.clear()
         self._stack.close()
 
@@ -83,20 +92,20 @@ class Storage:
 def open_storage(path: str | Path) -> Storage:
     """Open the recording at `path`: a file of any supported format or a rosbag2 folder.
 
-    Raises UserError when there is none.
+    Raises UserError if there is none.
     """
     path = Path(path).expanduser()
     with readable(path):
         if not path.exists():
             raise UserError(_missing(path))
         if not path.is_dir():
-            return Storage(path, [path], folder=False)
+            return Storage(path, [path], is_folder=False)
         if (path / "metadata.yaml").is_file():
             return _open_folder(path)
         files = sorted(file for file in path.iterdir() if file.suffix in {".mcap", ".db3"})
-        # A recorder that was killed leaves no metadata.yaml; the parts of one recording differ by a number only.
+        # A recorder that is killed writes no metadata.yaml. The files of one recording differ only in a number.
         if len({re.sub(r"_\d+$", "", file.stem) for file in files}) == 1:
-            storage = Storage(path, sorted(files, key=_part), folder=True)
+            storage = Storage(path, sorted(files, key=_part), is_folder=True)
             storage.problems.append("the folder has no metadata.yaml: the recording was probably interrupted")
             return storage
         raise UserError(_no_recording(path))
@@ -105,7 +114,7 @@ def open_storage(path: str | Path) -> Storage:
 def _open_folder(path: Path) -> Storage:
     try:
         content = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
-        # Files moved after recording: only their names still count.
+        # The files may have been moved since they were recorded, so only their names count.
         names = [Path(str(name)).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise UserError(
@@ -114,14 +123,14 @@ def _open_folder(path: Path) -> Storage:
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
         raise UserError(
-            f"{path} lacks {', '.join(missing) or 'any storage file'}, which its metadata.yaml names: copy it again"
+            f"{path} lacks {', '.join(missing) or 'any storage file'} named in its metadata.yaml: copy it again"
         )
-    return Storage(path, [path / name for name in names], folder=True)
+    return Storage(path, [path / name for name in names], is_folder=True)
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn whatever a library raises while reading `path` into a UserError: the one place that does."""
+    """Turn any exception of a library that reads `path` into a UserError."""
     try:
         yield
     except UserError:
@@ -129,7 +138,7 @@ def readable(path: Path) -> Iterator[None]:
     except PermissionError as error:
         raise UserError(f"{path} cannot be read: permission denied") from error
     except Exception as error:
-        raise UserError(f"{path} cannot be read, it may be damaged or truncated: {_one_line(error)}") from error
+        raise UserError(f"{path} cannot be read and may be damaged or truncated: {_one_line(error)}") from error
 
 
 def _one_line(error: Exception) -> str:
@@ -143,7 +152,7 @@ def _part(file: Path) -> int:
 
 
 def _recordings_in(folder: Path) -> list[str]:
-    """Return the names of what looks like a recording in a folder."""
+    """Return the names of the recordings in a folder, judged by their suffixes."""
     names = []
     for entry in folder.iterdir():
         if entry.suffix in _SUFFIXES or (entry.is_dir() and (entry / "metadata.yaml").is_file()):
@@ -151,7 +160,7 @@ def _recordings_in(folder: Path) -> list[str]:
     return sorted(names)
 
 
-def _some(names: list[str]) -> str:
+def _list_names(names: list[str]) -> str:
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
@@ -163,11 +172,11 @@ def _missing(path: Path) -> str:
     if close:
         return f"{path} does not exist; did you mean {' or '.join(close)}?"
     names = _recordings_in(parent)
-    return f"{path} does not exist; " + (f"{parent} holds {_some(names)}" if names else f"{parent} holds no recording")
+    return f"{path} does not exist; {parent} holds {_list_names(names) if names else 'no recording'}"
 
 
 def _no_recording(path: Path) -> str:
     names = _recordings_in(path)
     if names:
-        return f"{path} is a folder of recordings, not one recording: choose one of {_some(names)}"
+        return f"{path} is a folder of recordings, not one recording: choose one of {_list_names(names)}"
     return f"{path} is a folder without a recording; AERO-Viz reads {SUPPORTED}"

@@ -54,7 +54,7 @@ class Scenery:
     recorded_path: NDArray[np.float64] | None = None
     """Recorded positions [m], shape [n, 3]."""
     notices: tuple[str, ...] = field(default=())
-    """Sentences the user should see, such as "open loop: the plan is shown, not flown"."""
+    """Sentences the user should see, such as "open loop: the plan is displayed but not flown"."""
 
     @property
     def ground_height(self) -> float | None:

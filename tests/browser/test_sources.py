@@ -101,7 +101,7 @@ def recording(browser, shared_datasets):
 
 
 def test_a_recording_says_that_its_loop_is_open(recording):
-    recording.page.get_by_text("open loop: the plan is shown, not flown").wait_for(timeout=10_000)
+    recording.page.get_by_text("open loop: the plan is displayed but not flown").wait_for(timeout=10_000)
     recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for(timeout=10_000)
 
 

@@ -66,7 +66,7 @@ def test_named_topics(bags, mcap_of):
         open_recording(path, pose_topic="/odometry")
     with pytest.raises(UserError, match=r"/odom .* not a point cloud; choose /points"):
         open_recording(path, points_topic="/odom")
-    with pytest.raises(UserError, match=r"/points .* gives no poses; choose /odom"):
+    with pytest.raises(UserError, match=r"/points .* holds no poses; choose /odom"):
         open_recording(path, pose_topic="/points")
 
 

@@ -6,39 +6,39 @@ import numpy as np
 import pytest
 
 from aero_viz.errors import UserError
-from aero_viz.recordings import PoseTrack, inspect, open_recording
+from aero_viz.recordings import RecordedPoses, inspect, open_recording
 
 LEVEL = np.array([1.0, 0, 0, 0])
 YAW_90 = np.array([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 
 
-def track(times, positions, quaternions=None, velocities=None):
-    return PoseTrack.build(times, positions, np.tile(LEVEL, (len(times), 1)) if quaternions is None else quaternions,
-                           velocities)  # fmt: skip
+def poses(times, positions, quaternions=None, velocities=None):
+    quaternions = np.tile(LEVEL, (len(times), 1)) if quaternions is None else quaternions
+    return RecordedPoses(times, positions, quaternions, velocities)
 
 
 def test_interpolation_between_two_poses():
-    two = track([0.0, 1.0], [[10, 0, 0], [12, 4, 0]], [LEVEL, YAW_90])
-    pose = two.at([0.0, 0.25, 1.0])
+    two = poses([0.0, 1.0], [[10, 0, 0], [12, 4, 0]], [LEVEL, YAW_90])
+    pose = two.interpolate([0.0, 0.25, 1.0])
     np.testing.assert_allclose(pose.position, [[0, 0, 0], [0.5, 1, 0], [2, 4, 0]])
     quarter = np.pi / 16  # half of a quarter of 90 degrees
     np.testing.assert_allclose(pose.quaternion[1], [np.cos(quarter * 1.0), 0, 0, np.sin(quarter)], atol=1e-12)
 
 
 def test_slerp_takes_the_short_way():
-    two = track([0.0, 1.0], np.zeros((2, 3)), [LEVEL, -YAW_90])
-    half = two.at(0.5).quaternion
+    two = poses([0.0, 1.0], np.zeros((2, 3)), [LEVEL, -YAW_90])
+    half = two.interpolate(0.5).quaternion
     np.testing.assert_allclose(np.abs(half), [np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)], atol=1e-12)
 
 
 def test_positions_are_rebased_and_keep_millimetres_in_float32():
-    far = track([0.0, 1.0], [[4.5e6, 5e5, 0], [4.5e6 + 0.001, 5e5, 0]])
+    far = poses([0.0, 1.0], [[4.5e6, 5e5, 0], [4.5e6 + 0.001, 5e5, 0]])
     assert far.positions.astype(np.float32)[1, 0] == pytest.approx(0.001, rel=1e-3)
     np.testing.assert_array_equal(far.offset, [4.5e6, 5e5, 0])
 
 
 def test_twist_is_rotated_from_the_body_to_the_world():
-    turned = track([0.0, 1.0], np.zeros((2, 3)), [YAW_90, YAW_90], [[3, 0, 1], [3, 0, 1]])
+    turned = poses([0.0, 1.0], np.zeros((2, 3)), [YAW_90, YAW_90], [[3, 0, 1], [3, 0, 1]])
     assert turned.measured_velocity
     np.testing.assert_allclose(turned.velocities, [[0, 3, 1], [0, 3, 1]], atol=1e-12)
 
@@ -46,27 +46,27 @@ def test_twist_is_rotated_from_the_body_to_the_world():
 @pytest.mark.parametrize("twist", [None, np.zeros((21, 3)), np.full((21, 3), np.nan)])
 def test_velocity_from_positions_without_a_twist(twist):
     t = np.linspace(0, 2, 21)
-    derived = track(t, np.stack([t**2, 3 * t, 0 * t], axis=1), None, twist)
+    derived = poses(t, np.stack([t**2, 3 * t, 0 * t], axis=1), None, twist)
     assert not derived.measured_velocity
     np.testing.assert_allclose(derived.velocities[1:-1], np.stack([2 * t, 3 + 0 * t, 0 * t], 1)[1:-1], atol=1e-9)
 
 
 def test_order_and_repetition_of_poses_do_not_matter():
-    shuffled = track([0.2, 0.0, 0.1, 0.1], [[2, 0, 0], [0, 0, 0], [9, 9, 9], [1, 0, 0]])
+    shuffled = poses([0.2, 0.0, 0.1, 0.1], [[2, 0, 0], [0, 0, 0], [9, 9, 9], [1, 0, 0]])
     np.testing.assert_array_equal(shuffled.times, [0.0, 0.1, 0.2])
     np.testing.assert_array_equal(shuffled.positions[:, 0], [0, 1, 2])
 
 
 def test_extrapolation_ends_at_the_tolerance():
-    two = track([0.0, 0.5], [[0, 0, 0], [1, 0, 0]])
-    np.testing.assert_allclose(two.at(0.59).position, [1.18, 0, 0])
+    two = poses([0.0, 0.5], [[0, 0, 0], [1, 0, 0]])
+    np.testing.assert_allclose(two.interpolate(0.59).position, [1.18, 0, 0])
     np.testing.assert_array_equal(two.covers([-0.11, -0.09, 0.3, 0.59, 0.61]), [False, True, True, True, False])
     with pytest.raises(ValueError, match="no recorded pose"):
-        two.at(0.61)
+        two.interpolate(0.61)
 
 
 def test_long_gaps_are_not_bridged():
-    gap = track([0.0, 0.1, 0.2, 5.0, 5.1], np.zeros((5, 3)))
+    gap = poses([0.0, 0.1, 0.2, 5.0, 5.1], np.zeros((5, 3)))
     np.testing.assert_array_equal(gap.covers([0.15, 0.25, 2.0, 4.95, 5.05]), [True, True, False, True, True])
 
 
@@ -91,7 +91,7 @@ def test_tf_chain_with_a_static_extrinsic(written, bags):
         # The lidar looks to the left of the body; the cloud comes back in the body's frame.
         np.testing.assert_allclose(recording.sweep(0).points, [[0.1, 1.0, 0.2]], atol=1e-6)
         np.testing.assert_allclose(recording.poses.offset, [10, 0, 0], atol=1e-9)
-        pose = recording.poses.at(0.5)
+        pose = recording.poses.interpolate(0.5)
         np.testing.assert_allclose(pose.position, [0, 1, 0], atol=1e-6)
         np.testing.assert_allclose(pose.quaternion, YAW_90, atol=1e-9)
         np.testing.assert_allclose(pose.velocity, [0, 2, 0], atol=1e-6)

@@ -1,0 +1,135 @@
+"""Decoding of sensor_msgs/PointCloud2 into points in metres and a time per point."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_viz.recordings.ros_messages import DamagedMessage, decode_message
+
+if TYPE_CHECKING:
+    from rosbags.typesys.stores.ros2_humble import sensor_msgs__msg__PointCloud2 as PointCloud2
+
+__all__ = ["POINT_CLOUD2", "DecodedPoints", "RawCloud", "decode_points", "read_point_cloud2"]
+
+POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
+
+_MAX_RANGE = 1e4
+"""No LiDAR measures farther [m]. A larger coordinate is damaged and would overflow later."""
+
+_TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
+
+_FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""NumPy formats of sensor_msgs/PointField.datatype."""
+_COORDINATE_FORMATS, _TIME_FORMATS = ("f4", "f8"), ("i4", "u4", "f4", "f8")
+
+_MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
+"""Limits of a sweep's duration [s]."""
+
+
+class RawCloud(NamedTuple):
+    """A cloud as it is in its message."""
+
+    stamp: int
+    """Time in the header [ns], 0 where the driver set none."""
+    frame: str
+    """Frame of the coordinates."""
+    rows: NDArray[np.void]
+    """View of the message as structured array [height, width] with the fields x, y, z and, if recorded, time."""
+
+
+class DecodedPoints(NamedTuple):
+    """The valid points of a cloud."""
+
+    points: NDArray[np.float32]
+    """[P, 3] [m], in the frame of the cloud."""
+    times: NDArray[np.float32] | None
+    """Time of each point after the stamp [P] [s], None if it was not recorded."""
+    dropped: int
+    """Number of invalid points."""
+
+
+def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
+    """Return the cloud in a sensor_msgs/PointCloud2 message.
+
+    Raises:
+        DamagedMessage: the message is damaged, contradicts itself, or lacks one of x, y, z.
+    """
+    cloud: PointCloud2 = decode_message(message, POINT_CLOUD2, encoding)
+    names = ", ".join(field.name for field in cloud.fields)
+    if not (names + cloud.header.frame_id).isprintable():
+        raise DamagedMessage("a name in it is damaged")
+    # A field may have several elements. Only the first one matters here.
+    fields = {field.name: (_FORMATS.get(field.datatype, ""), field.offset) for field in cloud.fields}
+    missing = [axis for axis in "xyz" if axis not in fields or fields[axis][0] not in _COORDINATE_FORMATS]
+    if missing:
+        raise DamagedMessage(f"it lacks {', '.join(missing)} as floating-point fields and has {names or 'no fields'}")
+    chosen = {axis: fields[axis] for axis in "xyz"}
+    time = next((name for name in _TIME_FIELDS if name in fields and fields[name][0] in _TIME_FORMATS), None)
+    if time is not None:
+        chosen["time"] = fields[time]
+    if any(offset + int(code[-1]) > cloud.point_step for code, offset in chosen.values()):
+        raise DamagedMessage(f"a field lies outside its point_step of {cloud.point_step} bytes")
+    order = ">" if cloud.is_bigendian else "<"
+    dtype = np.dtype(
+        {
+            "names": list(chosen),
+            "formats": [order + code for code, _ in chosen.values()],
+            "offsets": [offset for _, offset in chosen.values()],
+            "itemsize": cloud.point_step,
+        }
+    )
+    height, width, row_size = cloud.height, cloud.width, cloud.width * cloud.point_step
+    # Several drivers leave row_step unset in clouds of one row, where it has no meaning.
+    row_step = cloud.row_step if height > 1 and cloud.row_step else row_size
+    if row_step < row_size or (height and (height - 1) * row_step + row_size > len(cloud.data)):
+        raise DamagedMessage(
+            f"{height} x {width} points of {cloud.point_step} bytes do not fit into {len(cloud.data)} bytes"
+        )
+    rows = np.ndarray((height, width), dtype, cloud.data, 0, (row_step, cloud.point_step))
+    stamp = cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
+    return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)
+
+
+def decode_points(cloud: RawCloud) -> DecodedPoints:
+    """Return the valid points of a cloud and their times.
+
+    Points are invalid if they are not finite, lie beyond the range of any LiDAR, or are exactly zero, which is how
+    spinning LiDARs report that nothing returned.
+    """
+    rows = cloud.rows
+    if not rows.size:
+        return DecodedPoints(np.empty((0, 3), np.float32), None, 0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1).astype(np.float32, copy=False)
+        # NaN compares false, so the largest coordinate answers all three questions.
+        largest = np.abs(points).max(axis=1)
+        valid = (largest > 0) & (largest < _MAX_RANGE)
+    times = _point_times(rows["time"].reshape(-1), cloud.stamp) if "time" in (rows.dtype.names or ()) else None
+    if valid.all():
+        return DecodedPoints(np.ascontiguousarray(points), times, 0)
+    return DecodedPoints(points[valid], None if times is None else times[valid], int(len(valid) - valid.sum()))
+
+
+def _point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
+    """Return times after the stamp [s], or None if the values make no sense as times.
+
+    Drivers write seconds, milliseconds, microseconds or nanoseconds, counted from the stamp, from 1970 or from the
+    sensor's start, and the message does not say which. A sweep lasts between 1 ms and 2 s: that settles the unit.
+    """
+    units = (1.0, 1e-9, 1e-6, 1e-3) if values.dtype.kind == "f" else (1e-9, 1e-6, 1e-3)
+    times = values.astype(np.float64)
+    if not np.isfinite(times).all():
+        return None
+    first, last = float(times.min()), float(times.max())
+    unit = next((unit for unit in units if _MIN_SWEEP <= (last - first) * unit <= _MAX_SWEEP), None)
+    if unit is None:
+        return None
+    if abs(first * unit) <= _MAX_SWEEP:
+        return (times * unit).astype(np.float32)
+    offset = first * unit - stamp * 1e-9
+    # If the times are those of another clock than the stamp's, the stamp is the first point's.
+    offset = offset if abs(offset) <= _MAX_SWEEP else 0.0
+    return ((times - first) * unit + offset).astype(np.float32)

@@ -1,0 +1,55 @@
+"""ROS 1 and ROS 2 messages, decoded by rosbags."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+__all__ = ["ENCODINGS", "TF_TYPES", "DamagedMessage", "decode_message"]
+
+ENCODINGS = ("cdr", "ros1")
+"""Encodings of messages that can be decoded."""
+
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Two names of one type."""
+
+
+class DamagedMessage(ValueError):
+    """A message that cannot be decoded. The text completes the sentence "The message cannot be used because ..."."""
+
+
+def decode_message(data: bytes | memoryview, type_name: str, encoding: str) -> Any:
+    """Return a message as an instance of rosbags' dataclass of its type.
+
+    Arrays in the message are views of `data`.
+
+    Args:
+        data: the whole message.
+        type_name: full name of its type, such as sensor_msgs/msg/PointCloud2.
+        encoding: one of `ENCODINGS`.
+
+    Raises:
+        DamagedMessage: the bytes are not such a message.
+    """
+    type_name = TF_TYPES[0] if type_name in TF_TYPES else type_name
+    view = memoryview(data)  # rosbags would copy a slice of `bytes`
+    try:
+        store = _typestore(encoding)
+        if encoding == "ros1":
+            return store.deserialize_ros1(view, type_name)
+        return store.deserialize_cdr(view, type_name)
+    except Exception as error:  # the decoders that rosbags generates fail in many ways on damaged bytes
+        raise DamagedMessage("its bytes are damaged") from error
+
+
+@cache
+def _typestore(encoding: str) -> Typestore:
+    # All distributions define the types used here alike, so the definitions in the bag are not needed.
+    if encoding != "ros1":
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPES[0]))
+    return store

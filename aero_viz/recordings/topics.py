@@ -1,0 +1,184 @@
+"""The choice of the topics that a recording is played from."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_viz.errors import UserError
+from aero_viz.recordings.clouds import CLOUD_TYPES
+from aero_viz.recordings.contents import CloudEntry, Contents, TopicContents
+from aero_viz.recordings.pose_messages import POSE_TYPES
+from aero_viz.recordings.poses import RecordedPoses
+from aero_viz.recordings.ros_messages import TF_TYPES
+from aero_viz.recordings.transforms import IDENTITY, Transform
+
+__all__ = ["ChosenPoses", "PoseSource", "choose_cloud_topic", "choose_poses", "require_topics", "suggest_other_clouds"]
+
+_ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
+"""Types of messages that fit each role of a topic, and what to say about another type."""
+
+_SUFFICIENT_COVERAGE = 0.5
+"""Share of the sweeps that poses must cover for the search to end with them."""
+
+
+class PoseSource(NamedTuple):
+    """The poses of one topic."""
+
+    topic: str
+    poses: RecordedPoses
+    """Time in seconds from the first sweep."""
+    extrinsic: Transform
+    """Pose of the LiDAR in the body's frame."""
+    notice: str
+    """What the user should know about the extrinsic; empty if nothing."""
+
+
+class ChosenPoses(NamedTuple):
+    """The poses to play a recording with."""
+
+    source: PoseSource | None
+    """None if no poses are recorded."""
+    stamped: bool
+    """True if sweeps and poses are matched by their stamps, False if by their times of recording."""
+    covered: NDArray[np.bool_]
+    """[n], True for the sweeps that have a pose."""
+
+
+def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: str | None) -> None:
+    """Check that the topics the user named exist and are of the right type; None names no topic.
+
+    Raises:
+        UserError: they are not.
+    """
+    for name, role in ((points_topic, "points"), (pose_topic, "pose")):
+        if name is not None:
+            _find_topic(contents, name, role)
+
+
+def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
+    """Return the topic with the sweeps: the named one or the one with the most clouds.
+
+    Raises:
+        UserError: there is no such topic or none of its clouds can be read.
+    """
+    topics = sorted(contents.topics_with(CLOUD_TYPES), key=lambda topic: (-len(topic.clouds), topic.name))
+    if name is not None:
+        topics = [_find_topic(contents, name, "points")]
+    if not topics:
+        held = ", ".join(f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics) or "no topics"
+        raise UserError(f"{contents.path} has no PointCloud2 topic with messages; it holds {held}")
+    if not topics[0].clouds:
+        reason = topics[0].reason or "there are no messages"
+        raise UserError(f"no cloud on {topics[0].name} of {contents.path} can be read: {reason}")
+    return topics[0]
+
+
+def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None) -> ChosenPoses:
+    """Return the first poses that cover half of the sweeps, or else those that cover the most.
+
+    All topics are tried with stamps before any is tried with times of recording.
+
+    Args:
+        contents: the recording.
+        entries: its sweeps, at least one.
+        name: topic of the poses; None tries all topics in the order of preference of their types.
+
+    Raises:
+        UserError: there are poses, but they cover no sweep.
+    """
+    frame, start = entries[0].frame, entries[0].time
+    candidates = _pose_topics(contents, frame, name)
+    if not candidates:
+        return ChosenPoses(None, True, np.ones(len(entries), np.bool_))
+    best = ChosenPoses(None, True, np.zeros(len(entries), np.bool_))
+    for stamped in (True, False):
+        sweep_times = np.array([entry.time if stamped else entry.arrival for entry in entries], np.int64)
+        for topic in candidates:
+            source = _read_poses(contents, topic, frame, start, stamped=stamped)
+            if source is None:
+                continue
+            covered = source.poses.covers((sweep_times - start) * 1e-9)
+            if covered.sum() > best.covered.sum():
+                best = ChosenPoses(source, stamped, covered)
+            if best.covered.mean() >= _SUFFICIENT_COVERAGE:
+                return best
+    if best.source is None:
+        names = " and ".join(topic.name for topic in candidates)
+        raise UserError(
+            f"the poses on {names} of {contents.path} do not overlap the sweeps in time: "
+            "record both together or name another topic with pose_topic"
+        )
+    return best
+
+
+def suggest_other_clouds(contents: Contents, topic: TopicContents) -> str:
+    """Return advice, to be appended to an error, for a topic whose clouds cannot be used."""
+    others = [candidate for candidate in contents.topics_with(CLOUD_TYPES) if candidate is not topic]
+    return _suggest(others) or ": check that the driver publishes the sensor's points there"
+
+
+def _pose_topics(contents: Contents, frame: str, name: str | None) -> list[TopicContents]:
+    if name is not None:
+        return [_find_topic(contents, name, "pose")]
+    topics = [topic for topic in contents.topics_with(POSE_TYPES) if len(topic.poses)]
+    moving = contents.transforms.moving_body(frame, stamped=True) is not None
+    return topics + (contents.topics_with(TF_TYPES)[:1] if moving else [])
+
+
+def _read_poses(
+    contents: Contents, topic: TopicContents, frame: str, start: int, *, stamped: bool
+) -> PoseSource | None:
+    """Return the poses on a topic, or None if there are none.
+
+    Args:
+        contents: the recording.
+        topic: has poses or transforms.
+        frame: frame of the clouds.
+        start: time zero [ns].
+        stamped: True for the poses' stamps, False for their times of recording.
+    """
+    if topic.type in TF_TYPES:
+        body = contents.transforms.moving_body(frame, stamped=stamped)
+        if body is None:
+            return None
+        poses = RecordedPoses((body.times - start) * 1e-9, *body.poses)
+        return PoseSource(topic.name, poses, body.extrinsic, "")
+    if not len(topic.poses):
+        return None
+    rows = topic.poses.rows()
+    times = (topic.poses.times(stamped=stamped) - start) * 1e-9
+    poses = RecordedPoses(times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
+    if not topic.child or topic.child == frame:
+        return PoseSource(topic.name, poses, IDENTITY, "")
+    extrinsic, notice = contents.transforms.between(topic.child, frame), ""
+    if extrinsic is None:
+        extrinsic = IDENTITY
+        notice = (
+            f"poses on {topic.name} are those of {topic.child!r}, clouds are in {frame!r}, and no static transform "
+            "joins the two: they are assumed to be the same frame"
+        )
+    return PoseSource(topic.name, poses, extrinsic, notice)
+
+
+def _find_topic(contents: Contents, name: str, role: str) -> TopicContents:
+    """Return the named topic. Raises UserError if it does not exist or does not fit the role."""
+    types, mismatch = _ROLES[role]
+    suitable = contents.topics_with(types)
+    found = [topic for topic in contents.topics if topic.name == name]
+    if not found:
+        close = difflib.get_close_matches(name, [topic.name for topic in suitable], n=3, cutoff=0.4)
+        advice = f"; did you mean {' or '.join(close)}?" if close else _suggest(suitable) or ", nor any other"
+        raise UserError(f"{contents.path} has no {role} topic {name}{advice}")
+    topic = max(found, key=lambda topic: (topic.type in types, topic.count))
+    if topic.type not in types:
+        raise UserError(f"{name} of {contents.path} is a {topic.type}, {mismatch}{_suggest(suitable)}")
+    return topic
+
+
+def _suggest(topics: Sequence[TopicContents]) -> str:
+    return f"; choose {' or '.join(topic.name for topic in topics)}" if topics else ""
