@@ -14,6 +14,7 @@ __all__ = [
     "CPU",
     "CUDA",
     "Widths",
+    "add_count",
     "block_type",
     "least_of",
     "of_thread",
@@ -161,6 +162,23 @@ def wait_for_block():
 """)
 def take(used: wp.array2d(dtype=int), i: int, j: int, count: int) -> int:  # pyright: ignore
     """Add `count` to used[i, j] and return what it was; the threads of a warp must ask for the same i and j."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    // Atomic operations on one counter are serialised: the threads of a warp that count for the same j do one together.
+    const unsigned active = __activemask();
+    const unsigned counting = __ballot_sync(active, count != 0);
+    if (counting == 0) return;
+    const unsigned same = __match_any_sync(active, j) & counting;
+    if (count != 0 && (threadIdx.x & 31) == __ffs(same) - 1) wp::atomic_add(counters, i, j, __popc(same));
+#else
+    if (count != 0) wp::atomic_add(counters, i, j, count);
+#endif
+""")
+def add_count(counters: wp.array2d(dtype=int), i: int, j: int, count: int):  # pyright: ignore
+    """Add `count` to counters[i, j]; on CUDA it must be 0 or 1, and the threads of a warp must agree on i."""
     ...
 
 

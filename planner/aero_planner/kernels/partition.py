@@ -12,7 +12,7 @@ import functools
 import warp as wp
 
 from aero_planner.kernels.dynamics import near_atan2, quat_rotate
-from aero_planner.kernels.kernel_tuning import Widths
+from aero_planner.kernels.kernel_tuning import Widths, add_count
 from aero_planner.kernels.params import Params
 
 __all__ = [
@@ -125,6 +125,7 @@ def scatter_points(of: Widths) -> wp.Kernel:
             # d - d is NaN for what is not finite, even where the squared range alone is not.
             cell_of[j] = wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, cell, NOT_FINITE)
             range_bits[j] = wp.cast(r, wp.int32)
+        not_finite = int(0)
         for j in range(count):
             cell = cell_of[j]
             if cell >= NEAR_EDGE:
@@ -138,7 +139,8 @@ def scatter_points(of: Widths) -> wp.Kernel:
                 if key < keys[lane, b, cell]:
                     wp.atomic_min(keys, lane, b, cell, key)
             elif cell == NOT_FINITE:
-                wp.atomic_add(dropped, lane, b, 1)
+                not_finite += 1
+        add_count(dropped, lane, b, not_finite)
 
     return scatter_points
 
