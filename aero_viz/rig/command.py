@@ -67,7 +67,7 @@ def _fly(options: argparse.Namespace) -> int:
         raise UserError("--count, --duration and --loss-time must be positive.")
     config, onboard, speed = None, None, 5.0 if options.speed is None else options.speed
     if options.config is not None:
-        from aero_planner.onboard.settings_file import load_flight_config
+        from aero_planner.onboard.settings import load_flight_config
 
         config, onboard = load_flight_config(options.config)
         speed = options.speed

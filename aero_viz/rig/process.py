@@ -13,8 +13,7 @@ from pathlib import Path
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
-from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.settings_file import format_onboard
+from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
 __all__ = ["NodeProcess", "run_command"]
 

@@ -159,8 +159,7 @@ def _load(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
     """Return the configurations that the options name."""
     from aero_planner.config import PlannerConfig
     from aero_planner.config.file import config_from_name
-    from aero_planner.onboard.settings import OnboardConfig, check_together
-    from aero_planner.onboard.settings_file import load_flight_config, load_onboard
+    from aero_planner.onboard.settings import OnboardConfig, check_together, load_flight_config, load_onboard
 
     name = options.config or "default"
     if name not in PlannerConfig.presets() and Path(name).exists():
@@ -175,7 +174,7 @@ def _load(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
 
 def _show(options: argparse.Namespace) -> int:
     from aero_planner.config.file import format_config
-    from aero_planner.onboard.settings_file import format_onboard
+    from aero_planner.onboard.settings import format_onboard
 
     planner, onboard = _load(options)
     print(f"{format_config(planner)}\n{format_onboard(onboard)}", end="")
@@ -183,10 +182,9 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from aero_planner.onboard.settings import check_together
-    from aero_planner.onboard.settings_file import load_file
+    from aero_planner.onboard.settings import check_together, load_any
 
-    check_together(*load_file(options.file))
+    check_together(*load_any(options.file))
     print(f"{options.file} is valid")
     return 0
 

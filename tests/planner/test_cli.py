@@ -15,8 +15,7 @@ from mcap.reader import make_reader
 
 from aero_planner import PlannerConfig
 from aero_planner.cli import main
-from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.settings_file import load_flight_config
+from aero_planner.onboard.settings import OnboardConfig, load_flight_config
 from tests.planner.onboard.test_stderr import fill
 
 Outcome = tuple[int, str, str]

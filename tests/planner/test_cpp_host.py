@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.deploy.export import export, makes_graphs, parse_architecture
-from aero_planner.onboard.settings_file import load_flight_config
+from aero_planner.onboard.settings import load_flight_config
 
 pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from aero_planner.onboard.livox import LivoxSource
 from aero_planner.onboard.mavlink import MavlinkLink
-from aero_planner.onboard.settings_file import load_flight_config
+from aero_planner.onboard.settings import load_flight_config
 from aero_planner.quaternions import conjugate, rotate
 
 PERIOD = 0.02

@@ -8,9 +8,8 @@ from pathlib import Path
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config.file import format_config, is_empty, read_text
-from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.settings_file import format_onboard, load_flight_config
+from aero_planner.config.file import ConfigFile, format_config
+from aero_planner.onboard.settings import OnboardConfig, format_onboard, load_flight_config
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
@@ -84,7 +83,7 @@ def _uploaded(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:
         path = Path(folder) / name
         path.write_bytes(file.content)
         try:
-            if is_empty(read_text(path)):
+            if not ConfigFile.read(path).entries:
                 raise ValueError(f"{path} sets nothing; the configuration stays. 'reset all' brings the default.")
             return load_flight_config(path)
         except ValueError as error:

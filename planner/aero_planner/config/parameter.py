@@ -243,13 +243,18 @@ class SectionedConfig:
         return known[path]
 
     @classmethod
-    def current_path(cls, path: str) -> str | None:
-        """Return the current path of a parameter, with a notice if `path` is an old one; None if it was removed."""
+    def current_path(cls, path: str, source: str = "") -> str | None:
+        """Return the current path of a parameter, or None if it was removed; logs a notice if `path` is an old one.
+
+        Args:
+            path: current or old path of a parameter, or any other text, which is returned as it is.
+            source: beginning of the notice, such as "tuned.yaml, line 3: ".
+        """
         if path in cls.renamed:
-            _log.warning("%s is now %s; the old name works until the next release.", path, cls.renamed[path])
+            _log.warning("%s%s is now %s; the old name works until the next release.", source, path, cls.renamed[path])
             return cls.renamed[path]
         if path in cls.removed:
-            _log.warning("%s is ignored: %s.", path, cls.removed[path])
+            _log.warning("%s%s is ignored: %s.", source, path, cls.removed[path])
             return None
         return path
 

@@ -299,7 +299,7 @@ RENAMED: dict[str, str] = {"costs.way_ahead": "costs.waypoint_distance"}
 """New path of each renamed parameter by its old path, which files and flags accept for one release."""
 
 REMOVED: dict[str, str] = {
-    "costs.floor": "the ground height comes from the world or from the drone; costs.use_ground says whether it counts",
+    "costs.floor": "the ground height now comes from the world or the drone, and costs.use_ground enables it",
 }
 """Reason for each removed parameter by its path, which files and flags ignore for one release."""
 

@@ -154,8 +154,7 @@ def save_graph(config: PlannerConfig, points: int, path: Path, *, device: str = 
 def _config_text(config: str | os.PathLike[str]) -> str:
     """Return the file that `config` names as it is, or the whole text of a preset; ValueError where it is wrong."""
     from aero_planner.config.file import config_from_name, format_config, read_text
-    from aero_planner.onboard.settings import OnboardConfig, check_together
-    from aero_planner.onboard.settings_file import format_onboard, load_flight_config
+    from aero_planner.onboard.settings import OnboardConfig, check_together, format_onboard, load_flight_config
 
     if str(config) not in PlannerConfig.presets() and Path(config).exists():
         check_together(*load_flight_config(config))
@@ -175,7 +174,7 @@ def _compile_elsewhere(work: Path, folder: Path, architectures: list[int], cpu: 
 
 
 def _compile(work: Path, folder: Path, cpu: bool, architectures: list[int]) -> None:
-    from aero_planner.onboard.settings_file import load_flight_config
+    from aero_planner.onboard.settings import load_flight_config
 
     planner, onboard = load_flight_config(folder / CONFIG)
     compile_ahead(work / "compiled", architectures=architectures, cpu=cpu, config=planner)
@@ -223,7 +222,7 @@ def _collect(compiled: Path, kernels: Path, cpu: bool) -> None:
 
 def write_manifest(folder: Path, architectures: list[int], cpu: bool) -> dict[str, Any]:
     """Write the manifest of what lies in `folder`, and return it."""
-    from aero_planner.onboard.settings_file import load_flight_config
+    from aero_planner.onboard.settings import load_flight_config
 
     _find_device("cpu")
     files = {}

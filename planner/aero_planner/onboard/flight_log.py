@@ -22,8 +22,7 @@ from aero_planner.onboard import ros_messages as messages
 from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.point_source import PointPacket
 from aero_planner.onboard.safety_machine import Change
-from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.settings_file import format_onboard
+from aero_planner.onboard.settings import OnboardConfig, format_onboard
 from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import quaternion_from_angles, rotate
 

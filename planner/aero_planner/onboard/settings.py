@@ -1,11 +1,13 @@
-"""Every setting of the node that flies: default, unit, bounds, help. `settings_file` reads and writes them."""
+"""Settings of the node that flies: default, unit, bounds, label and help of each, and their configuration files."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
+from aero_planner.config.file import ONBOARD, ConfigFile, format_sections
 from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
 
 __all__ = [
@@ -18,6 +20,10 @@ __all__ = [
     "TelemetrySettings",
     "ThrustSettings",
     "check_together",
+    "format_onboard",
+    "load_any",
+    "load_flight_config",
+    "load_onboard",
 ]
 
 
@@ -197,3 +203,47 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             f"vehicle.thrust_max is {planner.vehicle.thrust_max} N; it must exceed the weight of "
             f"{planner.vehicle.mass * planner.vehicle.gravity:.2f} N, or the drone can't fly."
         )
+
+
+def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
+    """Read the configuration of the planner and, from below `onboard:`, that of the node; the rest is the default.
+
+    Raises:
+        ValueError: as `aero_planner.config.file.load_config`.
+    """
+    file = ConfigFile.read(path)
+    return file.planner_config(), file.change(OnboardConfig(), file.onboard_entries() or ())
+
+
+def load_onboard(path: str | os.PathLike[str]) -> OnboardConfig:
+    """Read the configuration of the node from a file without planner parameters.
+
+    The sections may stand below `onboard:` or, without this line, at the top level.
+
+    Raises:
+        ValueError: as `load_flight_config`, or the file has planner parameters.
+    """
+    file = ConfigFile.read(path)
+    sections = file.onboard_entries()
+    if sections is None:
+        return file.change(OnboardConfig(), file.entries)
+    for entry in file.entries:
+        if entry.key != ONBOARD:
+            raise ValueError(
+                f"{path}, line {entry.line}: {entry.key!r} is not one of the node's settings, which belong below "
+                f"'{ONBOARD}:'; give a file with both as --config."
+            )
+    return file.change(OnboardConfig(), sections)
+
+
+def load_any(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
+    """Read a file with planner parameters, settings of the node, or both; raises ValueError as the functions above."""
+    entries = ConfigFile.read(path).entries
+    if entries and entries[0].key in OnboardConfig.sections():
+        return PlannerConfig(), load_onboard(path)
+    return load_flight_config(path)
+
+
+def format_onboard(config: OnboardConfig) -> str:
+    """Return the `onboard:` part of a configuration file: every setting with its help, range and unit."""
+    return "\n".join([f"{ONBOARD}:", *format_sections(config, "  "), ""])

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import os
 from pathlib import Path
 
@@ -73,7 +74,17 @@ def test_a_file_builds_on_a_preset(tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("5", 5.0), ("+5.", 5.0), (".5", 0.5), ("5e1", 50.0), ("5.0E+1", 50.0), ("5 # five", 5.0), ("0.0", 0.0)],
+    [
+        ("5", 5.0),
+        ("+5.", 5.0),
+        (".5", 0.5),
+        ("5e1", 50.0),
+        ("1e2", 100.0),
+        ("1E-3", 0.001),
+        ("5.0E+1", 50.0),
+        ("5 # five", 5.0),
+        ("0.0", 0.0),
+    ],
 )
 def test_numbers_as_people_write_them(tmp_path: Path, text: str, value: float):
     assert load_config(write(tmp_path / "a.yaml", f"costs:\n  q_track: {text}\n")).costs.q_track == value
@@ -94,14 +105,14 @@ def test_numbers_as_people_write_them(tmp_path: Path, text: str, value: float):
         ("costs:\n  q_track: [5]\n", 2, "costs.q_track is '[5]'; it must be a number"),
         ("anchors:\n  refine: yes\n", 2, "anchors.refine is 'yes'; it must be true or false"),
         ("costs:\n  q_track: 1\n  q_track: 1\n", 3, "costs.q_track is given twice"),
-        ("costs:\n  q_track: 1\ncosts:\n", 3, "section 'costs' is given twice"),
+        ("costs:\n  q_track: 1\ncosts:\n", 3, "costs is given twice"),
         ("preset: paper\npreset: paper\n", 2, "preset is given twice"),
         ("preset: papr\n", 1, "unknown preset 'papr' (did you mean 'paper'?)"),
-        ("preset:\n", 1, "unknown preset None"),
+        ("preset:\n", 1, "preset has no value"),
         ("costs:\n\tq_track: 1\n", 2, "there is a tab"),
         ("costs:\n   q_track: 1\n", 2, "'q_track' is indented by 3 spaces"),
-        ("  q_track: 1\n", 1, "'q_track' stands under no section"),
-        ("costs:\npreset: paper\n  q_track: 1\n", 3, "'q_track' stands under no section"),
+        ("  q_track: 1\n", 1, "'q_track' belongs to no section"),
+        ("costs:\npreset: paper\n  q_track: 1\n", 3, "'q_track: 1' is not understood"),
         ("costs:\n  q_track:\n", 2, "costs.q_track has no value"),
         ("costs:\n  q_track: # nothing\n", 2, "costs.q_track has no value"),
         ("costs: {q_track: 1}\n", 1, "section 'costs' has the value '{q_track: 1}'"),
@@ -109,6 +120,27 @@ def test_numbers_as_people_write_them(tmp_path: Path, text: str, value: float):
         ("costs:\n  - q_track\n", 2, "'- q_track' is not understood"),
         ("costs:\n  q_track:1\n", 2, "'q_track:1' is not understood"),
         ("---\n", 1, "'---' is not understood"),
+        ("costs:\n  q_track: 1\n---\ncosts:\n", 3, "'---' is not understood"),
+        ("costs:\n  q_track: &a 1\n", 2, "anchors, aliases and tags are not supported"),
+        ("costs: &a\n  q_track: 1\nvehicle: *a\n", 1, "anchors, aliases and tags are not supported"),
+        ("costs:\n  q_track: *a\n", 2, "anchors, aliases and tags are not supported"),
+        ("costs:\n  q_track: !!float 1\n", 2, "anchors, aliases and tags are not supported"),
+        ("costs:\n  q_track: !!python/object/apply:os.getpid []\n", 2, "tags are not supported"),
+        ("costs:\n  q_track: " + "[" * 100_000 + "\n", 2, "it is nested too deeply"),
+        ("costs:\n  q_track: [1,\n    2]\n", 2, "costs.q_track is '[1, 2]'"),
+        ("costs:\n  q_track:\n    5\n", 3, "'5' is not understood"),
+        ("costs:\n  q_track:\n    value: 5\n", 2, "costs.q_track has entries below it"),
+        ("preset:\n  paper: 1\n", 1, "preset has entries below it"),
+        ("costs:\n  q_track: 1\n   q_velocity: 1\n", 3, "'q_velocity: 1' is not understood"),
+        ("costs:\n  q_track: 1\n  ? [a]\n  : 1\n", 3, "'? [a]' is not understood"),
+        ("costs:\n  q_track: @5\n", 2, "'q_track: @5' is not understood"),
+        ("costs:\n  q_track: 5 \x00\n", 2, "there is the character '\\x00'"),
+        ("costs:\n  q_track: off\n", 2, "costs.q_track is 'off'; it must be a number"),
+        ("costs:\n  q_track: 0x10\n", 2, "costs.q_track is '0x10'; it must be a number"),
+        ("costs:\n  q_track: 1:30\n", 2, "costs.q_track is '1:30'; it must be a number"),
+        ("anchors:\n  refine: 'true'\n", 2, "anchors.refine is 'true'; it must be true or false"),
+        ("5\n", 1, "'5' is not understood"),
+        ("- costs\n", 1, "'- costs' is not understood"),
     ],
 )
 def test_errors_name_file_line_and_problem(tmp_path: Path, text: str, line: int, problem: str):
@@ -136,6 +168,19 @@ def test_unreadable_files_name_the_file(tmp_path: Path):
         load_config(tmp_path / "binary")
 
 
+def test_large_files_are_refused_without_reading_them_whole(tmp_path: Path):
+    for path in (write(tmp_path / "large.yaml", "# comment\n" * 200_000), Path("/dev/zero")):
+        with pytest.raises(ValueError, match=rf"{path} is larger than 1 MiB; give a configuration file\."):
+            load_config(path)
+
+
+def test_a_bomb_of_aliases_is_refused(tmp_path: Path):
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in itertools.pairwise("abcdefghi")]
+    with pytest.raises(ValueError, match=r"line 1: .* \(anchors, aliases and tags are not supported\)"):
+        load_config(write(tmp_path / "bomb.yaml", "\n".join(lines)))
+
+
 def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path: Path):
     with pytest.raises(ValueError, match=r"absent/config.yaml can't be written: No such file"):
         save_config(PlannerConfig(), tmp_path / "absent" / "config.yaml")
@@ -160,3 +205,11 @@ def test_names_are_presets_or_files(tmp_path: Path):
     assert config_from_name(path) == config_from_name(str(path)) == PlannerConfig.preset("fast-cpu")
     with pytest.raises(ValueError, match=r"'papr' is neither a preset .did you mean 'paper'.*presets: default, paper"):
         config_from_name("papr")
+
+
+def test_files_of_the_previous_release_still_load(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    path = write(tmp_path / "old.yaml", "costs:\n  way_ahead: 2.5\n  floor: 0.3\n")
+    assert load_config(path) == PlannerConfig().replace({"costs.waypoint_distance": 2.5})
+    renamed, removed = (record.getMessage() for record in caplog.records)
+    assert renamed.startswith(f"{path}, line 2: costs.way_ahead is now costs.waypoint_distance;")
+    assert removed.startswith(f"{path}, line 3: costs.floor is ignored: the ground height now comes from the world")

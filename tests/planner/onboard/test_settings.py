@@ -15,8 +15,11 @@ from aero_planner.config.parameter import ParameterInfo
 from aero_planner.onboard.settings import (
     OnboardConfig,
     check_together,
+    format_onboard,
+    load_any,
+    load_flight_config,
+    load_onboard,
 )
-from aero_planner.onboard.settings_file import format_onboard, load_file, load_flight_config, load_onboard
 
 NUMBERS = [info for info in OnboardConfig.parameters() if not info.pattern and not isinstance(info.default, bool)]
 
@@ -109,7 +112,7 @@ def test_one_file_holds_both(tmp_path: Path):
     planner = PlannerConfig.preset("paper").replace({"costs.q_track": 7.0})
     onboard = OnboardConfig().replace({"limits.plan_age": 0.25, "mavlink.url": "/dev/ttyTHS1"})
     path = write(tmp_path / "both.yaml", format_config(planner) + "\n" + format_onboard(onboard))
-    assert load_flight_config(path) == (planner, onboard) == load_file(path)
+    assert load_flight_config(path) == (planner, onboard) == load_any(path)
     # Node first, planner behind it, comments anywhere.
     text = "# mine\nonboard: # node\n  limits:\n  # less\n    plan_age: 0.2\n\ncosts:\n  q_track: 7\n"
     planner, onboard = load_flight_config(write(path, text))
@@ -120,7 +123,7 @@ def test_files_of_their_own(tmp_path: Path):
     expected = OnboardConfig().replace({"rates.replan": 25.0})
     bare = write(tmp_path / "bare.yaml", "rates:\n  replan: 25\n")
     under = write(tmp_path / "under.yaml", "onboard:\n  rates:\n    replan: 25\n")
-    assert load_onboard(bare) == load_onboard(under) == load_file(bare)[1] == load_file(under)[1] == expected
+    assert load_onboard(bare) == load_onboard(under) == load_any(bare)[1] == load_any(under)[1] == expected
     planner_only = write(tmp_path / "planner.yaml", "preset: paper\n")
     assert load_flight_config(planner_only) == (PlannerConfig.preset("paper"), OnboardConfig())
 
@@ -132,12 +135,12 @@ def test_files_of_their_own(tmp_path: Path):
         ("onboard:\n  limits:\n    plan_ag: 1\n", 3, "unknown setting 'limits.plan_ag' (did you mean"),
         ("onboard:\n  limits:\n    plan_age: 9\n", 3, "limits.plan_age is 9; it must be a number in [0.05, 2] s"),
         ("onboard:\n  limits:\n    plan_age: .nan\n", 3, "limits.plan_age is '.nan'"),
-        ("costs:\n  q_track: 1\nonboard:\n   limits:\n", 4, "'limits:' is indented by 3 spaces"),
+        ("costs:\n  q_track: 1\nonboard:\n   limits:\n", 4, "'limits' is indented by 3 spaces"),
         ("onboard:\n  limits:\n    plan_age: 0.2\n    plan_age: 0.2\n", 4, "limits.plan_age is given twice"),
-        ("onboard:\n  limits:\n  limits:\n", 3, "section 'limits' is given twice"),
-        ("onboard:\ncosts:\nonboard:\n", 3, "'onboard' is given twice"),
+        ("onboard:\n  limits:\n  limits:\n", 3, "onboard.limits is given twice"),
+        ("onboard:\ncosts:\nonboard:\n", 3, "onboard is given twice"),
         ("onboard: {}\n", 1, "put the sections of 'onboard' on lines below it"),
-        ("onboard:\n    plan_age: 0.2\n", 2, "'plan_age' stands under no section"),
+        ("onboard:\n    plan_age: 0.2\n", 2, "'plan_age' is indented by 4 spaces"),
         ("onboard:\n  limits:\n    plan_age:\n", 3, "limits.plan_age has no value"),
         ("onboard:\n  limits: 5\n", 2, "section 'limits' has the value 5"),
         ("onboard:\n  limits:\n    - 5\n", 3, "'- 5' is not understood"),
@@ -157,12 +160,12 @@ def test_errors_name_file_line_and_problem(tmp_path: Path, text: str, line: int,
 
 def test_a_node_file_with_planner_parameters_is_refused(tmp_path: Path):
     path = write(tmp_path / "both.yaml", "onboard:\n  limits:\n    plan_age: 0.2\ncosts:\n  q_track: 1\n")
-    with pytest.raises(ValueError, match=r"both.yaml, line 4: 'costs:' is none of the node's settings"):
+    with pytest.raises(ValueError, match=r"both.yaml, line 4: 'costs' is not one of the node's settings"):
         load_onboard(path)
 
 
 def test_unreadable_files_name_the_file(tmp_path: Path):
-    for load in (load_flight_config, load_onboard, load_file):
+    for load in (load_flight_config, load_onboard, load_any):
         with pytest.raises(ValueError, match=r"absent.yaml can't be read: No such file"):
             load(tmp_path / "absent.yaml")
     (tmp_path / "binary").write_bytes(b"\xff\xfe")
