@@ -1,16 +1,49 @@
+"""The checks of `aero-viz doctor`. The command itself is tested in tests/cli/test_tools.py."""
+
 from __future__ import annotations
 
-from aero_viz.doctor import Check, Report
+import importlib
+import importlib.metadata
+
+import pytest
+
+from aero_planner.check_report import Check, CheckReport
+from aero_viz.doctor import examine
 
 
-def test_only_what_is_required_makes_a_machine_unhealthy() -> None:
+def test_only_required_checks_make_a_machine_unhealthy() -> None:
     optional = Check("CUDA", "no GPU", ok=False, required=False, advice="Buy one.")
     missing = Check("viser", "not installed", ok=False, advice="pip install viser")
-    assert Report((optional,)).healthy
-    assert not Report((optional, missing)).healthy
+    assert CheckReport((optional,)).passed
+    assert not CheckReport((optional, missing)).passed
 
 
-def test_the_table_gives_advice_below_what_is_missing() -> None:
-    lines = Report((Check("viser", "not installed", ok=False, advice="pip install viser"),)).format_table().splitlines()
-    assert lines[0].startswith("MISSING viser")
+def test_the_table_gives_advice_below_a_failed_check() -> None:
+    report = CheckReport((Check("viser", "not installed", ok=False, advice="pip install viser"),))
+    lines = report.format_table().splitlines()
+    assert lines[0].startswith("FAIL  viser")
     assert lines[1].strip() == "-> pip install viser"
+
+
+def test_missing_packages_and_libraries_are_reported_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    find_version, import_module = importlib.metadata.version, importlib.import_module
+
+    def version(name: str) -> str:
+        if name in ("mcap", "playwright"):
+            raise importlib.metadata.PackageNotFoundError(name)
+        return find_version(name)
+
+    def load(name: str, package: str | None = None) -> object:
+        if name == "open3d":
+            raise OSError("libGL.so.1: cannot open shared object file")
+        return import_module(name, package)
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    monkeypatch.setattr(importlib, "import_module", load)
+    report = examine()
+    checks = {check.name: check for check in report.checks}
+    assert not report.passed and "Something required is missing" in report.format_table()
+    assert not checks["mcap"].ok and checks["mcap"].required and "pip install mcap" in checks["mcap"].advice
+    assert not checks["playwright"].ok and not checks["playwright"].required
+    assert not checks["open3d loads"].required and "libgl1" in checks["open3d loads"].advice
+    assert checks["open3d loads"].finding == "libGL.so.1: cannot open shared object file"

@@ -24,9 +24,11 @@ def main(arguments: list[str] | None = None) -> None:
     """
     try:
         from aero_viz.cli.parser import parse
+        from aero_viz.cli.renamed_flags import replace_renamed_flags
         from aero_viz.cli.verbs import VERBS
 
-        call = parse(VERBS, sys.argv[1:] if arguments is None else arguments, prog="aero-viz", description=_DESCRIPTION)
+        current = replace_renamed_flags(sys.argv[1:] if arguments is None else arguments)
+        call = parse(VERBS, current, prog="aero-viz", description=_DESCRIPTION)
         from aero_planner.warp_init import quieten
 
         quieten()

@@ -129,5 +129,5 @@ def doctor(*, json: bool = False) -> None:
 
     report = examine()
     print(json_module.dumps(report.to_json(), allow_nan=False) if json else report.format_table())
-    if not report.healthy:
+    if not report.passed:
         raise SystemExit(2)

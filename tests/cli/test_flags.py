@@ -1,4 +1,4 @@
-"""The configuration that flags describe."""
+"""Flags that derive from parameters, and the configuration that they describe."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
+from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags
+from aero_viz.cli.renamed_flags import replace_renamed_flags
 
 
 def flags(config: str = "default", **costs: Any) -> ConfigFlags:
@@ -32,3 +34,15 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("costs:\n  q_track: 7\n")
     assert flags(str(file)).load().costs.use_ground
+
+
+def test_flags_of_renamed_parameters_keep_their_old_spelling(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(PlannerConfig, "renamed", {"costs.old_name": "costs.q_track"})
+    monkeypatch.setattr(PlannerConfig, "removed", {"costs.gone": "it had no effect"})
+    arguments = ["forest", "--costs.old-name", "3", "--costs.gone", "5", "--costs.gone=5", "--speed", "4"]
+    assert replace_renamed_flags(arguments) == ["forest", "--costs.q-track", "3", "--speed", "4"]
+    assert replace_renamed_flags(["--costs.old_name=3"]) == ["--costs.q-track=3"]
+    assert "costs.old_name is now costs.q_track" in caplog.text
+    assert "costs.gone is ignored: it had no effect" in caplog.text

@@ -19,8 +19,8 @@ def test_a_missing_browser_is_reported(
 
 def test_doctor_finds_this_machine_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     report = run_json(capsys, "doctor")
-    assert report["healthy"]
-    assert any(check["name"] == "device cpu" and "plans in" in check["found"] for check in report["checks"])
+    assert report["passed"]
+    assert any(check["name"] == "device cpu" and "plans in" in check["finding"] for check in report["checks"])
 
 
 def test_the_table_contains_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
