@@ -1,4 +1,4 @@
-"""The loopback rig: the onboard node against a simulated autopilot and LiDAR, over real sockets, with faults."""
+"""The rig: the onboard node against a simulated autopilot and LiDAR, over real sockets, with injected faults."""
 
 from aero_viz.rig.faults import FAULT_KINDS, Fault, parse_fault
 from aero_viz.rig.result import Event, Intervals, RigResult, Trajectory

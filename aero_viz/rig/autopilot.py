@@ -1,4 +1,4 @@
-"""A simulated autopilot: MAVLink over UDP, a vehicle at 250 Hz, and PX4's rules for offboard control."""
+"""A simulated PX4 autopilot: MAVLink over UDP, a vehicle at 250 Hz, and PX4's rules for offboard control."""
 
 from __future__ import annotations
 
@@ -26,63 +26,65 @@ from aero_viz.rig.faults import Channel
 __all__ = ["PERIOD", "Mode", "Setpoint", "SimulatedAutopilot"]
 
 PERIOD = 0.004
-"""One step [s]."""
+"""Duration of a simulation step [s]."""
 
-_BOOTED = 12.5  # [s] by the autopilot's clock when the simulation starts
+_BOOT_TIME = 12.5  # [s] on the autopilot's clock when the simulation starts
 _STREAM_TIME = 1.0  # [s] that setpoints must have been arriving before OFFBOARD is accepted
-_RATE_STATE = 50.0  # [Hz] unless another is asked for
-_RATES_MAX = 250.0
-_KERNEL_TIME = 35  # SO_TIMESTAMPNS of Linux
+_DEFAULT_STATE_RATE = 50.0  # [Hz]
+_MAX_STATE_RATE = 250.0  # [Hz]
+_SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram arrived
 _ODOMETRY, _COVARIANCE = 331, [math.nan] * 21
-_NOT_FOR_THE_NODE = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
+_HOLD_ACCELERATION = 6.0  # [m/s^2], the largest that HOLD asks for
+_PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
 
 
 class Mode(enum.Enum):
-    """What flies the vehicle, with PX4's custom mode."""
+    """Flight mode. The value is PX4's custom mode."""
 
     HOLD = 4 << 16 | 3 << 24
-    """The autopilot: it stops and stays."""
+    """The autopilot controls the vehicle: it brakes and holds its position."""
     OFFBOARD = 6 << 16
-    """The companion computer."""
+    """The companion computer controls the vehicle."""
 
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One SET_ATTITUDE_TARGET as it was understood."""
+    """A decoded SET_ATTITUDE_TARGET."""
 
     time: float
-    """Of arrival, as the kernel saw it, since the start of the simulation [s]."""
+    """Time of arrival at the kernel, since the start of the simulation [s]."""
     thrust: float
-    """[N]"""
+    """Total thrust [N]."""
     rates: tuple[float, float, float]
-    """[rad/s], forward-left-up."""
+    """Body rates [rad/s], forward-left-up."""
     mode: Mode
-    """At the time of arrival: only OFFBOARD obeys."""
+    """Mode at the time of arrival. The autopilot obeys in OFFBOARD only."""
 
 
 class SimulatedAutopilot:
-    """An autopilot and its vehicle, which hangs still at its start until it is armed and holds there then.
+    """An autopilot with its vehicle, which is fixed at its start until it is armed and then holds its position there.
 
     Args:
-        model: of the vehicle.
-        start: first position [m], shape [3], world frame.
-        heading: first yaw [rad].
+        model: model of the vehicle.
+        start: start position [m], shape [3], world frame.
+        heading: yaw at the start [rad].
         address: host and UDP port of the companion computer.
-        hover_thrust: setpoint at which the vehicle hovers.
-        curve: of the motors, see `aero_planner.onboard.thrust`.
-        compensation: how much of it the autopilot takes out itself; PX4's THR_MDL_FAC.
-        loss_time: time without setpoint that ends the stream, and with it OFFBOARD; PX4's COM_OF_LOSS_T [s].
+        hover_thrust: thrust setpoint at which the vehicle hovers, in [0, 1].
+        curve: thrust curve of the motors, see `aero_planner.onboard.thrust`.
+        compensation: part of the curve that the autopilot compensates, PX4's THR_MDL_FAC.
+        loss_time: time without setpoints after which the stream, and with it OFFBOARD, ends, PX4's COM_OF_LOSS_T [s].
         pair: send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY.
-        seed: of gusts and of the wires.
+        seed: seed of gusts and of faults on the connections.
 
     Attributes:
-        vehicle: the true state.
-        mode, armed: what the next heartbeat tells.
-        frozen: True repeats the last state over and over.
-        setpoints: all that were understood.
-        refused: setpoints that were not: another frame, not finite, or for somebody else.
-        trespasses: what the companion asked for and must not: arming, modes, sticks.
-        up, down: the wires to and from the companion.
+        vehicle: the true state of the vehicle.
+        mode, armed: reported by the next heartbeat.
+        frozen: True makes the autopilot repeat its last state.
+        setpoints: all setpoints that were understood.
+        refused: number of setpoints with another frame, with values that are not finite, or for another component.
+        violations: requests that only the pilot may make: arming, mode changes, stick inputs.
+        to_companion, from_companion: the connections to and from the companion computer.
+        port: UDP port of the autopilot.
     """
 
     def __init__(
@@ -103,36 +105,38 @@ class SimulatedAutopilot:
         self.mode, self.armed, self.frozen = Mode.HOLD, False, False
         self.setpoints: list[Setpoint] = []
         self.refused = 0
-        self.trespasses: list[str] = []
+        self.violations: list[str] = []
         self._model = model
         self._compensation = compensation
         self._motors: dict[str, float] = dict(
             mass=model.mass, gravity=model.gravity, hover_thrust=self._motor_signal(hover_thrust), curve=curve
         )
-        self._flying = wp.zeros(1, dtype=int, device="cpu")
+        self._finished = wp.zeros(1, dtype=int, device="cpu")
         self._command = wp.zeros((1, 1), dtype=wp.vec4, device="cpu")
         views = (self.vehicle.position, self.vehicle.velocity, self.vehicle.quaternion, self._command)
+        # Arrays on the CPU, which share memory with the vehicle's.
         self._p, self._v, self._q, self._u = (view.numpy().reshape(-1) for view in views)
-        self._place: NDArray[np.float64] | None = np.array(start, dtype=np.float64)  # where to hold
-        self._stream_began = self._stream_last = -math.inf
+        self._hold_position: NDArray[np.float64] | None = np.array(start, dtype=np.float64)
+        self._stream_start = self._last_setpoint_time = -math.inf
         self._dialect = load_dialect()
-        self._protocol = self._dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-        self._protocol.robust_parsing = True
+        self._protocol = self._new_protocol(0)
         self._pair, self._loss_time = pair, loss_time
-        self._state_period = 1.0 / _RATE_STATE
+        self._state_period = 1.0 / _DEFAULT_STATE_RATE
         self._next_state = self._next_heartbeat = 0.0
         self._frozen_message: list[Any] = []
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        with contextlib.suppress(OSError):  # where it is unknown, setpoints are timed by the step that finds them
-            self._socket.setsockopt(socket.SOL_SOCKET, _KERNEL_TIME, 1)
+        with contextlib.suppress(OSError):  # without it, a setpoint arrives in the step that reads it
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self._socket.bind(("127.0.0.1", 0))
+        self.port: int = self._socket.getsockname()[1]
         self._address = address
-        self.up = Channel(self._deliver, seed=seed + 1)
-        self.down = Channel(self._receive, seed=seed + 2)
-        self._now = self._arrival = 0.0
-        self._arrived: deque[tuple[float, bytes]] = deque()  # when, and what
-        self._began: float | None = None  # host time of the simulation's start, CLOCK_REALTIME [s]
+        self.to_companion = Channel(self._deliver, seed=seed + 1)
+        self.from_companion = Channel(self._receive, seed=seed + 2)
+        self._now = 0.0
+        self._arrival = 0.0  # of the datagram that is being handled
+        self._datagrams: deque[tuple[float, bytes]] = deque()  # times of arrival and contents
+        self._start_time: float | None = None  # CLOCK_REALTIME at the start of the simulation [s]
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -146,136 +150,151 @@ class SimulatedAutopilot:
 
     @property
     def streaming(self) -> bool:
-        """Whether setpoints have been arriving for long enough to accept OFFBOARD."""
-        return self._now - self._stream_last <= self._loss_time and self._now - self._stream_began >= _STREAM_TIME
+        """True if setpoints have been arriving for long enough to accept OFFBOARD."""
+        return (
+            self._now - self._last_setpoint_time <= self._loss_time and self._now - self._stream_start >= _STREAM_TIME
+        )
 
     def arm(self) -> None:
-        """The pilot's switch."""
+        """Arm the vehicle, as the pilot does."""
         self.armed = True
 
     def engage(self) -> bool:
-        """The pilot's switch to OFFBOARD; return whether the autopilot accepts."""
+        """Switch to OFFBOARD, as the pilot does; return True if the autopilot accepts."""
         if not (self.armed and self.streaming):
             return False
         self.mode = Mode.OFFBOARD
         return True
 
     def hold(self) -> None:
-        """The pilot's switch to HOLD, or the failsafe's."""
-        self.mode, self._place = Mode.HOLD, None
+        """Switch to HOLD, as the pilot or the autopilot's failsafe does."""
+        self.mode, self._hold_position = Mode.HOLD, None
 
-    def start(self) -> None:
-        """Say that now is the time 0 of the simulation."""
-        self._began = time.time()
+    def start(self, *, late_by: float = 0.0) -> None:
+        """Make the present, or a time `late_by` seconds ago, the time 0 of the simulation."""
+        self._start_time = time.time() - late_by
 
     def step(self, tick: int, now: float) -> None:
-        """Fly one step, from `now` - PERIOD to `now` [s] since the start, and talk to the companion."""
+        """Fly one step and exchange messages with the companion.
+
+        Args:
+            tick: number of the step.
+            now: time at the end of the step, since the start of the simulation [s].
+        """
         self._now = now
-        self._listen()
-        if self.mode is Mode.OFFBOARD and now - self._stream_last > self._loss_time:
+        self._receive_datagrams()
+        if self.mode is Mode.OFFBOARD and now - self._last_setpoint_time > self._loss_time:
             self.hold()
         if self.armed:
             if self.mode is Mode.HOLD:
-                self._u[:] = self._holding()
+                self._u[:] = self._hold_command()
             else:
                 self._u[0], self._u[1:] = self.setpoints[-1].thrust, self.setpoints[-1].rates
-            self.vehicle.fly(self._command, finished=self._flying, tick=tick)
-        self._talk()
+            self.vehicle.fly(self._command, finished=self._finished, tick=tick)
+        self._send_due_messages()
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
-    def _holding(self) -> NDArray[np.float64]:
-        """Brake, then stay: the position asks for an acceleration, that for an attitude, that for rates."""
-        velocity, up = self.velocity, np.array([0.0, 0.0, 1.0])
-        if self._place is None and np.linalg.norm(velocity) < 0.5:
-            self._place = self.position
-        wanted = -2.5 * velocity - (0.0 if self._place is None else 2.0 * (self.position - self._place))
-        wanted *= min(1.0, 6.0 / max(float(np.linalg.norm(wanted)), 1e-9))
-        force = self._model.mass * (wanted + self._model.gravity * up)
-        q = self._q.astype(np.float64)
-        axis = rotate(q, up)
-        turn = np.cross(axis, force / np.linalg.norm(force))
-        rates = 8.0 * rotate(conjugate(q), turn)
-        return np.array([force @ axis, rates[0], rates[1], 0.0])
+    def _hold_command(self) -> NDArray[np.float64]:
+        """Return thrust [N] and body rates [rad/s], shape [4], that brake the vehicle and then hold its position.
 
-    def _listen(self) -> None:
+        A cascade of controllers: the position error gives an acceleration, that an attitude, and that the rates.
+        """
+        velocity, up = self.velocity, np.array([0.0, 0.0, 1.0])
+        if self._hold_position is None and np.linalg.norm(velocity) < 0.5:
+            self._hold_position = self.position
+        acceleration = -2.5 * velocity
+        if self._hold_position is not None:
+            acceleration = acceleration - 2.0 * (self.position - self._hold_position)
+        acceleration *= min(1.0, _HOLD_ACCELERATION / max(float(np.linalg.norm(acceleration)), 1e-9))
+        force = self._model.mass * (acceleration + self._model.gravity * up)
+        q = self._q.astype(np.float64)
+        thrust_axis = rotate(q, up)
+        attitude_error = np.cross(thrust_axis, force / np.linalg.norm(force))
+        rates = 8.0 * rotate(conjugate(q), attitude_error)
+        return np.array([force @ thrust_axis, rates[0], rates[1], 0.0])
+
+    def _receive_datagrams(self) -> None:
         while True:
             try:
-                data, notes, _, _ = self._socket.recvmsg(2048, 64)
+                data, ancillary, _, _ = self._socket.recvmsg(2048, 64)
             except OSError:
                 break
             arrival = self._now
-            for level, kind, content in notes:
-                if self._began is not None and (level, kind) == (socket.SOL_SOCKET, _KERNEL_TIME):
+            for level, kind, content in ancillary:
+                if self._start_time is not None and (level, kind) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS):
                     seconds, nanoseconds = struct.unpack("@ll", content)
-                    arrival = seconds - self._began + 1e-9 * nanoseconds
-            self._arrived.append((arrival, data))
-        # A simulation that is late must not obey a command before it was sent: the rest is for later steps.
-        while self._arrived and self._arrived[0][0] <= self._now:
-            self._arrival, data = self._arrived.popleft()
-            self.down.put(data, self._now)
+                    arrival = seconds - self._start_time + 1e-9 * nanoseconds
+            self._datagrams.append((arrival, data))
+        # A simulation that runs late must not obey a command before it was sent: keep the rest for later steps.
+        while self._datagrams and self._datagrams[0][0] <= self._now:
+            self._arrival, data = self._datagrams.popleft()
+            self.from_companion.put(data, self._now)
         self._arrival = self._now
-        self.down.flush(self._now)
+        self.from_companion.flush(self._now)
+
+    def _new_protocol(self, sequence: int) -> Any:
+        protocol = self._dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        protocol.robust_parsing, protocol.seq = True, sequence
+        return protocol
 
     def _receive(self, data: bytes) -> None:
         try:
             messages = self._protocol.parse_buffer(data) or []
-        except Exception:  # pymavlink on corrupted bytes
+        except Exception:  # raised by pymavlink for corrupted bytes
             messages = []
-        if self._protocol.buf_len():  # the rest of a corrupted datagram
-            seq = self._protocol.seq
-            self._protocol = self._dialect.MAVLink(None, srcSystem=1, srcComponent=1)
-            self._protocol.robust_parsing, self._protocol.seq = True, seq
+        if self._protocol.buf_len():  # the rest of a corrupted datagram must not spoil the next one
+            self._protocol = self._new_protocol(self._protocol.seq)
         for message in messages:
             name = message.get_type()
             if name == "SET_ATTITUDE_TARGET":
-                self._take_setpoint(message)
+                self._handle_setpoint(message)
             elif name == "COMMAND_LONG":
-                self._take_command(message)
-            elif name in _NOT_FOR_THE_NODE:
-                self.trespasses.append(name)
+                self._handle_command(message)
+            elif name in _PILOT_MESSAGES:
+                self.violations.append(name)
 
-    def _take_setpoint(self, message: Any) -> None:
+    def _handle_setpoint(self, message: Any) -> None:
         mask = message.type_mask
         d = self._dialect
-        wanted = mask & d.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE and not mask & (
+        is_rates_and_thrust = mask & d.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE and not mask & (
             d.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
             | d.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
             | d.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
             | d.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
         )
-        ours = message.target_system in (0, 1) and message.target_component in (0, 1)
+        is_addressed = message.target_system in (0, 1) and message.target_component in (0, 1)
         values = [message.thrust, message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
-        if not (wanted and ours and np.isfinite(values).all()):
+        if not (is_rates_and_thrust and is_addressed and np.isfinite(values).all()):
             self.refused += 1
             return
         force = force_from_signal(self._motor_signal(min(max(values[0], 0.0), 1.0)), **self._motors)
-        if self._now - self._stream_last > self._loss_time:
-            self._stream_began = self._now
-        self._stream_last = self._now
+        if self._now - self._last_setpoint_time > self._loss_time:
+            self._stream_start = self._now
+        self._last_setpoint_time = self._now
         rates = flu_from_frd(values[1:]).tolist()
         self.setpoints.append(Setpoint(self._arrival, force, tuple(rates), self.mode))
 
     def _motor_signal(self, thrust: float) -> float:
-        """Return what the motors get, in [0, 1], for a share of the full thrust."""
+        """Return the signal to the motors, in [0, 1], for a thrust setpoint in [0, 1]."""
         return signal_from_force(thrust, mass=1.0, gravity=1.0, hover_thrust=1.0, curve=self._compensation)
 
-    def _take_command(self, message: Any) -> None:
+    def _handle_command(self, message: Any) -> None:
         d = self._dialect
         if message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
-            self.trespasses.append(f"COMMAND_LONG {message.command}")
+            self.violations.append(f"COMMAND_LONG {message.command}")
             return
-        known = message.param1 == _ODOMETRY and not self._pair and message.param2 > 0.0
-        if known:
-            self._state_period = max(1e-6 * message.param2, 1.0 / _RATES_MAX)
-        result = d.MAV_RESULT_ACCEPTED if known else d.MAV_RESULT_UNSUPPORTED
+        is_supported = message.param1 == _ODOMETRY and not self._pair and message.param2 > 0.0
+        if is_supported:
+            self._state_period = max(1e-6 * message.param2, 1.0 / _MAX_STATE_RATE)
+        result = d.MAV_RESULT_ACCEPTED if is_supported else d.MAV_RESULT_UNSUPPORTED
         self._send(d.MAVLink_command_ack_message(message.command, result))
 
-    def _talk(self) -> None:
+    def _send_due_messages(self) -> None:
         d = self._dialect
-        self.up.flush(self._now)
+        self.to_companion.flush(self._now)
         if self._now >= self._next_heartbeat:
             self._next_heartbeat = self._now + 1.0
             base = d.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (d.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
@@ -291,7 +310,7 @@ class SimulatedAutopilot:
 
     def _state_messages(self) -> list[Any]:
         d = self._dialect
-        stamp = _BOOTED + self._now
+        stamp = _BOOT_TIME + self._now
         p, v = ned_from_world(self._p), ned_from_world(self._v)
         q = attitude_to_ned(self._q)
         rates = frd_from_flu(self.vehicle.control.numpy()[0, 1:])  # type: ignore[index]
@@ -308,8 +327,8 @@ class SimulatedAutopilot:
     def _send(self, message: Any) -> None:
         data = bytes(message.pack(self._protocol))
         self._protocol.seq = (self._protocol.seq + 1) % 256
-        self.up.put(data, self._now)
+        self.to_companion.put(data, self._now)
 
     def _deliver(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody listens there now, as on a wire
+        with contextlib.suppress(OSError):  # nobody listens now; a real datagram would be lost, too
             self._socket.sendto(data, self._address)

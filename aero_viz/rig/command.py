@@ -1,4 +1,4 @@
-"""The verb `rig` of `aero-planner`: fly the onboard node against a simulated drone."""
+"""The verb `aero-planner rig`: fly the onboard node against a simulated drone."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the verb with the arguments behind it; return the exit code. Entry point of "aero_planner.commands".
+    """Run the verb and return the exit code. This is an entry point in the group "aero_planner.commands".
+
+    Args:
+        arguments: arguments after the verb.
 
     Raises:
-        ValueError: an argument is out of range, or pymavlink is missing; one sentence.
+        ValueError: an argument is out of range, or pymavlink is missing; the message is one sentence.
     """
     from aero_planner.warp_init import quieten
     from aero_viz.errors import UserError
@@ -33,26 +36,27 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="aero-planner rig",
         description="Fly the node in real time against a simulated PX4 autopilot and Livox Mid-360, over UDP on "
-        "127.0.0.1. Exit code 0: done, whatever the outcome of the flight; 2: a mistake in the arguments.",
+        "127.0.0.1. The exit code is 0 whatever the outcome of the flight, and 2 for a mistake in the arguments.",
         epilog=_faults_help(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("world", help="a scene such as forest, or a world's JSON file")
-    parser.add_argument("--seed", type=int, default=0, help="of the scene and of the LiDAR (default 0)")
-    parser.add_argument("--speed", type=float, help="speed limit [m/s]; the configuration's own, else 5, when left out")
-    parser.add_argument("--config", help="YAML file with the planner's and the node's settings, as flown on the drone")
+    parser.add_argument("world", help="name of a scene, such as forest, or a world file (JSON)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the scene and of the LiDAR (default 0)")
+    parser.add_argument("--speed", type=float, help="speed limit [m/s] (default: the one in --config, else 5)")
+    parser.add_argument("--config", help="YAML file with the configuration of planner and node, as on the drone")
     parser.add_argument("--duration", type=float, default=60.0, help="longest flight [s] (default 60)")
     parser.add_argument("--fault", action="append", default=[], metavar="KIND[=AMOUNT]@TIME[+DURATION]",
-                        help="what goes wrong, and when after the take-over [s]; may be repeated")  # fmt: skip
-    parser.add_argument("--count", type=int, default=1, help="flights, each with the next seed (default 1)")
+                        help="fault to inject, TIME seconds after the node gets control; may be repeated")  # fmt: skip
+    parser.add_argument("--count", type=int, default=1, help="number of flights, each with the next seed (default 1)")
     parser.add_argument("--data-type", type=int, choices=(1, 2), default=1,
-                        help="of the LiDAR's packets: 1 millimetres (default), 2 centimetres")  # fmt: skip
+                        help="data type of the LiDAR's packets: 1 millimetres (default), 2 centimetres")  # fmt: skip
     parser.add_argument("--pair", action="store_true",
                         help="send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY")  # fmt: skip
     parser.add_argument("--loss-time", type=float, default=0.5, metavar="S",
-                        help="PX4's COM_OF_LOSS_T: silence that makes it take over [s] (default 0.5)")  # fmt: skip
+                        help="time without setpoints after which the autopilot takes over, PX4's COM_OF_LOSS_T "
+                        "[s] (default 0.5)")  # fmt: skip
     parser.add_argument("--shuttle", action="store_true",
-                        help="fly to and fro until the time is over, for statistics of deadlines")  # fmt: skip
+                        help="fly back and forth until the duration is over, to collect statistics of deadlines")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object per flight")
     return parser
 
@@ -89,14 +93,14 @@ def _fly(options: argparse.Namespace) -> int:
         if options.json:
             print(json.dumps(result.to_dict(), allow_nan=False), flush=True)
         else:
-            print(summary(result), flush=True)
+            print(format_result(result), flush=True)
             if not result.arrived:
-                print("the node's last words:", *result.log[-20:], sep="\n    ", file=sys.stderr)
+                print("last lines of the node's log:", *result.log[-20:], sep="\n    ", file=sys.stderr)
     return 0
 
 
-def summary(result: RigResult) -> str:
-    """Return a flight's result in a few lines for people."""
+def format_result(result: RigResult) -> str:
+    """Return the result of a flight in a few lines of text."""
     clearance = "" if result.min_clearance is None else f", {result.min_clearance:.2f} m from the nearest surface"
     lines = [
         f"{result.scene} {result.seed}: {result.reason} after {result.flight_time_s:.1f} s, "
@@ -105,15 +109,15 @@ def summary(result: RigResult) -> str:
     if result.arrivals > 1:
         lines[0] += f"; {result.arrivals} arrivals"
     if result.intervals is not None:
-        i = result.intervals
+        intervals = result.intervals
         lines.append(
-            f"setpoints: {i.count}, every {1e3 * i.mean:.1f} ms, jitter {1e3 * i.jitter:.2f} ms, "
-            f"99 % within {1e3 * i.p99:.1f} ms, longest {1e3 * i.longest:.0f} ms, {i.missed} missed"
+            f"setpoints: {intervals.count}, every {1e3 * intervals.mean:.1f} ms, jitter {1e3 * intervals.jitter:.2f} ms, "
+            f"99 % within {1e3 * intervals.p99:.1f} ms, longest {1e3 * intervals.longest:.0f} ms, {intervals.missed} missed"
         )
-    if result.trespasses:
-        lines.append(f"THE NODE ASKED FOR WHAT IT MUST NOT: {', '.join(sorted(set(result.trespasses)))}")
+    if result.violations:
+        lines.append(f"VIOLATION: the node requested {', '.join(sorted(set(result.violations)))}; only the pilot may")
     if result.overruns:
-        lines.append(f"the simulation itself was late {result.overruns} times: this machine is busy")
+        lines.append(f"the simulation was late {result.overruns} times: this machine is too slow or too busy")
     return "\n".join(lines)
 
 

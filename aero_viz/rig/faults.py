@@ -1,4 +1,4 @@
-"""What goes wrong on purpose: on the wires, in the sensors, and in the computer."""
+"""Faults that the rig injects: in the network, in the sensors and in the onboard computer."""
 
 from __future__ import annotations
 
@@ -16,38 +16,44 @@ __all__ = ["FAULT_KINDS", "Channel", "Fault", "parse_fault"]
 
 @dataclass(frozen=True)
 class FaultKind:
-    """What a kind of fault does."""
+    """A kind of fault, with its default values."""
 
     help: str
     amount: float = 0.0
-    """Where none is given: a probability or a time [s]; 0 where the kind takes none."""
+    """Default amount: a probability, or a time [s]; 0 if the kind has none."""
     duration: float = 0.0
-    """Where none is given [s]; 0 where the kind is a moment."""
+    """Default duration [s]; 0 if the fault is instantaneous."""
 
 
 FAULT_KINDS: dict[str, FaultKind] = {
-    "drop": FaultKind("packets are lost, all kinds both ways", 0.3, 3.0),
-    "delay": FaultKind("packets come late, by up to twice the amount [s]", 0.05, 3.0),
-    "duplicate": FaultKind("packets come twice", 0.3, 3.0),
+    "drop": FaultKind("packets of all kinds are lost in both directions", 0.3, 3.0),
+    "delay": FaultKind("packets arrive late, by up to twice the amount [s]", 0.05, 3.0),
+    "duplicate": FaultKind("packets arrive twice", 0.3, 3.0),
     "reorder": FaultKind("packets overtake each other", 0.3, 3.0),
     "corrupt": FaultKind("bytes of packets are changed", 0.3, 3.0),
     "freeze-state": FaultKind("the autopilot repeats one state", duration=3.0),
-    "kill-sensor": FaultKind("the LiDAR is silent", duration=60.0),
-    "pause-node": FaultKind("the node's process is stopped, then goes on", duration=0.5),
-    "restart-node": FaultKind("the node's process is killed and started again"),
+    "kill-sensor": FaultKind("the LiDAR sends nothing", duration=60.0),
+    "pause-node": FaultKind("the node's process is paused, then resumed", duration=0.5),
+    "restart-node": FaultKind("the node's process is killed and restarted"),
 }
-NETWORK = ("drop", "delay", "duplicate", "reorder", "corrupt")
+"""Kinds of faults by name."""
+
+NETWORK_FAULTS = ("drop", "delay", "duplicate", "reorder", "corrupt")
+"""Kinds of faults that affect a `Channel`."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong once.
+    """One fault during a flight.
 
     Args:
-        kind: of FAULT_KINDS.
-        at: when it begins, after the node was given the vehicle [s].
-        duration: how long it lasts [s]; None is the kind's own.
-        amount: how bad it is; None is the kind's own.
+        kind: name in FAULT_KINDS.
+        at: time when the fault begins, after the engagement [s].
+        duration: duration [s]; None is the default of the kind.
+        amount: probability, or time [s]; None is the default of the kind.
+
+    Raises:
+        UserError: the kind does not exist, or a value is out of range.
     """
 
     kind: str
@@ -67,12 +73,12 @@ class Fault:
                 raise UserError(
                     f"The {name} of the fault {self.kind} is {getattr(self, name)!r}; it must not be negative."
                 )
-        if self.kind in NETWORK and self.kind != "delay" and self.amount > 1.0:  # type: ignore[operator]
+        if self.kind in NETWORK_FAULTS and self.kind != "delay" and (self.amount or 0.0) > 1.0:
             raise UserError(f"The amount of the fault {self.kind} is {self.amount:g}; it is a probability, at most 1.")
 
     @property
     def end(self) -> float:
-        """When it is over, after the node was given the vehicle [s]."""
+        """Time when the fault ends, after the engagement [s]."""
         return self.at + (self.duration or 0.0)
 
     def __str__(self) -> str:
@@ -82,62 +88,67 @@ class Fault:
 
 
 def parse_fault(text: str) -> Fault:
-    """Return the fault written as KIND@TIME, KIND@TIME+DURATION or KIND=AMOUNT@TIME+DURATION, such as drop=0.2@3+2.
+    """Return the fault that a text describes.
+
+    Args:
+        text: KIND[=AMOUNT]@TIME[+DURATION], such as drop=0.2@3+2 or pause-node@4.
 
     Raises:
-        UserError: the text has another form, or the kind does not exist.
+        UserError: the text has another form, the kind does not exist, or a value is out of range.
     """
     number = r"[0-9]*\.?[0-9]+"
     match = re.fullmatch(rf"([a-z-]+)(?:=({number}))?@({number})(?:\+({number}))?", text)
     if match is None:
-        raise UserError(f"{text!r} is no fault; write KIND=AMOUNT@TIME+DURATION, such as drop=0.2@3+2 or pause-node@4.")
+        raise UserError(
+            f"{text!r} is not a fault; write KIND=AMOUNT@TIME+DURATION, such as drop=0.2@3+2 or pause-node@4."
+        )
     kind, amount, at, duration = match.groups()
     return Fault(kind, float(at), float(duration) if duration else None, float(amount) if amount else None)
 
 
 class Channel:
-    """A wire that can be bad: passes datagrams on, at once while it is good.
+    """A network connection for datagrams. It delivers them at once unless faults are active.
 
     Args:
-        deliver: takes a datagram.
-        seed: of the bad luck.
+        deliver: called with each datagram that arrives.
+        seed: seed of the random faults.
 
     Attributes:
-        active: amounts of the faults of NETWORK that are on now.
+        faults: amounts of the active NETWORK_FAULTS by kind.
     """
 
-    _OVERTAKEN = 0.02  # [s] that a reordered packet is held back
+    _REORDER_DELAY = 0.02  # [s], the longest delay of a reordered datagram
 
     def __init__(self, deliver: Callable[[bytes], object], *, seed: int = 0) -> None:
-        self.active: dict[str, float] = {}
+        self.faults: dict[str, float] = {}
         self._deliver = deliver
         self._random = np.random.default_rng([seed, 0x77697265])
-        self._late: list[tuple[float, int, bytes]] = []
+        self._delayed: list[tuple[float, int, bytes]] = []  # heap of due time, sequence number and datagram
         self._count = 0
 
     def put(self, data: bytes, now: float) -> None:
         """Send a datagram at the time `now` [s]."""
-        if not self.active and not self._late:
+        if not self.faults and not self._delayed:
             self._deliver(data)
             return
-        if self._hit("drop"):
+        if self._strikes("drop"):
             return
-        for _ in range(2 if self._hit("duplicate") else 1):
-            part = self._corrupted(data) if self._hit("corrupt") else data
-            due = now + self.active.get("delay", 0.0) * float(self._random.uniform(0.0, 2.0))
-            if self._hit("reorder"):
-                due += self._OVERTAKEN * float(self._random.uniform())
+        for _ in range(2 if self._strikes("duplicate") else 1):
+            datagram = self._corrupted(data) if self._strikes("corrupt") else data
+            due = now + self.faults.get("delay", 0.0) * float(self._random.uniform(0.0, 2.0))
+            if self._strikes("reorder"):
+                due += self._REORDER_DELAY * float(self._random.uniform())
             self._count += 1
-            heapq.heappush(self._late, (due, self._count, part))
+            heapq.heappush(self._delayed, (due, self._count, datagram))
         self.flush(now)
 
     def flush(self, now: float) -> None:
-        """Deliver what is due at the time `now` [s]."""
-        while self._late and self._late[0][0] <= now:
-            self._deliver(heapq.heappop(self._late)[2])
+        """Deliver the datagrams that are due at the time `now` [s]."""
+        while self._delayed and self._delayed[0][0] <= now:
+            self._deliver(heapq.heappop(self._delayed)[2])
 
-    def _hit(self, kind: str) -> bool:
-        return kind in self.active and bool(self._random.uniform() < self.active[kind])
+    def _strikes(self, kind: str) -> bool:
+        return kind in self.faults and bool(self._random.uniform() < self.faults[kind])
 
     def _corrupted(self, data: bytes) -> bytes:
         result = bytearray(data)

@@ -1,4 +1,4 @@
-"""The node in a process of its own: started, stopped, paused, killed, and listened to."""
+"""The node as a process that the rig starts, stops, pauses and kills."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
-__all__ = ["NodeProcess", "run_command"]
+__all__ = ["NodeProcess", "node_command"]
 
 
-def run_command(config: Path) -> list[str]:
+def node_command(config_file: Path) -> list[str]:
     """Return the command line that flies with the configuration in a file, as on the drone."""
-    return [sys.executable, "-m", "aero_planner", "run", "--config", str(config)]
+    return [sys.executable, "-m", "aero_planner", "run", "--config", str(config_file)]
 
 
 class NodeProcess:
-    """A process that is told to fly.
+    """The node's process. It is not running until `start`.
 
     Args:
-        planner, onboard: its configuration, written to a file.
-        command: what to run in the place of `aero-planner run`; "{config}" stands for that file.
-        patience: with a process that was told to end [s].
+        planner, onboard: configuration of planner and node, which is written to a file.
+        command: command to run instead of `aero-planner run`; "{config}" stands for the configuration file.
+        patience: time that the process gets to end by itself before it is killed [s].
     """
 
     def __init__(
@@ -43,67 +43,64 @@ class NodeProcess:
         self._patience = patience
         self._priority = os.getpriority(os.PRIO_PROCESS, 0)
         self._folder = tempfile.TemporaryDirectory(prefix="aero-rig-")
-        config = Path(self._folder.name) / "flight.yaml"
-        config.write_text(format_config(planner) + "\n" + format_onboard(onboard), encoding="utf-8")
-        self._log = Path(self._folder.name) / "node.log"
-        self._command = [part.replace("{config}", str(config)) for part in command or run_command(config)]
+        config_file = Path(self._folder.name) / "flight.yaml"
+        config_file.write_text(format_config(planner) + "\n" + format_onboard(onboard), encoding="utf-8")
+        self._log_file = Path(self._folder.name) / "node.log"
+        self._command = [part.replace("{config}", str(config_file)) for part in command or node_command(config_file)]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it, again if need be."""
-        with self._log.open("ab") as log:
+        """Start the process; it may be started again after it has ended."""
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        with self._log_file.open("ab") as log:
             self._process = subprocess.Popen(
-                self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env=self._environment()
+                self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env=environment
             )
-        with contextlib.suppress(OSError):  # not the simulation's, see `rig`
+        with contextlib.suppress(OSError):  # the node must not inherit the raised priority of the simulation
             os.setpriority(os.PRIO_PROCESS, self._process.pid, self._priority)
 
     @property
     def running(self) -> bool:
-        """Whether it was started and has not ended."""
+        """True if the process was started and has not ended."""
         return self._process is not None and self._process.poll() is None
 
     def pause(self) -> None:
-        """Stop its time."""
+        """Stop the process until `resume`."""
         self._signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Let its time go on."""
+        """Let a paused process continue."""
         self._signal(signal.SIGCONT)
 
     def kill(self) -> None:
-        """End it at once, as a loss of power would."""
+        """End the process at once, as a loss of power would."""
         self._signal(signal.SIGKILL)
         if self._process is not None:
             self._process.wait()
 
     def log(self) -> list[str]:
-        """Return what it has written so far, line by line."""
+        """Return the lines that the process has written so far."""
         with contextlib.suppress(OSError):
-            return self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+            return self._log_file.read_text(encoding="utf-8", errors="replace").splitlines()
         return []
 
     def stop(self) -> None:
-        """Tell it to end, and end it if it does not."""
-        if self.running:
-            self.resume()
-            self._signal(signal.SIGTERM)
-            assert self._process is not None
-            try:
-                self._process.wait(self._patience)
-            except subprocess.TimeoutExpired:
-                self.kill()
+        """Ask the process to end, and kill it if it does not."""
+        if self._process is None or not self.running:
+            return
+        self.resume()
+        self._signal(signal.SIGTERM)
+        try:
+            self._process.wait(self._patience)
+        except subprocess.TimeoutExpired:
+            self.kill()
 
     def close(self) -> None:
-        """Stop it and remove its files."""
+        """Stop the process and delete its files."""
         self.stop()
         self._folder.cleanup()
 
     def _signal(self, number: int) -> None:
-        if self.running:
-            assert self._process is not None
+        if self._process is not None and self.running:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._process.pid, number)
-
-    def _environment(self) -> dict[str, str]:
-        return {**os.environ, "PYTHONUNBUFFERED": "1"}

@@ -1,4 +1,4 @@
-"""What is known of a flight on the rig when it is over."""
+"""The result of a flight on the rig."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ __all__ = ["Event", "Intervals", "RigResult", "Trajectory", "intervals_of"]
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened."""
+    """Something that happened during the flight."""
 
     time: float | None
-    """Since the node was given the vehicle [s]; None before."""
-    what: str
+    """Time since the engagement, when the node got control of the vehicle [s]; None before it."""
+    text: str
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Times between one setpoint's arrival and the next one's, in OFFBOARD [s]."""
+    """Statistics of the times between two setpoints that arrive one after the other in OFFBOARD [s]."""
 
     count: int
     mean: float
@@ -35,21 +35,21 @@ class Intervals:
     p99: float
     longest: float
     missed: int
-    """Control periods in which no setpoint came: an interval of n and a half periods misses n of them."""
+    """Number of control periods without a setpoint. An interval of n and a half periods misses n of them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """True states after each step."""
+    """True states of the vehicle after each step."""
 
     times: NDArray[np.float64]
-    """Since the node was given the vehicle [s], shape [n]."""
+    """Times since the engagement [s], shape [n]."""
     positions: NDArray[np.float64]
     """[m], shape [n, 3], world frame."""
     velocities: NDArray[np.float64]
     """[m/s], shape [n, 3], world frame."""
     offboard: NDArray[np.bool_]
-    """Whether the node had the vehicle, shape [n]."""
+    """True where the node controlled the vehicle, shape [n]."""
 
     def speeds(self) -> NDArray[np.float64]:
         """Return the speeds [m/s], shape [n]."""
@@ -58,53 +58,54 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class RigResult:
-    """Outcome of one flight on the rig, SI units; times count from when the node was given the vehicle."""
+    """Result of one flight on the rig, in SI units. Times count from the engagement."""
 
     arrived: bool
     reason: str
     """"arrived", "collision", "out_of_bounds", "held" (the autopilot has the vehicle and it is at rest), "stopped" (the
-    node holds it at rest, away from the goal), "timeout", or "not_ready": the node never streamed setpoints."""
+    node holds it at rest, away from the goal), "timeout", or "not_ready" (the node never streamed setpoints)."""
     arrivals: int
-    """More than one where the vehicle flies to and fro."""
+    """Number of arrivals; more than one where the vehicle flies back and forth."""
     flight_time_s: float
     mean_speed: float
     max_speed: float
     min_clearance: float | None
-    """Smallest distance from the centre to a surface [m]; None in an empty world."""
+    """Smallest distance from the vehicle's centre to a surface [m]; None in an empty world."""
     scene: str
     seed: int
     faults: list[str]
     events: list[Event]
     setpoints: int
-    """That were obeyed."""
+    """Number of setpoints that the autopilot obeyed."""
     refused: int
-    trespasses: list[str]
-    """What the node asked the autopilot for and must not: arming, switching modes."""
+    """Number of setpoints that the autopilot refused: wrong frame, not finite, or for another component."""
+    violations: list[str]
+    """Requests that only the pilot may make: arming, mode changes, stick inputs. The node must never send one."""
     intervals: Intervals | None
-    """None with fewer than two setpoints, or when faults disturbed the flight."""
+    """None with fewer than two setpoints, and when faults disturbed the flight."""
     overruns: int
-    """Steps of the simulation that began a whole step late: the machine was too slow for real time."""
+    """Number of simulation steps that began a whole step late, because the machine was too slow for real time."""
     log: list[str] = field(repr=False)
-    """What the node wrote."""
+    """Lines that the node wrote."""
     trajectory: Trajectory = field(repr=False, compare=False)
     commands: list[Setpoint] = field(repr=False, compare=False)
-    """Every setpoint."""
+    """Every setpoint that was understood, obeyed or not."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON can hold them, without trajectory and commands."""
-        kept = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        del kept["trajectory"], kept["commands"]
-        kept["events"] = [dataclasses.asdict(event) for event in self.events]
-        kept["intervals"] = dataclasses.asdict(self.intervals) if self.intervals else None
-        return kept
+        """Return the fields in types that JSON has, without trajectory and commands."""
+        content = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        del content["trajectory"], content["commands"]
+        content["events"] = [dataclasses.asdict(event) for event in self.events]
+        content["intervals"] = dataclasses.asdict(self.intervals) if self.intervals else None
+        return content
 
 
 def intervals_of(setpoints: Sequence[Setpoint], period: float) -> Intervals | None:
-    """Return the statistics of the setpoints in OFFBOARD; None with fewer than two.
+    """Return statistics of the setpoints in OFFBOARD, or None with fewer than two.
 
     Args:
-        setpoints: in order of arrival.
-        period: nominal time between two [s].
+        setpoints: setpoints in the order of their arrival.
+        period: nominal time between two setpoints [s].
     """
     times = [setpoint.time for setpoint in setpoints if setpoint.mode is Mode.OFFBOARD]
     if len(times) < 2:

@@ -1,4 +1,4 @@
-"""A simulated Mid-360: rays into a world, sent as the packets of a real one over a real socket."""
+"""A simulated Mid-360: its rays are cast into a world, and its packets go over a real socket."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from aero_viz.sensors.lidar import Lidar, LidarModel
 __all__ = ["PACKET_POINTS", "SimulatedMid360"]
 
 PACKET_POINTS = 96
-"""Points per packet, as the sensor sends them."""
+"""Points per packet, as in the packets of the real sensor."""
 
-_POWER_ON = 4_321_000_000  # [ns] by the sensor's clock when the simulation starts
+_START_STAMP = 4_321_000_000  # [ns] on the sensor's clock when the simulation starts
 
 
 class SimulatedMid360:
-    """A LiDAR on a simulated vehicle that sends what it sees.
+    """A LiDAR on a simulated vehicle that sends its points over UDP.
 
     Args:
-        world: what there is to see.
-        model: of the sensor; a sweep takes a whole number of steps.
-        address: host and UDP port to send to.
-        period: of a step [s].
-        seed: of pattern and noise.
-        data_type: of the packets.
+        world: the world that the rays are cast into.
+        model: model of the sensor. A sweep must take a whole number of steps.
+        address: host and UDP port of the receiver.
+        period: duration of a step [s].
+        seed: seed of pattern and noise.
+        data_type: data type of the packets, see `aero_planner.onboard.livox`.
 
     Raises:
-        ValueError: a step measures no whole number of points.
+        ValueError: a step does not measure a whole number of points.
 
     Attributes:
-        channel: the wire to the host.
-        alive: False stops it.
-        sent: packets so far.
+        channel: the connection to the receiver.
+        alive: False makes the sensor stop sending.
+        sent: number of packets sent so far.
     """
 
     def __init__(
@@ -55,10 +55,10 @@ class SimulatedMid360:
         seed: int = 0,
         data_type: int = CARTESIAN_MM,
     ) -> None:
-        self._rate = model.points_per_sweep * model.sweep_rate
-        self._count = round(self._rate * period)
-        self._parts = round(model.points_per_sweep / max(self._count, 1))
-        if self._count < 1 or self._count * self._parts != model.points_per_sweep:
+        self._point_rate = model.points_per_sweep * model.sweep_rate  # [1/s]
+        self._step_points = round(self._point_rate * period)
+        self._steps_per_sweep = round(model.points_per_sweep / max(self._step_points, 1))
+        if self._step_points < 1 or self._step_points * self._steps_per_sweep != model.points_per_sweep:
             raise ValueError(
                 f"{model.points_per_sweep} points per sweep at {model.sweep_rate:g} Hz do not divide "
                 f"into steps of {period:g} s."
@@ -67,22 +67,31 @@ class SimulatedMid360:
         self.sent = 0
         self._model, self._data_type = model, data_type
         self._lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[seed])
-        self._flying = wp.zeros(1, dtype=int, device="cpu")
-        # Points are believed to be where the body frame is, so that they come in the body frame.
-        self._here = wp.zeros(1, dtype=wp.vec3, device="cpu"), wp.array([(1.0, 0, 0, 0)], dtype=wp.vec4, device="cpu")
+        self._finished = wp.zeros(1, dtype=int, device="cpu")
+        # With an identity pose as the believed one, the LiDAR returns points in the body frame.
+        self._identity_pose = (
+            wp.zeros(1, dtype=wp.vec3, device="cpu"),
+            wp.array([(1.0, 0, 0, 0)], dtype=wp.vec4, device="cpu"),
+        )
         self._to_sensor = conjugate(quaternion_from_angles(*model.mount_angles))
-        self._rest = np.zeros((0, 3), dtype=np.float32)
+        self._unsent = np.zeros((0, 3), dtype=np.float32)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._address = address
         self.channel = Channel(self._deliver, seed=seed)
 
     def step(self, tick: int, vehicle: Vehicle, now: float) -> None:
-        """Measure from the poses before and after the step `tick` of `vehicle`, and send what fills packets."""
+        """Measure between the poses before and after a step of the vehicle, and send all packets that are full.
+
+        Args:
+            tick: number of the step.
+            vehicle: the vehicle after the step.
+            now: time at the end of the step, since the start of the simulation [s].
+        """
         self.channel.flush(now)
-        sweep, part = divmod(tick, self._parts)
-        first, end = part * self._count, (part + 1) * self._count
+        sweep, step = divmod(tick, self._steps_per_sweep)
+        first, end = step * self._step_points, (step + 1) * self._step_points
         if not self.alive:
-            self._rest = self._rest[:0]
+            self._unsent = self._unsent[:0]
             return
         self._lidar.scan(
             sweep,
@@ -90,25 +99,25 @@ class SimulatedMid360:
             end,
             poses=(vehicle.position, vehicle.quaternion),
             poses_before=(vehicle.position_before, vehicle.quaternion_before),
-            finished=self._flying,
-            believed=self._here,
-            believed_before=self._here,
+            finished=self._finished,
+            believed=self._identity_pose,
+            believed_before=self._identity_pose,
         )
         measured = self._to_sensor_frame(self._lidar.points.numpy()[0, first:end])  # type: ignore[index]
-        points = np.concatenate([self._rest, measured])
-        number = tick * self._count - len(self._rest)  # of points[0], since the start
+        points = np.concatenate([self._unsent, measured])
+        number = tick * self._step_points - len(self._unsent)  # of the first point, counted from the start
         while len(points) >= PACKET_POINTS:
             data = encode_packet(
                 points[:PACKET_POINTS],
-                stamp_ns=_POWER_ON + round(number / self._rate * 1e9),
-                interval=(PACKET_POINTS - 1) / self._rate,
+                stamp_ns=_START_STAMP + round(number / self._point_rate * 1e9),
+                interval=(PACKET_POINTS - 1) / self._point_rate,
                 sequence=self.sent,
                 data_type=self._data_type,
             )
             self.sent += 1
             self.channel.put(data, now)
             points, number = points[PACKET_POINTS:], number + PACKET_POINTS
-        self._rest = points
+        self._unsent = points
 
     def close(self) -> None:
         """Close the socket."""
@@ -120,5 +129,5 @@ class SimulatedMid360:
         return rotate(self._to_sensor, points - np.asarray(self._model.mount_position)).astype(np.float32)
 
     def _deliver(self, data: bytes) -> None:
-        with contextlib.suppress(OSError):  # nobody listens there now, as on a wire
+        with contextlib.suppress(OSError):  # nobody listens now; a real datagram would be lost, too
             self._socket.sendto(data, self._address)

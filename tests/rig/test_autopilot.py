@@ -40,7 +40,7 @@ class Companion:
         return self.tick * PERIOD
 
     def send(self, message):
-        target = ("127.0.0.1", self.autopilot._socket.getsockname()[1])
+        target = ("127.0.0.1", self.autopilot.port)
         self.socket.sendto(bytes(message.pack(self.protocol)), target)
 
     def command(self, thrust=0.5, rates=(0.0, 0.0, 0.0), *, mask=128, component=1):
@@ -134,8 +134,7 @@ def test_offboard_ends_half_a_second_after_the_stream(make):
 def test_a_late_simulation_obeys_no_command_before_it_was_sent(make):
     c = make()
     c.run(0.1, every=None)
-    c.autopilot.start()
-    c.autopilot._began -= 5.0  # as if five seconds had passed since, of which the simulation has flown none
+    c.autopilot.start(late_by=5.0)  # as if five seconds had passed, of which the simulation has flown none
     c.command()
     c.run(4.5, every=None)
     assert c.autopilot.setpoints == []
@@ -232,7 +231,7 @@ def test_arming_and_modes_are_not_the_companions(make):
     c.run(0.1)
     assert not c.autopilot.armed
     assert c.autopilot.mode is Mode.HOLD
-    assert c.autopilot.trespasses == [f"COMMAND_LONG {arm}", "SET_MODE"]
+    assert c.autopilot.violations == [f"COMMAND_LONG {arm}", "SET_MODE"]
 
 
 def test_heartbeats_once_per_second(make):

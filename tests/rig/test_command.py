@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aero_viz.rig import Event, Intervals, RigResult, Trajectory
-from aero_viz.rig.command import main, summary
+from aero_viz.rig.command import format_result, main
 from aero_viz.rig.faults import FAULT_KINDS
 
 
@@ -23,7 +23,7 @@ def test_help_names_every_fault(capsys):
     [
         (["forrest"], "forest"),
         (["missing.json"], "missing.json"),
-        (["forest", "--fault", "drop"], "is no fault"),
+        (["forest", "--fault", "drop"], "is not a fault"),
         (["forest", "--fault", "burn@3"], "no fault 'burn'"),
         (["forest", "--count", "0"], "positive"),
         (["forest", "--duration", "-3"], "positive"),
@@ -42,10 +42,10 @@ def test_summary():
     result = RigResult(
         arrived=True, reason="arrived", arrivals=1, flight_time_s=9.3, mean_speed=4.6, max_speed=5.2,
         min_clearance=0.71, scene="forest", seed=3, faults=[], events=[Event(9.3, "arrived")], setpoints=465,
-        refused=0, trespasses=[], intervals=Intervals(464, 0.02, 0.0004, 0.0212, 0.031, 1), overruns=0, log=[],
+        refused=0, violations=[], intervals=Intervals(464, 0.02, 0.0004, 0.0212, 0.031, 1), overruns=0, log=[],
         trajectory=Trajectory(none[:, 0], none, none, none[:, 0] > 0.0), commands=[],
     )  # fmt: skip
-    assert summary(result).splitlines() == [
+    assert format_result(result).splitlines() == [
         "forest 3: arrived after 9.3 s, 4.6 m/s, at most 5.2 m/s, 0.71 m from the nearest surface",
         "setpoints: 464, every 20.0 ms, jitter 0.40 ms, 99 % within 21.2 ms, longest 31 ms, 1 missed",
     ]

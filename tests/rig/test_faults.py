@@ -43,7 +43,7 @@ def packets_through(amounts, count=1000):
     """Send numbered packets, one per millisecond; return (time, data) of what arrives."""
     arrived = []
     channel = Channel(lambda data: arrived.append((now, data)), seed=1)
-    channel.active.update(amounts)
+    channel.faults.update(amounts)
     for k in range(count):
         now = 0.001 * k
         channel.put(k.to_bytes(8, "little"), now)
@@ -96,8 +96,8 @@ def test_reorder():
 def test_what_was_held_back_arrives_after_the_fault():
     arrived = []
     channel = Channel(arrived.append)
-    channel.active["delay"] = 0.5
+    channel.faults["delay"] = 0.5
     channel.put(b"early", 0.0)
-    channel.active.clear()
+    channel.faults.clear()
     channel.put(b"later", 2.0)
     assert arrived == [b"early", b"later"]

@@ -16,5 +16,5 @@ def test_stdout_holds_one_object_per_flight_and_nothing_else():
     flights = [json.loads(line, parse_constant=pytest.fail) for line in done.stdout.splitlines()]
     assert [flight["seed"] for flight in flights] == [0, 1] and done.stderr == ""
     for events in (flight["events"] for flight in flights):
-        assert events[0] == {"time": None, "what": "node started"}
+        assert events[0] == {"time": None, "text": "node started"}
         assert [event["time"] is None for event in events].index(False) >= 2  # arming comes before the take-over, too

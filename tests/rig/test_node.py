@@ -37,7 +37,7 @@ def fly(world: World, *faults: Fault, **options: Any) -> RigResult:
     result = fly_rig(world, config=CONFIG, speed=3.0, faults=faults, duration=30.0, **options)
     assert result.setpoints > 0, result.log
     # What must hold in every flight.
-    assert result.trespasses == []
+    assert result.violations == []
     assert result.refused == 0 or any(fault.kind == "corrupt" for fault in faults)
     assert result.reason != "collision", (result, result.log)
     return result

@@ -32,7 +32,7 @@ def world():
 
 
 def happened(result):
-    return [event.what for event in result.events]
+    return [event.text for event in result.events]
 
 
 def test_a_flight_arrives(world):
@@ -45,7 +45,7 @@ def test_a_flight_arrives(world):
     assert 2.0 < result.max_speed < 3.5
     assert result.min_clearance is not None and result.min_clearance > 1.0
     assert result.trajectory.offboard.all()
-    assert result.trespasses == []
+    assert result.violations == []
     assert result.refused == 0
     assert result.intervals is not None
     assert result.intervals.mean == pytest.approx(0.02, rel=0.02)
@@ -74,7 +74,7 @@ def test_what_is_in_the_way_is_hit(world):
 def test_a_killed_companion_leaves_the_vehicle_to_the_autopilot(world):
     far = World("far", world.start, np.array([60.0, 0, 2]), cylinders=world.cylinders)
     result = fly_rig(far, command=companion(3.0), faults=[Fault("pause-node", 1.5, 2.0)], duration=8.0)
-    leaves = next(event for event in result.events if "leaves OFFBOARD" in event.what)
+    leaves = next(event for event in result.events if "leaves OFFBOARD" in event.text)
     assert leaves.time == pytest.approx(2.0, abs=0.1)
     assert result.reason == "held"
     assert result.trajectory.speeds()[-1] < 0.2
