@@ -151,9 +151,8 @@ class SimulatedAutopilot:
     @property
     def streaming(self) -> bool:
         """True if setpoints have been arriving for long enough to accept OFFBOARD."""
-        return (
-            self._now - self._last_setpoint_time <= self._loss_time and self._now - self._stream_start >= _STREAM_TIME
-        )
+        is_current = self._now - self._last_setpoint_time <= self._loss_time
+        return is_current and self._now - self._stream_start >= _STREAM_TIME
 
     def arm(self) -> None:
         """Arm the vehicle, as the pilot does."""

@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
                         help="time without setpoints after which the autopilot takes over, PX4's COM_OF_LOSS_T "
                         "[s] (default 0.5)")  # fmt: skip
     parser.add_argument("--shuttle", action="store_true",
-                        help="fly back and forth until the duration is over, to collect statistics of deadlines")  # fmt: skip
+                        help="fly back and forth until the duration is over, for statistics of deadlines")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object per flight")
     return parser
 
@@ -109,10 +109,10 @@ def format_result(result: RigResult) -> str:
     if result.arrivals > 1:
         lines[0] += f"; {result.arrivals} arrivals"
     if result.intervals is not None:
-        intervals = result.intervals
+        gaps = result.intervals
         lines.append(
-            f"setpoints: {intervals.count}, every {1e3 * intervals.mean:.1f} ms, jitter {1e3 * intervals.jitter:.2f} ms, "
-            f"99 % within {1e3 * intervals.p99:.1f} ms, longest {1e3 * intervals.longest:.0f} ms, {intervals.missed} missed"
+            f"setpoints: {gaps.count}, every {1e3 * gaps.mean:.1f} ms, jitter {1e3 * gaps.jitter:.2f} ms, "
+            f"99 % within {1e3 * gaps.p99:.1f} ms, longest {1e3 * gaps.longest:.0f} ms, {gaps.missed} missed"
         )
     if result.violations:
         lines.append(f"VIOLATION: the node requested {', '.join(sorted(set(result.violations)))}; only the pilot may")

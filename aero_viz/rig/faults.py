@@ -99,9 +99,8 @@ def parse_fault(text: str) -> Fault:
     number = r"[0-9]*\.?[0-9]+"
     match = re.fullmatch(rf"([a-z-]+)(?:=({number}))?@({number})(?:\+({number}))?", text)
     if match is None:
-        raise UserError(
-            f"{text!r} is not a fault; write KIND=AMOUNT@TIME+DURATION, such as drop=0.2@3+2 or pause-node@4."
-        )
+        form = "KIND=AMOUNT@TIME+DURATION, such as drop=0.2@3+2 or pause-node@4"
+        raise UserError(f"{text!r} is not a fault; write {form}.")
     kind, amount, at, duration = match.groups()
     return Fault(kind, float(at), float(duration) if duration else None, float(amount) if amount else None)
 

@@ -1,7 +1,7 @@
 """One flight of the onboard node against a simulated drone, in real time, over real sockets.
 
-The simulation of autopilot, vehicle and LiDAR runs in this process as one loop of 250 steps per second. The node runs in
-a process of its own. The rig also plays the pilot, who alone arms and switches to OFFBOARD, and the ground station,
+The simulation of autopilot, vehicle and LiDAR runs in this process as one loop of 250 steps per second. The node runs
+in a separate process. The rig also plays the pilot, who alone arms and switches to OFFBOARD, and the ground station,
 which sends the goal.
 """
 

@@ -69,10 +69,8 @@ class SimulatedMid360:
         self._lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[seed])
         self._finished = wp.zeros(1, dtype=int, device="cpu")
         # With an identity pose as the believed one, the LiDAR returns points in the body frame.
-        self._identity_pose = (
-            wp.zeros(1, dtype=wp.vec3, device="cpu"),
-            wp.array([(1.0, 0, 0, 0)], dtype=wp.vec4, device="cpu"),
-        )
+        identity = wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4, device="cpu")
+        self._identity_pose = wp.zeros(1, dtype=wp.vec3, device="cpu"), identity
         self._to_sensor = conjugate(quaternion_from_angles(*model.mount_angles))
         self._unsent = np.zeros((0, 3), dtype=np.float32)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,4 +1,4 @@
-"""The simulated autopilot: PX4's rules for offboard control, messages by hand, and the vehicle behind them."""
+"""The simulated autopilot: PX4's rules for offboard control, its messages, and its vehicle."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ START = (1.0, 2.0, 3.0)
 
 
 class Companion:
-    """The other end, in simulated time."""
+    """The companion computer at the other end of the connection, in simulated time."""
 
     def __init__(self, **options: Any) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -49,7 +49,7 @@ class Companion:
         )
 
     def run(self, seconds, *, every=0.02, **command):
-        """Step on, with a command now and then; None sends nothing."""
+        """Step for some seconds, with a command every `every` seconds, or without commands if it is None."""
         for _ in range(round(seconds / PERIOD)):
             if every is not None and self.tick % round(every / PERIOD) == 0:
                 self.command(**command)
@@ -66,7 +66,7 @@ class Companion:
         return [(time, message) for time, message in self.messages if message.get_type() == name]
 
     def fly(self, seconds=0.0, **command):
-        """Get the vehicle by the rules."""
+        """Get control of the vehicle by the rules, then send commands for some seconds."""
         self.run(1.1)
         self.autopilot.arm()
         assert self.autopilot.engage()
@@ -75,19 +75,19 @@ class Companion:
 
 @pytest.fixture
 def make():
-    made = []
+    companions = []
 
     def make(**options):
-        made.append(Companion(**options))
-        return made[-1]
+        companions.append(Companion(**options))
+        return companions[-1]
 
     yield make
-    for companion in made:
+    for companion in companions:
         companion.autopilot.close()
         companion.socket.close()
 
 
-def test_offboard_needs_arms_and_a_stream(make):
+def test_offboard_needs_arming_and_a_stream(make):
     c = make()
     c.autopilot.arm()
     assert not c.autopilot.engage()  # nothing has come
@@ -96,12 +96,12 @@ def test_offboard_needs_arms_and_a_stream(make):
     c.run(0.2)
     assert c.autopilot.engage()
     assert c.autopilot.mode is Mode.OFFBOARD
-    other = make()
-    other.run(1.1)
-    assert not other.autopilot.engage()  # not armed
+    unarmed = make()
+    unarmed.run(1.1)
+    assert not unarmed.autopilot.engage()  # not armed
 
 
-def test_a_stream_slower_than_two_per_second_is_none(make):
+def test_fewer_than_two_setpoints_per_second_are_not_a_stream(make):
     c = make()
     c.autopilot.arm()
     c.run(5.0, every=0.6)
@@ -112,7 +112,7 @@ def test_a_stream_slower_than_two_per_second_is_none(make):
     assert slow.autopilot.engage()
 
 
-def test_offboard_ends_half_a_second_after_the_stream(make):
+def test_offboard_ends_half_a_second_after_the_last_setpoint(make):
     c = make()
     c.fly(1.0, rates=(0.0, -0.3, 0.0), thrust=0.52)
     assert np.linalg.norm(c.autopilot.velocity) > 0.5
@@ -120,18 +120,18 @@ def test_offboard_ends_half_a_second_after_the_stream(make):
     assert c.autopilot.mode is Mode.OFFBOARD
     c.run(0.04, every=None)
     assert c.autopilot.mode is Mode.HOLD
-    # The failsafe stops the vehicle and keeps it, level.
+    # The failsafe brakes the vehicle and holds its position.
     c.run(8.0, every=None)
     assert np.linalg.norm(c.autopilot.velocity) < 0.02
     place = c.autopilot.position
     c.run(2.0, every=None)
     np.testing.assert_allclose(c.autopilot.position, place, atol=0.05)
-    # A stream that comes back does not take the vehicle: that is the pilot's.
+    # A stream that resumes does not get control: only the pilot can give it.
     c.run(2.0)
     assert c.autopilot.mode is Mode.HOLD
 
 
-def test_a_late_simulation_obeys_no_command_before_it_was_sent(make):
+def test_a_late_simulation_does_not_obey_a_command_before_it_was_sent(make):
     c = make()
     c.run(0.1, every=None)
     c.autopilot.start(late_by=5.0)  # as if five seconds had passed, of which the simulation has flown none
@@ -143,7 +143,7 @@ def test_a_late_simulation_obeys_no_command_before_it_was_sent(make):
     assert setpoint.time > 5.0
 
 
-def test_before_offboard_commands_do_nothing(make):
+def test_commands_have_no_effect_before_offboard(make):
     c = make()
     c.run(2.0, thrust=0.9, rates=(1.0, 1.0, 1.0))
     np.testing.assert_allclose(c.autopilot.position, START)
@@ -153,7 +153,7 @@ def test_before_offboard_commands_do_nothing(make):
     assert {setpoint.mode for setpoint in c.autopilot.setpoints} == {Mode.HOLD}
 
 
-def test_commands_by_hand(make):
+def test_commands_have_the_expected_effects(make):
     # Nose down (FRD pitch -0.5 rad/s) for 0.4 s: it goes north; a roll to the right: it goes east, -y.
     north = make()
     north.fly(0.4, rates=(0.0, -0.5, 0.0))
@@ -171,7 +171,7 @@ def test_commands_by_hand(make):
 
 
 @pytest.mark.parametrize(("compensation", "curve"), [(0.6, 0.0), (0.0, 0.6)])
-def test_a_curve_that_the_autopilot_compensates_is_no_setting_of_the_node(make, compensation, curve):
+def test_the_node_must_not_compensate_a_curve_that_the_autopilot_compensates(make, compensation, curve):
     c = make(hover_thrust=0.4, curve=0.6, compensation=compensation)
     for weights in (0.5, 1.0, 1.7):
         force = weights * 9.81
@@ -179,17 +179,17 @@ def test_a_curve_that_the_autopilot_compensates_is_no_setting_of_the_node(make, 
         assert c.autopilot.setpoints[-1].thrust == pytest.approx(force, rel=1e-6)
 
 
-def test_compensated_twice_the_thrust_is_wrong(make):
+def test_a_curve_compensated_twice_gives_the_wrong_thrust(make):
     c = make(hover_thrust=0.4, curve=0.6, compensation=0.6)
     c.run(0.04, thrust=signal_from_force(1.7 * 9.81, mass=1.0, hover_thrust=0.4, curve=0.6))
     assert c.autopilot.setpoints[-1].thrust < 1.6 * 9.81
 
 
-def test_the_vehicle_is_the_flights_own(make):
+def test_the_vehicle_behaves_as_in_a_simulated_flight(make):
     c = make(heading=0.7)
     c.fly()
     twin = Vehicle(VehicleModel(step=PERIOD), np.array([START]), [0.7], period=PERIOD, device="cpu")
-    # From what it was when it was engaged, under what was understood.
+    # The same initial state and the same commands.
     for name in ("position", "velocity", "quaternion"):
         getattr(twin, name).assign(getattr(c.autopilot.vehicle, name))
     thrusts, rates = (0.5, 0.55, 0.47), ((0.4, -0.6, 0.2), (-0.3, 0.2, 0.5), (0.0, 0.7, -1.0))
@@ -214,7 +214,7 @@ def test_the_vehicle_is_the_flights_own(make):
         {"component": 7},
     ],
 )
-def test_what_is_no_command_is_refused_and_is_no_stream(make, command):
+def test_invalid_setpoints_are_refused_and_do_not_count_as_a_stream(make, command):
     c = make()
     c.autopilot.arm()
     c.run(2.0, **command)
@@ -223,7 +223,7 @@ def test_what_is_no_command_is_refused_and_is_no_stream(make, command):
     assert not c.autopilot.engage()
 
 
-def test_arming_and_modes_are_not_the_companions(make):
+def test_the_companion_may_not_arm_or_change_the_mode(make):
     c = make()
     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     c.send(mavlink.MAVLink_command_long_message(1, 1, arm, 0, 1.0, *[0.0] * 6))
@@ -234,19 +234,19 @@ def test_arming_and_modes_are_not_the_companions(make):
     assert c.autopilot.violations == [f"COMMAND_LONG {arm}", "SET_MODE"]
 
 
-def test_heartbeats_once_per_second(make):
+def test_a_heartbeat_is_sent_once_per_second(make):
     c = make()
     c.fly()
     c.run(2.5)
-    beats = c.got("HEARTBEAT")
-    assert [round(time) for time, _ in beats] == list(range(len(beats)))
-    _, first = beats[0]
-    _, last = beats[-1]
+    heartbeats = c.got("HEARTBEAT")
+    assert [round(time) for time, _ in heartbeats] == list(range(len(heartbeats)))
+    _, first = heartbeats[0]
+    _, last = heartbeats[-1]
     assert (first.base_mode & 128, first.custom_mode) == (0, 4 << 16 | 3 << 24)
     assert (last.base_mode & 128, last.custom_mode) == (128, 6 << 16)
 
 
-def test_odometry_by_hand(make):
+def test_odometry_is_in_the_ned_frame(make):
     c = make(heading=-0.5 * math.pi)  # nose to -y, the east
     c.run(0.1)
     _, message = c.got("ODOMETRY")[0]
@@ -258,7 +258,7 @@ def test_odometry_by_hand(make):
     assert message.vz == pytest.approx(-c.autopilot.velocity[2], abs=0.05)
 
 
-def test_the_rate_of_states_is_as_asked_for(make):
+def test_the_companion_sets_the_rate_of_states(make):
     c = make()
     c.run(1.0)
     assert len(c.got("ODOMETRY")) == pytest.approx(50, abs=2)
@@ -272,14 +272,14 @@ def test_the_rate_of_states_is_as_asked_for(make):
     assert (np.diff(stamps) > 0).all()
 
 
-def test_a_pair_of_messages_in_the_place_of_odometry(make):
+def test_a_pair_of_messages_can_replace_odometry(make):
     c = make(pair=True)
     c.run(0.5)
     assert c.got("ODOMETRY") == []
     assert len(c.got("LOCAL_POSITION_NED")) == len(c.got("ATTITUDE_QUATERNION")) > 20
 
 
-def test_a_frozen_state_is_the_same_message_again(make):
+def test_a_frozen_state_repeats_the_same_message(make):
     c = make()
     c.fly(0.5, thrust=0.6)
     c.autopilot.frozen = True

@@ -1,4 +1,4 @@
-"""The verb `rig`: its arguments, and how a flight is summed up."""
+"""The verb `aero-planner rig`: its arguments and its output."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from aero_viz.rig.command import format_result, main
 from aero_viz.rig.faults import FAULT_KINDS
 
 
-def test_help_names_every_fault(capsys):
+def test_help_lists_every_kind_of_fault(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["--help"])
     assert ended.value.code == 0
@@ -31,19 +31,19 @@ def test_help_names_every_fault(capsys):
         (["forest", "--config", "missing.yaml"], "missing.yaml"),
     ],
 )
-def test_mistakes_are_one_sentence(arguments, error):
+def test_a_mistake_is_reported_in_one_sentence(arguments, error):
     with pytest.raises(ValueError, match=error) as raised:
         main(arguments)
     assert "\n" not in str(raised.value)
 
 
-def test_summary():
-    none = np.zeros((0, 3))
+def test_the_result_is_printed_in_a_few_lines():
+    empty = np.zeros((0, 3))
     result = RigResult(
         arrived=True, reason="arrived", arrivals=1, flight_time_s=9.3, mean_speed=4.6, max_speed=5.2,
         min_clearance=0.71, scene="forest", seed=3, faults=[], events=[Event(9.3, "arrived")], setpoints=465,
         refused=0, violations=[], intervals=Intervals(464, 0.02, 0.0004, 0.0212, 0.031, 1), overruns=0, log=[],
-        trajectory=Trajectory(none[:, 0], none, none, none[:, 0] > 0.0), commands=[],
+        trajectory=Trajectory(empty[:, 0], empty, empty, empty[:, 0] > 0.0), commands=[],
     )  # fmt: skip
     assert format_result(result).splitlines() == [
         "forest 3: arrived after 9.3 s, 4.6 m/s, at most 5.2 m/s, 0.71 m from the nearest surface",

@@ -1,4 +1,4 @@
-"""Faults as they are written, and what they do to a wire."""
+"""Faults as text, and their effects on a channel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from aero_viz.rig.faults import FAULT_KINDS, Channel, Fault, parse_fault
         ("freeze-state@1+.75", Fault("freeze-state", 1.0, 0.75)),
     ],
 )
-def test_faults_as_text(text, fault):
+def test_a_text_describes_a_fault(text, fault):
     assert parse_fault(text) == fault
     assert parse_fault(text).end == fault.at + fault.duration
 
@@ -34,7 +34,7 @@ def test_faults_as_text(text, fault):
         ("drop=1.5@3", "probability"),
     ],
 )
-def test_texts_that_are_no_fault(text, error):
+def test_a_malformed_fault_is_refused(text, error):
     with pytest.raises(UserError, match=error):
         parse_fault(text)
 
@@ -56,7 +56,7 @@ def number(data):
     return int.from_bytes(data, "little")
 
 
-def test_a_good_wire_changes_nothing():
+def test_a_channel_without_faults_changes_nothing():
     assert [number(data) for _, data in packets_through({})] == list(range(1000))
 
 
@@ -87,13 +87,13 @@ def test_delay():
 def test_reorder():
     arrived = [number(data) for _, data in packets_through({"reorder": 0.3})]
     assert sorted(arrived) == list(range(1000))
-    overtaken = [k for k, after in itertools.pairwise(arrived) if after < k]
+    overtaken = [k for k, following in itertools.pairwise(arrived) if following < k]
     assert len(overtaken) > 50
     # No packet is held back by more than 20 ms.
     assert max(index - k for index, k in enumerate(arrived)) <= 21
 
 
-def test_what_was_held_back_arrives_after_the_fault():
+def test_delayed_packets_arrive_after_the_fault():
     arrived = []
     channel = Channel(arrived.append)
     channel.faults["delay"] = 0.5

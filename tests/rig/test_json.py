@@ -1,4 +1,4 @@
-"""With --json stdout holds JSON alone: the rig as its own user, such as `jq`, runs it."""
+"""With --json, stdout contains JSON only, for programs such as `jq`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import pytest
 
 
-def test_stdout_holds_one_object_per_flight_and_nothing_else():
+def test_stdout_contains_one_json_object_per_flight():
     command = [sys.executable, "-m", "aero_planner", "rig", "forest", "--json", "--duration", "0.2", "--count", "2"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -17,4 +17,4 @@ def test_stdout_holds_one_object_per_flight_and_nothing_else():
     assert [flight["seed"] for flight in flights] == [0, 1] and done.stderr == ""
     for events in (flight["events"] for flight in flights):
         assert events[0] == {"time": None, "text": "node started"}
-        assert [event["time"] is None for event in events].index(False) >= 2  # arming comes before the take-over, too
+        assert [event["time"] is None for event in events].index(False) >= 2  # arming comes before the engagement, too

@@ -1,6 +1,6 @@
-"""The node itself on the rig, in real time: what it does with the vehicle, whatever is done to it.
+"""The node itself on the rig, in real time, under faults.
 
-How fast a flight goes depends on the machine; where it ends and what the node never does must not.
+The speed of a flight depends on the machine. Its end, and what the node must never do, do not.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def fly(world: World, *faults: Fault, **options: Any) -> RigResult:
     options = {"onboard": ONBOARD} | options
     result = fly_rig(world, config=CONFIG, speed=3.0, faults=faults, duration=30.0, **options)
     assert result.setpoints > 0, result.log
-    # What must hold in every flight.
+    # These hold in every flight.
     assert result.violations == []
     assert result.refused == 0 or any(fault.kind == "corrupt" for fault in faults)
     assert result.reason != "collision", (result, result.log)
@@ -44,46 +44,46 @@ def fly(world: World, *faults: Fault, **options: Any) -> RigResult:
 
 
 def obeyed_after(result: RigResult, time: float) -> list[float]:
-    """Return when setpoints were obeyed later than `time` after the engagement [s]."""
+    """Return the times of obeyed setpoints later than `time`, all counted from the engagement [s]."""
     began = next(c.time for c in result.commands if c.mode is Mode.OFFBOARD)
     return [c.time - began for c in result.commands if c.mode is Mode.OFFBOARD and c.time - began > time]
 
 
 def all_after(result: RigResult, time: float) -> list[float]:
-    """Return when setpoints came later than `time` after the engagement, obeyed or not [s]."""
+    """Return the times of all setpoints later than `time`, obeyed or not, counted from the engagement [s]."""
     began = next(c.time for c in result.commands if c.mode is Mode.OFFBOARD)
     return [c.time - began for c in result.commands if c.time - began > time]
 
 
-def test_it_flies_between_posts_to_the_goal(world):
+def test_the_node_flies_between_posts_to_the_goal(world):
     result = fly(world)
     assert result.arrived, (result, result.log)
     assert result.max_speed < 4.5
 
 
-def test_the_other_packets_messages_and_a_mounted_sensor_do_as_well(world):
+def test_centimetre_packets_paired_messages_and_a_mounted_sensor_work_as_well(world):
     lidar = LidarModel("mid360", mount_angles=(0.0, 20.0, 0.0), mount_position=(0.1, 0.0, 0.05))
     result = fly(world, data_type=CARTESIAN_CM, state_pair=True, lidar=lidar)
     assert result.arrived, (result, result.log)
 
 
-def test_without_points_it_stops_and_hands_back(world):
+def test_without_points_the_node_brakes_and_hands_back(world):
     result = fly(world, Fault("kill-sensor", 1.5))
     assert result.reason == "held", (result, result.log)
-    # Points may be half a second old; then it brakes from 3 m/s.
+    # Points may be half a second old; after that the node brakes from 3 m/s.
     assert result.trajectory.speeds()[result.trajectory.times > 5.0].max() < 0.5
 
 
-def test_without_states_it_stops_by_dead_reckoning_and_hands_back(world):
+def test_without_states_the_node_brakes_by_dead_reckoning_and_hands_back(world):
     result = fly(world, Fault("freeze-state", 1.5, 20.0))
     assert result.reason == "held", (result, result.log)
     limits = ONBOARD.limits
-    # The last setpoint is sent when the drone has been blind for too long; half a second later the autopilot takes it.
+    # The node stops sending when it has been blind for too long, and the autopilot takes over half a second later.
     assert not obeyed_after(result, 1.5 + limits.state_age + limits.blind_time + 0.5)
 
 
 def longest_gap(result: RigResult, begin: float, end: float) -> float:
-    """Return the longest time between two setpoints obeyed from `begin` to `end` after the engagement [s]."""
+    """Return the longest time between two obeyed setpoints from `begin` to `end` after the engagement [s]."""
     times = [time for time in obeyed_after(result, begin) if time <= end]
     return float(np.diff([begin, *times, end]).max())
 
@@ -92,27 +92,27 @@ def speed_at(result: RigResult, time: float) -> float:
     return float(result.trajectory.speeds()[np.searchsorted(result.trajectory.times, time)])
 
 
-def test_killed_in_the_air_its_guard_brakes_and_started_again_it_stays_silent(world):
+def test_the_failsafe_brakes_for_a_killed_node_and_the_restarted_node_stays_silent(world):
     killed, blind_time = 1.5, ONBOARD.limits.blind_time
     result = fly(world, Fault("restart-node", killed))
     assert result.reason == "held", (result, result.log)
-    # The guard is told at once and goes on until the drone hovers.
+    # The failsafe process takes over at once and continues until the drone hovers.
     assert longest_gap(result, killed, killed + blind_time) < ONBOARD.limits.deadline, result.log
     before, after = speed_at(result, killed), speed_at(result, killed + blind_time)
     assert before > 1.5 and after < 0.4
     obeyed = [c for c in result.commands if c.mode is Mode.OFFBOARD]
     assert obeyed[-1].rates == (0.0, 0.0, 0.0)
     assert obeyed[-1].thrust == pytest.approx(CONFIG.vehicle.mass * CONFIG.vehicle.gravity, rel=1e-3)
-    # For ten seconds, in which the node starts again, nothing else comes.
+    # Nothing else is sent for ten seconds, in which the node starts again.
     assert result.flight_time_s > 11.0
     assert not [time for time in all_after(result, killed) if time > killed + blind_time + 0.2]
     assert any("armed already when the node started" in line for line in result.log)
 
 
-def test_paused_its_guard_brakes_until_it_is_back_and_flies_on(world):
+def test_the_failsafe_brakes_for_a_paused_node_which_then_continues(world):
     paused, duration = 1.5, 0.5
     result = fly(world, Fault("pause-node", paused, duration))
-    # The autopilot sees a stream all the time: first of the plan, then to brake.
+    # The autopilot sees an uninterrupted stream: first the plan, then the braking commands.
     assert longest_gap(result, paused, paused + duration + 1.0) < ONBOARD.limits.deadline, result.log
     assert speed_at(result, paused + duration) < 0.6 * speed_at(result, paused)
     assert sum("the guard brakes" in line for line in result.log) == 1
@@ -120,7 +120,7 @@ def test_paused_its_guard_brakes_until_it_is_back_and_flies_on(world):
     assert result.arrived and result.trajectory.offboard.all(), (result, result.log)
 
 
-def test_paused_for_too_long_it_stays_silent_when_it_is_back(world):
+def test_a_node_paused_for_too_long_stays_silent(world):
     paused, limits = 1.5, ONBOARD.limits
     end = paused + takeover_time(ONBOARD) + limits.blind_time
     result = fly(world, Fault("pause-node", paused, 4.0))

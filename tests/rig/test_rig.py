@@ -31,14 +31,14 @@ def world():
     return World("post", np.array([0.0, 0, 2]), np.array([6.0, 0, 2]), cylinders=np.array([post]))
 
 
-def happened(result):
+def event_texts(result):
     return [event.text for event in result.events]
 
 
 def test_a_flight_arrives(world):
     result = fly_rig(world, command=companion(3.0), duration=20.0)
     assert result.arrived, (result, result.log)
-    assert happened(result) == [
+    assert event_texts(result) == [
         "node started", "pilot arms", "pilot switches to OFFBOARD, autopilot accepts", "arrived",
     ]  # fmt: skip
     assert np.linalg.norm(result.trajectory.positions[-1] - world.goal) < 1.0
@@ -54,7 +54,7 @@ def test_a_flight_arrives(world):
     assert set(result.to_dict()) >= {"arrived", "reason", "intervals", "events"}
 
 
-def test_to_and_fro_until_the_time_is_over(world):
+def test_a_shuttle_flies_back_and_forth_until_the_time_is_over(world):
     near = World("near", world.start, np.array([2.0, 0, 2]), cylinders=world.cylinders)
     result = fly_rig(near, command=companion(3.0), duration=8.0, shuttle=True)
     assert result.arrived
@@ -62,7 +62,7 @@ def test_to_and_fro_until_the_time_is_over(world):
     assert result.flight_time_s == pytest.approx(8.0, abs=0.01)
 
 
-def test_what_is_in_the_way_is_hit(world):
+def test_an_obstacle_in_the_way_is_hit(world):
     wall = World("wall", world.start, world.goal, boxes=np.array([[3.0, 0, 2, 0.2, 4, 4, 0]]))
     result = fly_rig(wall, command=companion(3.0), duration=20.0)
     assert result.reason == "collision"
@@ -71,25 +71,25 @@ def test_what_is_in_the_way_is_hit(world):
     assert result.trajectory.positions[-1, 0] < 3.0
 
 
-def test_a_killed_companion_leaves_the_vehicle_to_the_autopilot(world):
+def test_the_autopilot_takes_over_from_a_paused_companion(world):
     far = World("far", world.start, np.array([60.0, 0, 2]), cylinders=world.cylinders)
     result = fly_rig(far, command=companion(3.0), faults=[Fault("pause-node", 1.5, 2.0)], duration=8.0)
     leaves = next(event for event in result.events if "leaves OFFBOARD" in event.text)
     assert leaves.time == pytest.approx(2.0, abs=0.1)
     assert result.reason == "held"
     assert result.trajectory.speeds()[-1] < 0.2
-    # What came after the pause was not obeyed.
+    # Setpoints after the pause were not obeyed.
     assert {c.mode for c in result.commands if c.time > result.commands[0].time + 6.0} <= {Mode.HOLD}
 
 
-def test_a_program_that_ends_is_not_ready(world):
+def test_a_program_that_ends_at_once_is_not_ready(world):
     result = fly_rig(world, command=[sys.executable, "-c", "print('no can do'); raise SystemExit(3)"])
     assert result.reason == "not_ready"
     assert result.log == ["no can do"]
     assert result.setpoints == 0
 
 
-def test_processes_end_even_when_stopped_or_deaf():
+def test_processes_end_even_when_paused_or_ignoring_signals():
     deaf = "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\nprint('up', flush=True)\ntime.sleep(60)"
     process = NodeProcess(PlannerConfig(), OnboardConfig(), command=[sys.executable, "-c", deaf], patience=0.2)
     process.start()
@@ -100,7 +100,7 @@ def test_processes_end_even_when_stopped_or_deaf():
     assert not process.running
 
 
-def test_a_process_is_given_its_configuration():
+def test_a_process_gets_its_configuration():
     config = PlannerConfig().replace({"vehicle.speed_limit": 3.5})
     onboard = OnboardConfig().replace({"limits.plan_age": 0.25})
     show = "import sys; print(open(sys.argv[1]).read())"

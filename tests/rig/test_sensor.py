@@ -1,4 +1,4 @@
-"""The simulated Mid-360: its packets on a real socket hold points of the world."""
+"""The simulated Mid-360: its packets on a real socket contain points of the world."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def received(host) -> list[Any]:
         try:
             data.append(host.recv(2048))
         except BlockingIOError:
-            return [parse_packet(one) for one in data]
+            return [parse_packet(datagram) for datagram in data]
 
 
 def run(world, host, *, steps=50, data_type=CARTESIAN_MM, command=(9.81, 0.0, 0.0, 0.0), **changes):
@@ -59,7 +59,7 @@ def run(world, host, *, steps=50, data_type=CARTESIAN_MM, command=(9.81, 0.0, 0.
     return packets, poses
 
 
-def test_packets_are_like_a_real_sensors(world, host):
+def test_packets_are_like_those_of_a_real_sensor(world, host):
     packets, _ = run(world, host)
     # 0.2 s at 200 000 points per second, in packets of 96.
     assert len(packets) == 40_000 // PACKET_POINTS
@@ -82,11 +82,11 @@ def test_points_lie_on_surfaces_from_a_moving_drone(world, host, data_type, tole
             k, share = int((time + 2.5e-6) / PERIOD), (time + 2.5e-6) / PERIOD % 1.0
             (p0, q0), (p1, q1) = poses[k], poses[k + 1]
             q = (1.0 - share) * q0 + share * q1
-            there = (1.0 - share) * p0 + share * p1 + rotate(q / np.linalg.norm(q), point)
-            assert abs(world.distance(there[None])[0]) < tolerance
+            position = (1.0 - share) * p0 + share * p1 + rotate(q / np.linalg.norm(q), point)
+            assert abs(world.distance(position[None])[0]) < tolerance
 
 
-def test_rays_without_return_are_zeros(world, host):
+def test_rays_without_a_return_are_zeros(world, host):
     packets, _ = run(world, host, steps=10)
     points = np.concatenate([decode_points(CARTESIAN_MM, packet.payload)[0] for packet in packets])
     silent = ~points.any(axis=1)
@@ -94,20 +94,20 @@ def test_rays_without_return_are_zeros(world, host):
     assert np.linalg.norm(points[~silent], axis=1).min() > 0.1
 
 
-def test_a_mounted_sensor_sends_its_own_frame(world, host):
+def test_a_mounted_sensor_sends_points_in_its_own_frame(world, host):
     angles, place = (180.0, 10.0, 30.0), (0.1, 0.0, -0.2)
     packets, poses = run(world, host, steps=10, mount_angles=angles, mount_position=place)
     points = np.concatenate([decode_points(CARTESIAN_MM, packet.payload)[0] for packet in packets])
     points = points[points.any(axis=1)][::20]
     in_body = rotate(quaternion_from_angles(*angles), points) + place
-    there = poses[0][0] + rotate(poses[0][1], in_body)
-    assert np.abs(world.distance(there)).max() < 2e-3
+    positions = poses[0][0] + rotate(poses[0][1], in_body)
+    assert np.abs(world.distance(positions)).max() < 2e-3
     # Its own field of view, -7 to 52 degrees.
     elevation = np.degrees(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1)))
     assert -7.1 < elevation.min() < elevation.max() < 52.1
 
 
-def test_a_dead_sensor_is_silent(world, host):
+def test_a_dead_sensor_sends_nothing(world, host):
     vehicle = Vehicle(VehicleModel(), START[None], [0.0], period=PERIOD, device="cpu")
     sensor = SimulatedMid360(world, LidarModel("mid360"), host.getsockname(), period=PERIOD)
     sensor.step(0, vehicle, 0.0)
@@ -119,11 +119,11 @@ def test_a_dead_sensor_is_silent(world, host):
     sensor.step(2, vehicle, 0.0)
     packets = received(host)
     sensor.close()
-    # It goes on by its clock, and the pause is no loss on the wire.
+    # The clock has continued during the pause, which does not look like a loss of packets.
     assert packets[0].stamp_ns == 4_321_000_000 + 8_000_000
     assert packets[0].sequence == 8
 
 
-def test_a_step_measures_whole_points(world):
+def test_a_step_must_measure_a_whole_number_of_points(world):
     with pytest.raises(ValueError, match="do not divide"):
         SimulatedMid360(world, LidarModel("odd", points_per_sweep=333), ("127.0.0.1", 9), period=PERIOD)
