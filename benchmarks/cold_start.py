@@ -24,7 +24,7 @@ from aero_planner import Goal, Planner, VehicleState
 imported = time.perf_counter()
 planner = Planner(device=sys.argv[1])
 built = time.perf_counter()
-from aero_planner.benchmark import forest_cloud
+from aero_planner.forest_cloud import forest_cloud
 cloud = forest_cloud(int(sys.argv[2]))
 made = time.perf_counter()
 planner.plan(VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0]), Goal([30, 0, 2]), cloud)

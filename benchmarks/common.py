@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner import Goal, VehicleState
-from aero_planner.benchmark import forest_cloud
+from aero_planner.forest_cloud import forest_cloud
 from aero_planner.planner import _find_device
 
 __all__ = ["elapsed_ms", "machine", "positive", "situation"]

@@ -17,36 +17,15 @@ from numpy.typing import NDArray
 from aero_planner.cli_util import run_command
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import config_from_name
+from aero_planner.forest_cloud import forest_cloud
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 
-__all__ = ["forest_cloud", "main", "measure"]
+__all__ = ["main", "measure"]
 
 _WARM_UP = 3
 _SWEEP = 20_000
 _MIB = 2.0**20
-
-
-def forest_cloud(count: int, *, seed: int = 0, radius: float = 12.0) -> NDArray[np.float32]:
-    """Return what a LiDAR sees in a forest, shape [count, 3], world frame, with the drone at (0, 0, 2).
-
-    Three quarters of the points lie on trunks 0.2 to 0.8 m wide, the others on the ground, to `radius` [m].
-    """
-    rng = np.random.default_rng(seed)
-    place, angle = rng.uniform(1.5, radius, 80), rng.uniform(-np.pi, np.pi, 80)
-    width, tree = rng.uniform(0.1, 0.4, 80), rng.integers(80, size=count)
-    around = rng.uniform(-np.pi, np.pi, count)
-    trunks = np.stack(
-        (
-            place[tree] * np.cos(angle[tree]) + width[tree] * np.cos(around),
-            place[tree] * np.sin(angle[tree]) + width[tree] * np.sin(around),
-            rng.uniform(0.0, 8.0, count),
-        ),
-        axis=1,
-    )
-    r, a = radius * np.sqrt(rng.uniform(size=count)), rng.uniform(-np.pi, np.pi, count)
-    ground = np.stack((r * np.cos(a), r * np.sin(a), 0.05 * rng.normal(size=count)), axis=1)
-    return np.where(rng.uniform(size=(count, 1)) < 0.75, trunks, ground).astype(np.float32)
 
 
 def measure(

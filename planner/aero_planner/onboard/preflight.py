@@ -142,7 +142,7 @@ def _versions(log: bool) -> Iterator[Check]:
 
 
 def _device(planner: PlannerConfig, onboard: OnboardConfig, device: str) -> Check:
-    from aero_planner.benchmark import forest_cloud
+    from aero_planner.forest_cloud import forest_cloud
     from aero_planner.plan import Goal, VehicleState
     from aero_planner.planner import Planner
 
