@@ -15,7 +15,7 @@ _SWEEPS = 10
 _SWEEP_PERIOD = 0.1  # [s]
 _SPEED = 4.0  # of the drone, along x [m/s]
 _PITCH = np.radians(10.0)  # nose down, as in forward flight
-_ELEVATION = np.radians((-7.0, 52.0))  # field of view of a Mid-360
+_ELEVATION_MIN, _ELEVATION_MAX = np.radians(-7.0), np.radians(52.0)  # field of view of a Mid-360
 _RANGE_MAX = 40.0  # [m]
 _RANGE_NOISE = 0.02  # standard deviation [m]
 _TREES = 120
@@ -51,7 +51,7 @@ def _sweep(count: int, x: float, trees: NDArray[np.float64], rng: np.random.Gene
     `trees` are vertical cylinders on the ground: x, y, radius [m], shape [T, 3].
     """
     azimuth = rng.uniform(-np.pi, np.pi, count)
-    elevation = rng.uniform(*_ELEVATION, count)
+    elevation = rng.uniform(_ELEVATION_MIN, _ELEVATION_MAX, count)
     forward, left, up = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)
     c, s = np.cos(_PITCH), np.sin(_PITCH)
     rays = np.stack((c * forward + s * up, left, c * up - s * forward), axis=1)
