@@ -1,14 +1,21 @@
 from __future__ import annotations
 
+import io
+import os
 import struct
+import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
+import laspy
 import numpy as np
+import open3d
 import pytest
 import trimesh
 
 from aero_viz.errors import UserError
-from aero_viz.scenes.map_files import read_points
+from aero_viz.scenes.map_files import read_mesh, read_points
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-20.0, 20.0, (500, 3)).astype(np.float32)
@@ -16,7 +23,7 @@ POINTS[:200] = np.round(POINTS[:200])  # something to compress
 
 
 def pack_lzf(data: bytes) -> bytes:
-    """A plain LZF compressor: the longest match among the last places of the same three bytes, else a literal."""
+    """Compress with LZF: the longest match at the last occurrence of the next three bytes, else a literal."""
     out, literals, seen, i = bytearray(), bytearray(), {}, 0
 
     def flush():
@@ -48,55 +55,72 @@ def pack_lzf(data: bytes) -> bytes:
     return bytes(out)
 
 
-def pcd(form: str, points=POINTS, extra: bytes = b"") -> bytes:
-    """x, y, z between other fields, one of them of two values and padding with a repeated name."""
-    record = np.dtype([("a", "<u2"), ("x", "<f4"), ("y", "<f4"), ("_", "u1", (2,)), ("z", "<f8"), ("__", "u1")])
+def pcd(form: str, points=POINTS, size: int = 4) -> bytes:
+    """A PCD file with x, y of `size` bytes and z of 8 among other fields, one of two values and two of equal names."""
+    real = f"<f{size}"
+    record = np.dtype([("a", "<u2"), ("x", real), ("y", real), ("_", "u1", (2,)), ("z", "<f8"), ("__", "u1")])
     table = np.zeros(len(points), dtype=record)
     for k, axis in enumerate("xyz"):
         table[axis] = points[:, k]
     table["a"], table["_"] = 7, 9
     header = (
-        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS a x y _ z _\nSIZE 2 4 4 1 8 1\n"
-        f"TYPE U F F U F U\nCOUNT 1 1 1 2 1 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS a x y _ z _\n"
+        f"SIZE 2 {size} {size} 1 8 1\nTYPE U F F U F U\nCOUNT 1 1 1 2 1 1\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
         f"POINTS {len(points)}\nDATA {form}\n"
     ).encode()
     if form == "ascii":
         rows = [f"7 {x!r} {y!r} 9 9 {z!r} 0" for x, y, z in points.astype(float).tolist()]
         return header + "\n".join(rows).encode() + b"\n"
     if form == "binary":
-        return header + table.tobytes() + extra
+        return header + table.tobytes()
     plain = b"".join(np.ascontiguousarray(table[name]).tobytes() for name in record.names or ())
     packed = pack_lzf(plain)
     return header + struct.pack("<II", len(packed), len(plain)) + packed
 
 
-def las(version: int, points=POINTS, compressed: bool = False) -> bytes:
-    header = bytearray(375)
-    header[:4], header[24], header[25] = b"LASF", 1, version
-    kind, length = (6, 30) if version == 4 else (0, 20)
-    struct.pack_into("<IBHI", header, 96, 375, kind | (0x80 if compressed else 0), length, len(points))
-    struct.pack_into("<6d", header, 131, 0.001, 0.001, 0.01, 100.0, 200.0, -5.0)
-    if version == 4:
-        struct.pack_into("<I", header, 107, 0)
-        struct.pack_into("<Q", header, 247, len(points))
-    scaled = np.rint((points - [100.0, 200.0, -5.0]) / [0.001, 0.001, 0.01]).astype("<i4")
-    records = np.zeros((len(points), length), dtype=np.uint8)
-    records[:, :12] = scaled.view(np.uint8).reshape(len(points), 12)
-    return bytes(header) + records.tobytes()
+def las(version: str, path: Path, points=POINTS, offset=(100.0, 200.0, -5.0)) -> bytes:
+    """A LAS or LAZ file, written by laspy."""
+    header = laspy.LasHeader(point_format=6 if version == "1.4" else 3, version=version)
+    header.scales, header.offsets = np.array([0.001, 0.001, 0.01]), np.array(offset)
+    content = laspy.LasData(header)
+    content.x, content.y, content.z = points.T
+    content.write(str(path))
+    return path.read_bytes()
 
 
+def ply(encoding: str, points=POINTS) -> bytes:
+    buffer = io.BytesIO()
+    trimesh.PointCloud(points).export(buffer, file_type="ply", encoding=encoding)
+    return buffer.getvalue()
+
+
+@pytest.fixture
+def cloud() -> Any:
+    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(POINTS.astype(np.float64)))
+
+
+@pytest.mark.parametrize("size", [4, 8])
 @pytest.mark.parametrize("form", ["ascii", "binary", "binary_compressed"])
-def test_pcd(tmp_path, form):
+def test_pcd(tmp_path, form, size):
     path = tmp_path / "m.pcd"
-    path.write_bytes(pcd(form))
+    path.write_bytes(pcd(form, size=size))
     np.testing.assert_array_equal(read_points(path), POINTS)
+
+
+@pytest.mark.parametrize("options", [{"write_ascii": True}, {}, {"compressed": True}])
+@pytest.mark.parametrize("suffix", ["pcd", "ply"])
+def test_files_of_open3d(tmp_path, cloud, suffix, options):
+    path = tmp_path / f"m.{suffix}"
+    assert open3d.io.write_point_cloud(path, cloud, **options)
+    np.testing.assert_allclose(read_points(path), POINTS, atol=1e-4)  # its texts have six digits
 
 
 def test_compression_of_long_and_overlapping_copies(tmp_path):
     constant = np.zeros((4000, 3), dtype=np.float32)
     path = tmp_path / "m.pcd"
     content = pcd("binary_compressed", constant)
-    assert len(content) < 4000  # so that copies were written
+    assert len(content) < 4000  # the file consists of copies
     path.write_bytes(content)
     np.testing.assert_array_equal(read_points(path), constant)
 
@@ -104,15 +128,24 @@ def test_compression_of_long_and_overlapping_copies(tmp_path):
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 def test_ply(tmp_path, encoding):
     path = tmp_path / "m.ply"
-    trimesh.PointCloud(POINTS).export(path, encoding=encoding)
+    path.write_bytes(ply(encoding))
     np.testing.assert_allclose(read_points(path), POINTS, atol=1e-5)
 
 
-@pytest.mark.parametrize("version", [2, 4])
-def test_las(tmp_path, version):
-    path = tmp_path / "m.las"
-    path.write_bytes(las(version))
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("version", ["1.2", "1.4"])
+def test_las(tmp_path, version, suffix):
+    path = tmp_path / f"m.{suffix}"
+    las(version, path)
     np.testing.assert_allclose(read_points(path), POINTS, atol=0.00501)
+
+
+def test_double_precision_of_geographic_coordinates(tmp_path):
+    far = POINTS + np.array([500_000.0, 4_000_000.0, 300.0])
+    (tmp_path / "m.pcd").write_bytes(pcd("binary", far, size=8))
+    np.testing.assert_array_equal(read_points(tmp_path / "m.pcd"), far)
+    las("1.4", tmp_path / "m.laz", far, offset=(500_000.0, 4_000_000.0, 0.0))
+    np.testing.assert_allclose(read_points(tmp_path / "m.laz"), far, atol=0.00501)
 
 
 def test_npy_with_more_columns_and_points_that_are_not_finite(tmp_path):
@@ -122,58 +155,103 @@ def test_npy_with_more_columns_and_points_that_are_not_finite(tmp_path):
     np.testing.assert_array_equal(read_points(tmp_path / "m.npy"), np.delete(POINTS, 3, axis=0))
 
 
-def test_laz_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "laspy", None)
-    path = tmp_path / "m.laz"
-    path.write_bytes(las(2, compressed=True))
-    with pytest.raises(UserError, match=r"pip install 'aero-viz\[maps\]'"):
-        read_points(path)
-
-
-def test_text_without_its_library_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    path = tmp_path / "m.xyz"
-    path.write_text("1 2 3\n")
-    with pytest.raises(UserError, match=r"needs open3d.*pip install 'aero-viz\[maps\]'"):
-        read_points(path)
-
-
-def test_text_is_read_where_its_library_loads(tmp_path):
-    try:
-        import open3d  # noqa: F401  # pyright: ignore[reportMissingImports]
-    except (ImportError, OSError) as error:
-        pytest.skip(f"open3d does not load here, XYZ files were not tried: {error}")
-    path = tmp_path / "m.xyz"
-    path.write_text("1 2 3\n4 5 6\n")
+@pytest.mark.parametrize(("suffix", "first"), [("xyz", ""), ("pts", "2\n")])
+def test_text(tmp_path, suffix, first):
+    path = tmp_path / f"m.{suffix}"
+    path.write_text(first + "1 2 3\n4 5 6\n")
     np.testing.assert_array_equal(read_points(path), [[1, 2, 3], [4, 5, 6]])
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "expected"),
-    [
-        ("m.pcd", b"hello", "no PCD header"),
-        ("m.pcd", pcd("binary")[:-2000], "buffer is smaller"),
-        ("m.pcd", pcd("binary").replace(b"DATA binary", b"DATA zipped"), "zipped"),
-        ("m.pcd", pcd("binary").replace(b"FIELDS a x y _ z _", b"FIELDS a x y _ w _"), "no field z"),
-        ("m.pcd", pcd("binary_compressed")[:-300], "compressed data"),
-        ("m.pcd", pcd("ascii", POINTS[:0]), "no finite points"),
-        ("m.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n", "no map|no vertices"),
-        ("m.ply", b"PK", "does not start with ply"),
-        ("m.las", b"LASF", "unpack"),
-        ("m.las", las(2)[:-40], "cut off"),
-        ("m.las", b"PCDF" * 100, "does not start with LASF"),
-        ("m.npy", b"\x93NUMPY", "no map"),
-        ("m.obj", b"1 2 3", "must end in one of .pcd"),
-    ],
-)
-def test_damaged_files_are_named_in_one_sentence(tmp_path, name, content, expected):
+def test_the_real_map_loads_whole(shared_datasets):
+    points = read_points(shared_datasets / "livox_mid40_surf.pcd")
+    assert points.shape == (91_531, 3) and points.dtype == np.float64
+
+
+def test_open3d_that_does_not_load_is_reported(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    path = tmp_path / "m.xyz"
+    path.write_text("1 2 3\n")
+    with pytest.raises(UserError, match=r"m\.xyz: open3d does not load.*aero-viz doctor"):
+        read_points(path)
+
+
+def test_libraries_load_only_when_a_map_is_read():
+    code = (
+        "import sys; import aero_viz.cli, aero_viz.dashboard, aero_viz.flight; from aero_viz.catalog import load_world;"
+        "load_world('forest'); print([name for name in ('open3d', 'laspy', 'trimesh.exchange') if name in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert result.stdout.split("\n")[-2] == "[]"
+
+
+DAMAGED = [
+    ("m.pcd", b"hello", "no PCD header"),
+    ("m.pcd", pcd("binary")[:-2000], "truncated: its header declares 500 points, and it holds 40"),
+    ("m.pcd", pcd("ascii")[:-300], "at row 496 with 3 columns"),
+    ("m.pcd", pcd("ascii").rsplit(b"\n", 9)[0], "truncated: its header declares 500 points, and it holds 492"),
+    ("m.pcd", pcd("binary").replace(b"POINTS 500", b"POINTS 1000000000000"), "truncated"),
+    ("m.pcd", pcd("binary_compressed").replace(b"POINTS 500", b"POINTS 1000000000000"), "compressed data"),
+    ("m.pcd", pcd("binary").replace(b"DATA binary", b"DATA zipped"), "zipped"),
+    ("m.pcd", pcd("binary").replace(b"FIELDS a x y _ z _", b"FIELDS a x y _ w _"), "no field z"),
+    ("m.pcd", pcd("binary_compressed")[:-300], "compressed data"),
+    ("m.pcd", pcd("ascii", POINTS[:0]), "no finite points"),
+    ("m.ply", b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n", "truncated"),
+    ("m.ply", ply("ascii")[:-1000], "truncated: its header declares 500 points"),
+    ("m.ply", ply("binary")[:-1000], "truncated: its header declares 500 points, and it holds 416"),
+    ("m.ply", ply("binary").replace(b"vertex 500", b"vertex 1000000000000"), "truncated"),
+    ("m.ply", b"PK", "does not start with a PLY header"),
+    ("m.las", b"LASF", "small"),
+    ("m.las", b"PCDF" * 100, "signature"),
+    ("m.npy", b"\x93NUMPY", "m.npy"),
+    ("m.pts", b"5\n1 2 3\n", "truncated: its header declares 5 points, and it holds 1"),
+    ("m.obj", b"1 2 3", "must end in one of .pcd"),
+]
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(UserError) as caught:
+        read_points(path)
+    message = str(caught.value)
+    assert str(path) in message and "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize(("name", "content", "expected"), DAMAGED)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, name, content, expected):
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(UserError, match=expected) as caught:
-        read_points(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert expected in refusal(path)
 
 
-def test_missing_file(tmp_path):
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("version", ["1.2", "1.4"])
+def test_a_truncated_las_file_is_refused(tmp_path, version, suffix):
+    path = tmp_path / f"m.{suffix}"
+    content = las(version, path)
+    for length in (len(content) - 40, len(content) // 2):
+        path.write_bytes(content[:length])
+        refusal(path)
+
+
+def test_a_las_header_that_declares_too_many_points_is_refused(tmp_path):
+    path = tmp_path / "m.las"
+    content = bytearray(las("1.4", path))
+    struct.pack_into("<Q", content, 247, 10**12)
+    path.write_bytes(content)
+    assert "declares 1000000000000 points, and it holds 500" in refusal(path)
+
+
+def test_an_npy_header_that_declares_too_many_points_is_refused(tmp_path):
+    path = tmp_path / "m.npy"
+    np.save(path, POINTS.astype(np.float64))
+    path.write_bytes(path.read_bytes().replace(b"(500, 3), }   ", b"(10000000000, 3), }"[:14]))
+    refusal(path)
+
+
+def test_a_missing_file_and_a_pipe_are_refused(tmp_path):
     with pytest.raises(UserError, match=r"nowhere\.pcd: No such file"):
         read_points(tmp_path / "nowhere.pcd")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe.obj")
+        with pytest.raises(UserError, match="not a regular file"):
+            read_mesh(tmp_path / "pipe.obj")

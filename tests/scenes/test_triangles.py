@@ -173,7 +173,7 @@ def test_a_ply_of_points_stays_a_map_of_voxels(tmp_path):
     [
         ("bad.obj", b"junk", "holds no triangles"),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangles"),
-        ("bad.glb", b"glTF\x02\x00\x00\x00junk", "no mesh that can be read"),
+        ("bad.glb", b"glTF\x02\x00\x00\x00junk", "Cannot read the mesh"),
         ("bad.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nelement face 1\nend_header\n", "bad.ply"),
         ("far.obj", b"v 0 0 0\nv 9e5 0 0\nv 0 1 0\nf 1 2 3\n", "within 100000 m of the origin"),
     ],
