@@ -9,7 +9,7 @@ from typing import Literal
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline
+from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalInt, OptionalPath
 from aero_viz.cli.progress import progress_bar
 from aero_viz.errors import UserError
 
@@ -26,8 +26,8 @@ def bench(
     flights: int = 50,
     seed: int = 0,
     lidar: Literal["mid360", "full-sphere", "spinning64"] | None = None,
-    batch: int | None = None,
-    output: Path | None = None,
+    batch: OptionalInt = None,
+    output: OptionalPath = None,
     resume: bool = False,
     include: tuple[str, ...] = (),
     json: bool = False,
@@ -42,19 +42,18 @@ def bench(
     continues.
 
     Args:
-        name: name of the benchmark.
+        name: Name of the benchmark.
         device: Warp device, such as cpu or cuda:0.
-        flights: number of worlds per row.
-        seed: first seed of the worlds, LiDARs and planners.
+        flights: Number of worlds per row.
+        seed: First seed of the worlds, LiDARs and planners.
         lidar: LiDAR model of all rows; by default each row has its own.
-        batch: largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
-        output: folder of the results; by default results/NAME.
-        resume: continue with the results in the folder.
-        include: flights of other planners, each as NAME=TABLE.csv, a table that `score --table` writes, or as
-            NAME=FLIGHT@WORLD.json.
-        json: print one JSON object.
-        flight_flags: the flight.
-        config_flags: the planner's configuration.
+        batch: Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
+        output: Folder of the results; by default results/NAME.
+        resume: Continue with the results in the folder.
+        include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
+        json: Print one JSON object.
+        flight_flags: The flight.
+        config_flags: The planner's configuration.
     """
     from aero_planner.config.file import config_from_name
     from aero_viz.evaluation.bench.catalog import BENCHMARKS

@@ -24,6 +24,10 @@ __all__ = [
     "FileName",
     "FlightFlags",
     "Inline",
+    "OptionalFloat",
+    "OptionalInt",
+    "OptionalPath",
+    "OptionalText",
     "OutputPath",
     "RulesFlags",
     "WorldFlags",
@@ -38,6 +42,18 @@ WorldName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="WORLD")]]
 FileName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE")]]
 OutputPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUTPUT")]]
 Point = tuple[float, float, float]
+
+
+def _optional(metavar: str) -> Any:
+    """Return the annotation of a flag without a default value, whose help then says what happens without it."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+
+
+OptionalFloat = Annotated[float | None, _optional("FLOAT")]
+OptionalInt = Annotated[int | None, _optional("INT")]
+OptionalPath = Annotated[Path | None, _optional("PATH")]
+OptionalPoint = Annotated[Point | None, _optional("X Y Z")]
+OptionalText = Annotated[str | None, _optional("STR")]
 
 
 def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:
@@ -179,13 +195,13 @@ class FlightFlags:
 class WorldFlags:
     """The world."""
 
-    count: int | None = None
+    count: OptionalInt = None
     """Number of obstacles in a generated scene; by default the scene's own."""
-    start: Point | None = None
+    start: OptionalPoint = None
     """Start position x y z [m]; by default the world's own, on a map a free place."""
-    goal: Point | None = None
+    goal: OptionalPoint = None
     """Goal position x y z [m]; by default the world's own, on a map a free place at most 45 m away."""
-    voxel: float | None = None
+    voxel: OptionalFloat = None
     """Voxel size for a point-cloud map [m], about the spacing of its points."""
 
     def load(self, spec: str, *, seed: int) -> World:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aero_viz.cli.flags import (
@@ -11,6 +10,9 @@ from aero_viz.cli.flags import (
     FileName,
     FlightFlags,
     Inline,
+    OptionalFloat,
+    OptionalPath,
+    OptionalText,
     RulesFlags,
     WorldFlags,
     WorldName,
@@ -35,14 +37,14 @@ _WORLD = WorldFlags()
 def fly(
     world: WorldName,
     *,
-    speed: float | None = None,
+    speed: OptionalFloat = None,
     lidar: str = "mid360",
     seed: int = 0,
     device: str = "cpu",
     headless: bool = True,
     json: bool = False,
-    trajectory: Path | None = None,
-    log: Path | None = None,
+    trajectory: OptionalPath = None,
+    log: OptionalPath = None,
     world_flags: Inline[WorldFlags] = _WORLD,
     page_flags: Inline[PageFlags] = _PAGE,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
@@ -53,20 +55,19 @@ def fly(
     Ctrl-C ends the flight and prints the result so far.
 
     Args:
-        world: name of a scene, such as forest, verticals or inclines, or a file: a world (JSON), a point-cloud map or
-            a mesh.
-        speed: speed limit [m/s]; overrides vehicle.speed_limit.
+        world: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
+        speed: Speed limit [m/s]; overrides vehicle.speed_limit.
         lidar: LiDAR model: mid360, full-sphere or spinning64.
-        seed: seed of the scene, the LiDAR and all noise.
+        seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device, such as cpu or cuda:0.
-        headless: fly without the page; --no-headless flies in the browser, as `demo` does.
-        json: print one JSON object, and no progress bar.
+        headless: Fly without the page; --no-headless flies in the browser, as `demo` does.
+        json: Print one JSON object, and no progress bar.
         trajectory: CSV file to write with the columns t,x,y,z,vx,vy,vz.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
-        world_flags: the world.
-        page_flags: the page.
-        flight_flags: the flight.
-        config_flags: the planner's configuration.
+        world_flags: The world.
+        page_flags: The page.
+        flight_flags: The flight.
+        config_flags: The planner's configuration.
     """
     if not headless:
         if json or trajectory is not None:
@@ -115,9 +116,9 @@ def score(
     *,
     world: str,
     seed: int = 0,
-    pose_topic: str | None = None,
+    pose_topic: OptionalText = None,
     planner: str = "recorded",
-    table: Path | None = None,
+    table: OptionalPath = None,
     json: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
     rules: RulesFlags = _RULES,
@@ -126,14 +127,14 @@ def score(
 
     Args:
         flight: CSV file with the columns t,x,y,z and optionally vx,vy,vz, or a ROS bag or MCAP file with Odometry.
-        world: where it was flown: name of a scene, or a file: a world (JSON), a point-cloud map or a mesh.
-        seed: seed of the scene.
-        pose_topic: topic of the poses; by default it is found by its type.
-        planner: name of the planner that flew, for the result.
+        world: Where it was flown: scene, or file of a world (JSON), point-cloud map or mesh.
+        seed: Seed of the scene.
+        pose_topic: Topic of the poses; by default it is found by its type.
+        planner: Name of the planner that flew, for the result.
         table: CSV file to append the result to, for `bench --include`.
-        json: print one JSON object.
-        world_flags: the world.
-        rules: the rules by which a flight ends.
+        json: Print one JSON object.
+        world_flags: The world.
+        rules: The rules by which a flight ends.
     """
     from aero_viz.evaluation.bench.include import append_to_table
     from aero_viz.evaluation.score import load_trajectory

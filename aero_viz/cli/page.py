@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FileName, FlightFlags, Inline, WorldFlags, WorldName
+from aero_viz.cli.flags import (
+    ConfigFlags,
+    FileName,
+    FlightFlags,
+    Inline,
+    OptionalPath,
+    OptionalText,
+    WorldFlags,
+    WorldName,
+)
 from aero_viz.errors import UserError
 
 if TYPE_CHECKING:
@@ -50,7 +59,7 @@ def demo(
     lidar: str = "mid360",
     seed: int = 0,
     device: str = "cpu",
-    log: Path | None = None,
+    log: OptionalPath = None,
     world_flags: Inline[WorldFlags] = _WORLD,
     page_flags: Inline[PageFlags] = _PAGE,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
@@ -59,16 +68,15 @@ def demo(
     """Fly a synthetic scene live in the browser.
 
     Args:
-        scene: name of a scene, such as forest, verticals or inclines, or a file: a world (JSON), a point-cloud map or
-            a mesh.
+        scene: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
         lidar: LiDAR model: mid360, full-sphere or spinning64.
-        seed: seed of the scene, the LiDAR and all noise.
+        seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
-        world_flags: the world.
-        page_flags: the page.
-        flight_flags: the flight.
-        config_flags: the planner's configuration.
+        world_flags: The world.
+        page_flags: The page.
+        flight_flags: The flight.
+        config_flags: The planner's configuration.
     """
     config = config_flags.load()
     opener = flight_opener(scene, world_flags, flight_flags, config, lidar=lidar, device=device)
@@ -78,8 +86,8 @@ def demo(
 def play(
     recording: FileName,
     *,
-    points_topic: str | None = None,
-    pose_topic: str | None = None,
+    points_topic: OptionalText = None,
+    pose_topic: OptionalText = None,
     goal_ahead: float = 15.0,
     seed: int = 0,
     device: str = "cpu",
@@ -90,13 +98,13 @@ def play(
 
     Args:
         recording: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file.
-        points_topic: topic of the point clouds; by default it is found by its type.
-        pose_topic: topic of the poses; by default it is found by its type.
-        goal_ahead: distance of the goal from the drone along the recorded path [m].
-        seed: seed of the planner's noise.
+        points_topic: Topic of the point clouds; by default it is found by its type.
+        pose_topic: Topic of the poses; by default it is found by its type.
+        goal_ahead: Distance of the goal from the drone along the recorded path [m].
+        seed: Seed of the planner's noise.
         device: Warp device of the planner.
-        page_flags: the page.
-        config_flags: the planner's configuration.
+        page_flags: The page.
+        config_flags: The planner's configuration.
     """
     from aero_viz.catalog import is_map, open_source
     from aero_viz.recordings import open_recording
@@ -127,10 +135,9 @@ def connect(
     The page only watches; it cannot control the drone.
 
     Args:
-        drone: name or address of the drone. Its settings must contain telemetry.host: 0.0.0.0, or an SSH tunnel must
-            lead to its telemetry port.
+        drone: Name or address of the drone. It must run with telemetry.host: 0.0.0.0 or behind an SSH tunnel.
         drone_port: TCP port of the drone's telemetry.
-        page_flags: the page.
+        page_flags: The page.
     """
     from aero_viz.dashboard import Dashboard
     from aero_viz.session.live_session import LiveSession
@@ -186,7 +193,7 @@ def serve(
     *,
     seed: int,
     device: str,
-    log: Path | None = None,
+    log: OptionalPath = None,
 ) -> None:
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import source_choices

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, Inline, OutputPath, WorldFlags, WorldName
+from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.errors import UserError
 
 __all__ = ["doctor", "export", "parameters", "snapshot", "world"]
@@ -25,8 +25,8 @@ def snapshot(
     size: tuple[int, int] = (1600, 1000),
     seed: int = 0,
     device: str = "cpu",
-    points_topic: str | None = None,
-    pose_topic: str | None = None,
+    points_topic: OptionalText = None,
+    pose_topic: OptionalText = None,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Render a scene or a recording at a given time to a PNG file.
@@ -34,16 +34,16 @@ def snapshot(
     The page is rendered in a headless Chromium.
 
     Args:
-        source: scene, world file (JSON) or recording.
+        source: Scene, world file (JSON) or recording.
         output: PNG file to write.
-        time: time in the source [s].
-        camera: camera view.
-        size: width and height [pixels].
-        seed: seed of the scene, the LiDAR and the planner's noise.
+        time: Time in the source [s].
+        camera: Camera view.
+        size: Width and height [pixels].
+        seed: Seed of the scene, the LiDAR and the planner's noise.
         device: Warp device of planner and simulation.
-        points_topic: topic of the point clouds; by default it is found by its type.
-        pose_topic: topic of the poses; by default it is found by its type.
-        config_flags: the planner's configuration.
+        points_topic: Topic of the point clouds; by default it is found by its type.
+        pose_topic: Topic of the poses; by default it is found by its type.
+        config_flags: The planner's configuration.
     """
     from aero_viz.catalog import open_source
     from aero_viz.dashboard.snapshot import snapshot as take_snapshot
@@ -66,12 +66,12 @@ def world(
     """Write a world to a file for other programs.
 
     Args:
-        action: export, the only action.
-        world: name of a scene, such as forest, or a file: a world (JSON), a point-cloud map or a mesh.
+        action: The only action is export.
+        world: Scene, such as forest, or file of a world (JSON), point-cloud map or mesh.
         output: .pcd, .ply or .npy file for points on the world's surfaces, or .json file for the world itself.
-        spacing: spacing of the points [m].
-        seed: seed of the scene.
-        world_flags: the world.
+        spacing: Spacing of the points [m].
+        seed: Seed of the scene.
+        world_flags: The world.
     """
     from aero_viz.evaluation.bench.surface import export_world
 
@@ -92,10 +92,10 @@ def export(
     processors, the bundle also contains the graph for the C++ host.
 
     Args:
-        output: folder or tar file to write.
-        config: preset or YAML file; the file may contain the node's settings under 'onboard:'.
+        output: Folder or tar file to write.
+        config: Preset or YAML file; the file may contain the node's settings under 'onboard:'.
         arch: GPU architecture; may be repeated.
-        cpu: compile for this machine's CPU, too.
+        cpu: Compile for this machine's CPU, too.
     """
     from aero_planner.cli import write_bundle
 
@@ -123,7 +123,7 @@ def doctor(*, json: bool = False) -> None:
     something required is missing.
 
     Args:
-        json: print one JSON object.
+        json: Print one JSON object.
     """
     from aero_viz.doctor import examine
 

@@ -9,7 +9,16 @@ from typing import Annotated, Literal
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, WorldFlags, WorldName
+from aero_viz.cli.flags import (
+    ConfigFlags,
+    FlightFlags,
+    Inline,
+    OptionalFloat,
+    OptionalInt,
+    OptionalPath,
+    WorldFlags,
+    WorldName,
+)
 from aero_viz.cli.progress import progress_bar
 from aero_viz.errors import UserError
 
@@ -26,14 +35,14 @@ def tune(
     over: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH[=LOW:HIGH]")] = (),
     flights: int = 16,
     rounds: int = 4,
-    check: int | None = None,
-    output: Path | None = None,
+    check: OptionalInt = None,
+    output: OptionalPath = None,
     overwrite: bool = False,
-    speed: float | None = None,
+    speed: OptionalFloat = None,
     lidar: Literal["mid360", "full-sphere", "spinning64"] = "mid360",
     seed: int = 0,
     device: str = "cpu",
-    batch: int | None = None,
+    batch: OptionalInt = None,
     json: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
@@ -47,24 +56,22 @@ def tune(
     the search and keeps the best candidate so far.
 
     Args:
-        world: name of a scene, of which each flight gets a different seed, or a file: a world (JSON), a point-cloud
-            map or a mesh.
-        over: parameter to tune; may be repeated. costs.q_track is tuned from a quarter of its value to four times its
-            value, costs.q_track=1:20 from 1 to 20.
-        flights: flights of a candidate that stays to the end, divided among the rounds.
-        rounds: number of rounds; 4 start with 16 candidates, 6 with 64.
-        check: flights of the best candidate and of the incumbent in fresh worlds; by default twice --flights.
+        world: Scene, with a different seed for each flight, or file of a world (JSON), point-cloud map or mesh.
+        over: Parameter to tune, by default from a quarter of its value to four times its value; may be repeated.
+        flights: Flights of a candidate that stays to the end, divided among the rounds.
+        rounds: Number of rounds; 4 start with 16 candidates, 6 with 64.
+        check: Flights of the best candidate and of the incumbent in fresh worlds; by default twice --flights.
         output: YAML file to write, for --config.
-        overwrite: replace the output file if it exists.
-        speed: speed limit [m/s]; overrides vehicle.speed_limit.
+        overwrite: Replace the output file if it exists.
+        speed: Speed limit [m/s]; overrides vehicle.speed_limit.
         lidar: LiDAR model of all drones.
-        seed: first seed of the worlds, the LiDARs and all noise.
+        seed: First seed of the worlds, the LiDARs and all noise.
         device: Warp device, such as cpu or cuda:0.
-        batch: largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
-        json: print one JSON object.
-        world_flags: the world.
-        flight_flags: the flight.
-        config_flags: the planner's configuration, where the search starts.
+        batch: Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
+        json: Print one JSON object.
+        world_flags: The world.
+        flight_flags: The flight.
+        config_flags: The planner's configuration, where the search starts.
     """
     from aero_planner.config.file import save_config
     from aero_viz.evaluation.tune import parse_spans
