@@ -1,4 +1,4 @@
-"""Finding a Chromium for snapshots and browser tests."""
+"""Search for a Chromium, for snapshots and browser tests."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ CHROMIUM_FLAGS = (
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
 )
-"""Flags with which a headless Chromium renders WebGL on a machine without a GPU, also as root in a container."""
+"""Flags that let a headless Chromium render WebGL without a GPU, even as root in a container."""
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
 def find_chromium() -> str:
-    """Return the path of a Chromium: $AERO_VIZ_CHROMIUM, else an installed one, else the one Playwright downloaded.
+    """Return the path of a Chromium: $AERO_VIZ_CHROMIUM, an installed one, or the one that Playwright downloaded.
 
     Raises:
         UserError: there is none; says how to get one.
@@ -30,11 +30,11 @@ def find_chromium() -> str:
     chosen = os.environ.get("AERO_VIZ_CHROMIUM")
     if chosen:
         if not Path(chosen).is_file():
-            raise UserError(f"AERO_VIZ_CHROMIUM names {chosen}, which is no file; correct it or unset it.")
+            raise UserError(f"AERO_VIZ_CHROMIUM names {chosen}, which is not a file; correct or unset it.")
         return chosen
     for name in _NAMES:
         path = shutil.which(name)
-        # Ubuntu ships a script under this name that only says to install a snap.
+        # Ubuntu installs a script under this name that only asks the user to install a snap.
         if path and not _is_snap_stub(path):
             return path
     downloaded = _playwright_chromium()
@@ -42,7 +42,7 @@ def find_chromium() -> str:
         return downloaded
     raise UserError(
         "No Chromium was found; install one (Debian: sudo apt-get install chromium; elsewhere: "
-        "python -m playwright install --with-deps chromium) or name one in AERO_VIZ_CHROMIUM."
+        "python -m playwright install --with-deps chromium) or set AERO_VIZ_CHROMIUM to its path."
     )
 
 

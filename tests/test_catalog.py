@@ -14,7 +14,7 @@ def test_every_choice_opens() -> None:
     choices = source_choices()
     assert "forest" in choices
     source = open_source("forest", seed=3)
-    assert source.closed_loop
+    assert source.info.closed_loop
     assert source.observe().points.shape[1] == 3
     source.close()
 

@@ -1,4 +1,4 @@
-"""The page: layers that draw frames, panels that steer the session. The only package that knows viser."""
+"""The page: layers that draw frames, and panels that control the session. Only this package imports viser."""
 
 from __future__ import annotations
 

@@ -7,43 +7,45 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from typing import Any
 
 import viser
 
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
-from aero_viz.dashboard.pace import Pace
-from aero_viz.dashboard.panels import Page
+from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.layout import build
 from aero_viz.dashboard.server import LocalServer, notify
+from aero_viz.dashboard.update_rate import UpdateRateLimiter
 from aero_viz.errors import UserError
-from aero_viz.session.broadcast import Steerable
+from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.sinks import Sink
-from aero_viz.session.source import Opener, Source
+from aero_viz.session.source import Opener, SourceInfo
 
 __all__ = ["Dashboard"]
 
 _PANEL_PERIOD = 0.2
+"""Shortest time between two updates of the panels [s]."""
 
 
 class Dashboard:
-    """Shows a session on a web page and lets the page steer it. The session is the caller's: start and close it.
+    """Shows a session on a web page, and controls it if it has controls. The caller starts and closes the session.
 
     Args:
-        session: what to show; may be running, paused or ticked by hand.
-        host: address to listen on. Everyone who reaches it can steer the session: there is no password.
+        session: session to show; may be running, paused or ticked by hand.
+        host: address to listen on. Everyone who can reach it controls the session: there is no password.
         port: port to listen on; 0 takes any free one.
-        open_source: makes a source from a path or a scene's name, and a seed; None hides the choice of the source.
-        choices: (label, what `open_source` gets) of the sources on offer.
-        seed: what `open_source` gets until the page gives another.
+        open_source: opens a source by path or scene name and seed; None hides the choice of the source.
+        choices: sources on offer, each a label and the argument of `open_source`.
+        seed: first value of the seed that the page passes to `open_source`.
 
     Raises:
-        UserError: the port is taken.
+        UserError: the port is taken, or the host is not an address of this machine.
     """
 
     def __init__(
         self,
-        session: Steerable,
+        session: BaseSession,
         *,
         host: str = "127.0.0.1",
         port: int = 8080,
@@ -52,24 +54,29 @@ class Dashboard:
         seed: int = 0,
     ) -> None:
         self.server = LocalServer(host=host, port=port)
-        self.layers: dict[str, Layer] = {layer.name: layer(self.server) for layer in LAYERS}
+        """The web server."""
+        kinds = [kind for kind in LAYERS if session.controls is not None or not kind.needs_samples]
+        self.layers: dict[str, Layer] = {kind.name: kind(self.server) for kind in kinds}
         """The layers by name."""
+        self.panels: list[Panel]
+        """All panels."""
+        self.source: SourceInfo | None = None
+        """Source of the last frame that was shown."""
         self.update_ms: deque[float] = deque(maxlen=300)
-        """Time that the last updates took [ms]."""
+        """Durations of the last updates [ms]."""
         self._session = session
-        self._source: Source | None = None
-        self._pace = Pace()
+        self._limiter = UpdateRateLimiter()
         self._panels_due = 0.0
-        self._panels_late = False
-        self._sink: Sink | None = None
-        page = Page(self.server, session, self.layers, self.refresh)
-        self._camera, self._panels = build(page, open_source=open_source, choices=choices, seed=seed)
-        self._sink = session.subscribe(self._show, name="dashboard")
-        self._others = [
+        self._panels_outdated = False
+        self._sink: Sink[Any] | None = None
+        self._page = Page(self.server, session, self.layers, self.refresh)
+        self._camera, self.panels = build(self._page, open_source=open_source, choices=choices, seed=seed)
+        self._sink = session.subscribe(self._show_newest, name="dashboard")
+        self._event_sinks: list[Sink[Any]] = [
             session.subscribe_notices(self._notify),
             session.subscribe_playing(lambda _: self.refresh()),
         ]
-        self.server.on_client_connect(self._greet)
+        self.server.on_client_connect(self._welcome)
 
     @property
     def url(self) -> str:
@@ -78,17 +85,17 @@ class Dashboard:
 
     @property
     def failures(self) -> int:
-        """Number of frames that could not be shown; the log says why."""
+        """Number of frames that could not be shown; the log has the reasons."""
         return 0 if self._sink is None else self._sink.failures
 
     def refresh(self) -> None:
-        """Show the newest frame again, or that there is none yet."""
+        """Show the newest frame again, or a message if there is none yet."""
         if self._sink is not None:
             self._panels_due = 0.0
-            self._sink.put(self._session.frame)
+            self._sink.put(None)
 
     def show_only(self, names: Sequence[str] | None) -> None:
-        """Show these layers and no other; None shows those that are on by default.
+        """Show these layers and hide all others; None shows those that are on by default.
 
         Raises:
             UserError: there is no such layer; lists them.
@@ -97,25 +104,44 @@ class Dashboard:
             if name not in self.layers:
                 raise UserError(f"There is no layer {name!r}; the layers are {', '.join(self.layers)}.")
         for name, layer in self.layers.items():
-            layer.visible = layer.on if names is None else name in names
+            layer.visible = layer.on_by_default if names is None else name in names
+        self._page.update_samples()
         self.refresh()
 
     def drain(self, timeout: float = 10.0) -> bool:
-        """Wait until the newest frame is sent; False when that takes longer than `timeout` [s]."""
+        """Wait until the newest frame is sent; return False if that takes longer than `timeout` [s]."""
         self.refresh()
         return self._sink is not None and self._sink.drain(timeout)
 
+    def changes(self, frame: Frame) -> list[Change]:
+        """Return the changes that show `frame`."""
+        changes: list[Change] = []
+        if frame.source is not self.source:
+            self.source = frame.source
+            for part in (*self.layers.values(), *self.panels):
+                changes += part.on_new_source(frame.source)
+        for layer in self.layers.values():
+            if layer.visible:
+                changes += layer.update(frame)
+        changes += self._camera.follow(frame)
+        now = time.monotonic()
+        self._panels_outdated = now < self._panels_due
+        if not self._panels_outdated:
+            self._panels_due = now + _PANEL_PERIOD
+            for panel in self.panels:
+                changes += panel.update(frame)
+        return changes
+
     def close(self) -> None:
-        """Close the page; the session goes on."""
-        if self._sink is not None:
-            self._session.unsubscribe(self._sink)
-        for sink in self._others:
-            self._session.unsubscribe(sink)
-        for panel in self._panels:
+        """Close the page. The session continues."""
+        for sink in (self._sink, *self._event_sinks):
+            if sink is not None:
+                self._session.unsubscribe(sink)
+        for panel in self.panels:
             panel.close()
         self.server.stop()
 
-    def _greet(self, client: viser.ClientHandle) -> None:
+    def _welcome(self, client: viser.ClientHandle) -> None:
         self.refresh()
 
         @client.camera.on_update
@@ -123,21 +149,21 @@ class Dashboard:
             if self._camera.is_settling(client):
                 self.refresh()
 
-    def _show(self, frame: Frame | None) -> None:
-        """Runs in the sink's thread: what waits meanwhile is the newest frame, so nothing old is ever shown.
+    def _show_newest(self, _: object) -> None:
+        """Send the session's newest frame, on the sink's thread.
 
-        Does nothing while nobody looks; who connects asks for a refresh.
+        Without clients only the camera follows: a client that connects requests a refresh.
         """
-        frame = frame or self._session.frame  # the first may have come since
+        frame = self._session.frame
         if frame is None:
-            apply(change for panel in self._panels for change in panel.wait())
+            apply(change for panel in self.panels for change in panel.update_without_frame())
             return
         clients = list(self.server.get_clients().values())
         if not clients:
             apply(self._camera.follow(frame))
             return
         started = time.perf_counter()
-        changes = self._changes(frame)
+        changes = self.changes(frame)  # all of them, before the first message is queued
         with contextlib.ExitStack() as stack:
             for sender in (self.server, *clients):
                 stack.callback(sender.flush)
@@ -147,32 +173,13 @@ class Dashboard:
         self.update_ms.append(1e3 * (ended - started))
         playing = self._session.playing
         if playing and frame.source.closed_loop:
-            self._pace.note(frame.rate, self._session.speed / frame.source.period)
-        if self._panels_late and not playing:
-            # While time stands still no frame follows that would bring the panels up to date.
-            later = threading.Timer(_PANEL_PERIOD, self.refresh)
-            later.daemon = True
-            later.start()
-        time.sleep(self._pace.delay(ended))
-
-    def _changes(self, frame: Frame) -> list[Change]:
-        """Compute everything before the first message is queued."""
-        changes: list[Change] = []
-        if frame.source is not self._source:
-            self._source = frame.source
-            for part in (*self.layers.values(), *self._panels):
-                changes += part.enter(frame.source)
-        for layer in self.layers.values():
-            if layer.visible:
-                changes += layer.update(frame)
-        changes += self._camera.follow(frame)
-        now = time.monotonic()
-        self._panels_late = now < self._panels_due
-        if not self._panels_late:
-            self._panels_due = now + _PANEL_PERIOD
-            for panel in self._panels:
-                changes += panel.update(frame)
-        return changes
+            self._limiter.adapt(frame.rate, self._session.speed / frame.source.period)
+        if self._panels_outdated and not playing:
+            # While time stands still, no later frame would update the panels.
+            timer = threading.Timer(_PANEL_PERIOD, self.refresh)
+            timer.daemon = True
+            timer.start()
+        time.sleep(self._limiter.delay(ended))
 
     def _notify(self, notice: Notice) -> None:
         notify(self.server, notice.text, level=notice.level)

@@ -1,6 +1,6 @@
-"""Every colour of the page, and the two perceptual colormaps.
+"""Colours and colormaps of the page.
 
-One hue belongs to one layer, in the scene, in the legend and in the status panel alike:
+Each layer has its own hue, in the scene, in the legend and in the status panel:
 
     rollouts   COST by Stage II cost, bright is good          chosen     green
     cloud      VIRIDIS by height, or NEAR_TO_FAR by range     guides     blue
@@ -11,13 +11,27 @@ One hue belongs to one layer, in the scene, in the legend and in the status pane
 
 from __future__ import annotations
 
+import matplotlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["COST", "NEAR_TO_FAR", "PLASMA", "TURBO", "VIRIDIS", "Rgb", "colorize", "css", "gradient", "unmapped"]
+__all__ = [
+    "COST",
+    "NEAR_TO_FAR",
+    "PLASMA",
+    "VIRIDIS",
+    "Colormap",
+    "Rgb",
+    "as_rgb",
+    "colorize",
+    "css",
+    "gradient",
+    "unmapped",
+]
 
 Rgb = tuple[int, int, int]
-Table = NDArray[np.uint8]
+Colormap = NDArray[np.uint8]
+"""Colours from low to high, sRGB, shape [n, 3]."""
 
 SKY_TOP: Rgb = (12, 16, 24)
 SKY_HORIZON: Rgb = (30, 38, 52)
@@ -36,7 +50,7 @@ PANEL: dict[int, Rgb] = {
     8: (15, 19, 26),
     9: (10, 13, 19),
 }
-"""Shades of the panels, by their number in the page's theme."""
+"""Shades of the panels, by number in the page's theme."""
 
 DRONE: Rgb = (236, 240, 246)
 DRONE_DARK: Rgb = (44, 50, 60)
@@ -56,37 +70,33 @@ BAD: Rgb = (255, 82, 82)
 MUTED: Rgb = (134, 146, 164)
 
 
-def _table(stops: str) -> Table:
-    """Interpolate evenly spaced hexadecimal stops to 256 rows of sRGB."""
-    colors = np.array([[int(stop[i : i + 2], 16) for i in (0, 2, 4)] for stop in stops.split()], dtype=np.float64)
-    at, of = np.linspace(0.0, 1.0, 256), np.linspace(0.0, 1.0, len(colors))
-    return np.stack([np.interp(at, of, channel) for channel in colors.T], axis=1).round().astype(np.uint8)
+def _colormap(name: str) -> Colormap:
+    """Return a colormap of matplotlib as 256 rows of sRGB, shape [256, 3]."""
+    return np.ascontiguousarray(matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3])
 
 
-VIRIDIS = _table("440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725")
-PLASMA = _table("0d0887 46039f 7201a8 9c179e bd3786 d8576b ed7953 fb9f3a fdca26 f0f921")
+VIRIDIS = _colormap("viridis")
+PLASMA = _colormap("plasma")
 COST = PLASMA[62:224]
-"""From bad to good, without the ends that the scene cannot show."""
-TURBO = _table(
-    "30123b 4145ab 4675ed 39a2fc 1bcfd4 24eca6 61fc6c a4fc3b d1e834 f3c63a fe9b2d f36315 d93806 b11901 7a0402"
-)
-NEAR_TO_FAR = TURBO[20:236][::-1]
-"""Red is near, blue is far, without the ends that are too dark for the scene."""
+"""Stage II cost from bad to good, without the ends, which are hard to see in the scene."""
+NEAR_TO_FAR = _colormap("turbo")[20:236][::-1]
+"""Range: red is near, blue is far, without the ends, which are too dark for the scene."""
 
 
-def colorize(values: ArrayLike, low: float, high: float, table: Table) -> NDArray[np.uint8]:
-    """Return the colour of each value, shape [..., 3]; `low` and everything below gets the first row of the table.
+def colorize(values: ArrayLike, low: float, high: float, colormap: Colormap) -> NDArray[np.uint8]:
+    """Return the colour of each value, shape [..., 3]. Values at or below `low` get the first colour of the map.
 
-    Values must not be NaN."""
-    last = len(table) - 1
+    Values must not be NaN.
+    """
+    last = len(colormap) - 1
     rows = np.array(values, dtype=np.float32)
     rows -= np.float32(low)
     rows *= np.float32(last / max(high - low, 1e-9))
     np.clip(rows, 0.0, last, out=rows)
-    return table.take(rows.astype(np.uint8), axis=0)
+    return colormap.take(rows.astype(np.uint8), axis=0)
 
 
-# The ACES filmic curve as three.js has it: matrices in and out, and (v (v + a) - b) / (v (c v + d) + e) between.
+# The ACES filmic curve as in three.js: a matrix, then (v (v + a) - b) / (v (c v + d) + e), then another matrix.
 _ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]])
 _ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
 _A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.432951, 0.238081
@@ -94,10 +104,10 @@ _EXPOSURE = 1.0 / 0.6
 
 
 def unmapped(colors: ArrayLike) -> NDArray[np.uint8]:
-    """Return what to send as colours of line vertices so that `colors` appear, shape [..., 3].
+    """Return the vertex colours of lines that make `colors` appear on the page, shape [..., 3].
 
-    The page takes them as linear light and passes them through the ACES film curve, which would make pastels of them.
-    Its inverse ends where the curve does: the brightest colours come out a little darker.
+    The page takes vertex colours as linear light and applies the ACES film curve, which would turn them into pastels.
+    This is the inverse, up to the end of the curve: the brightest colours come out slightly darker.
     """
     shown = np.asarray(colors, dtype=np.float64) / 255.0
     linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
@@ -108,12 +118,17 @@ def unmapped(colors: ArrayLike) -> NDArray[np.uint8]:
     return np.clip(255.0 * light, 0.0, 255.0).round().astype(np.uint8)
 
 
+def as_rgb(colors: NDArray[np.uint8]) -> list[Rgb]:
+    """Return an array of colours, shape [n, 3], as tuples."""
+    return [(int(r), int(g), int(b)) for r, g, b in colors]
+
+
 def css(color: Rgb, alpha: float = 1.0) -> str:
     """Return `color` as CSS."""
     return f"rgba({color[0]},{color[1]},{color[2]},{alpha:g})"
 
 
-def gradient(table: Table) -> str:
-    """Return the colormap as a CSS gradient from left (low) to right (high)."""
-    stops = ",".join(css(tuple(int(c) for c in table[i])) for i in np.linspace(0, len(table) - 1, 16).astype(int))  # type: ignore[arg-type]
-    return f"linear-gradient(90deg,{stops})"
+def gradient(colormap: Colormap) -> str:
+    """Return a colormap as a CSS gradient from left (low) to right (high)."""
+    rows = np.linspace(0, len(colormap) - 1, 16).astype(int)
+    return f"linear-gradient(90deg,{','.join(css(color) for color in as_rgb(colormap[rows]))})"

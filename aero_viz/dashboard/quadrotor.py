@@ -1,4 +1,4 @@
-"""A small quadrotor, made of boxes and rings: nose along +x, 0.25 m from the centre to the rotor tips."""
+"""Mesh of a small quadrotor, built from boxes and rings: nose along +x, 0.25 m from the centre to the rotor tips."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BOX_FACES = np.array([t for a, b, c, d in _QUADS for t in ((a, b, c), (a, c, d)
 
 
 def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
-    """Return the parts, each a mesh in the body frame [m], a colour and an opacity."""
+    """Return the parts by name: a mesh in the body frame [m], a colour, and an opacity (None: opaque)."""
     corners = [(_ARM * np.cos(a), _ARM * np.sin(a)) for a in np.radians((45.0, 135.0, 225.0, 315.0))]
     arms = [_box((0.5 * x, 0.5 * y, 0.0), (_ARM, 0.02, 0.014), np.arctan2(y, x)) for x, y in corners]
     motors = [_box((x, y, 0.014), (0.03, 0.03, 0.036), np.arctan2(y, x)) for x, y in corners]
@@ -28,7 +28,7 @@ def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
     return {
         "body": (_joined(body), palette.DRONE, None),
         "arms": (_joined(arms + motors + lidar), palette.DRONE_DARK, None),
-        "guards": (_joined(rings[1:3]), palette.DRONE, None),
+        "rotor_rings": (_joined(rings[1:3]), palette.DRONE, None),
         "nose": (
             _joined([*rings[:1], *rings[3:], _box((0.083, 0.0, 0.004), (0.018, 0.05, 0.026), 0.0)]),
             palette.TRAIL,
@@ -41,12 +41,12 @@ def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
 def _box(center: tuple[float, float, float], size: tuple[float, float, float], yaw: float) -> Mesh:
     corner = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
     c, s = np.cos(yaw), np.sin(yaw)
-    turned = corner @ np.array([(c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)])
-    return Mesh((turned + center).astype(np.float32), _BOX_FACES.astype(np.int32))
+    rotated = corner @ np.array([(c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)])
+    return Mesh((rotated + center).astype(np.float32), _BOX_FACES.astype(np.int32))
 
 
 def _ring(center: tuple[float, float, float], radius: float, width: float, sides: int = 32) -> Mesh:
-    """A flat ring in the xy plane; a disc when it is as wide as its radius."""
+    """Return a flat ring in the xy plane; a disc if the width equals the radius."""
     angle = 2.0 * np.pi * np.arange(sides) / sides
     rim: NDArray[np.float64] = np.stack((np.cos(angle), np.sin(angle), np.zeros(sides)), axis=1)
     j, k = np.arange(sides), (np.arange(sides) + 1) % sides

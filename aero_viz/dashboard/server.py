@@ -1,4 +1,4 @@
-"""The web server of the page: where it listens, what it refuses, how it looks."""
+"""The web server of the page: its address, its look, and the requests that it refuses."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ __all__ = ["LocalServer", "notify", "sky"]
 _STYLE = ":root{" + ";".join(
     f"--mantine-color-dark-{shade}:{palette.css(color)}" for shade, color in palette.PANEL.items()
 ) + ";--mantine-color-body:var(--mantine-color-dark-7)!important}"  # fmt: skip
-_STYLE += '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}'  # room for 100000 at a slider
+# Room for the number 100000 beside a slider.
+_STYLE += '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}'
 _log = logging.getLogger(__name__)
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 
 
 class LocalServer(viser.ViserServer):
-    """A viser server on exactly the address asked for, without public tunnels.
+    """A viser server on exactly the requested address, without public tunnels.
 
     Raises:
-        UserError: the port is taken or the host is none of this machine; names both.
+        UserError: the port is taken, or the host is not an address of this machine; names both.
     """
 
     def __init__(self, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         _require_free(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):  # the banner; the caller says where the page is
+        with contextlib.redirect_stdout(io.StringIO()):  # viser's banner; the caller prints the address
             super().__init__(host=host, port=port, label="AERO-Viz", verbose=False)
         if port and self.get_port() != port:
             self.stop()
@@ -47,13 +48,16 @@ class LocalServer(viser.ViserServer):
         return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Refuse: any client could ask for it, and the tunnel would put the page on the internet without a password."""
+        """Refuse to open a public tunnel.
+
+        Any client could request one, which would put the page on the internet without a password.
+        """
         _log.warning(REFUSAL)
         notify(self, REFUSAL, level="error")
         return None
 
     def stop(self) -> None:
-        """End the server."""
+        """Stop the server."""
         with contextlib.redirect_stdout(io.StringIO()):
             super().stop()
 
@@ -75,18 +79,18 @@ def notify(
     server: viser.ViserServer, text: str, *, level: str = "info", client: viser.ClientHandle | None = None
 ) -> None:
     """Show a notification to `client`, or to everyone."""
-    bad = level == "error"
+    is_error = level == "error"
     for target in [client] if client is not None else list(server.get_clients().values()):
         target.add_notification(
-            "That did not work" if bad else "AERO-Viz",
+            "That did not work" if is_error else "AERO-Viz",
             text,
-            color="red" if bad else "blue",
-            auto_close_seconds=12.0 if bad else 5.0,
+            color="red" if is_error else "blue",
+            auto_close_seconds=12.0 if is_error else 5.0,
         )
 
 
 def _require_free(host: str, port: int) -> None:
-    # viser would take the next port without a word.
+    # viser would silently take the next free port.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -98,14 +102,16 @@ def _require_free(host: str, port: int) -> None:
 
 def _busy(host: str, port: int, error: Exception | None = None) -> UserError:
     if isinstance(error, socket.gaierror) or getattr(error, "errno", None) == errno.EADDRNOTAVAIL:
-        here = "127.0.0.1 is for this machine alone, 0.0.0.0 for everyone who reaches it"
-        return UserError(f"{host} is no address of this machine; choose another one with --host: {here}.")
+        return UserError(
+            f"{host} is no address of this machine; choose another one with --host: 127.0.0.1 for this machine only, "
+            "0.0.0.0 for everyone who can reach it."
+        )
     reason = getattr(error, "strerror", None) or (str(error) if error else "it is in use")
     return UserError(f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any.")
 
 
 def sky(height: int, width: int) -> np.ndarray:
-    """Return what is behind everything, shape [height, width, 3], uint8."""
+    """Return the background, a vertical gradient of shape [height, width, 3], uint8."""
     mix = np.linspace(0.0, 1.0, height)[:, None, None]
     rows = (1.0 - mix) * np.array(palette.SKY_TOP) + mix * np.array(palette.SKY_HORIZON)
     return np.repeat(rows, width, axis=1).round().astype(np.uint8)

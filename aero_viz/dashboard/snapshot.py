@@ -1,4 +1,4 @@
-"""Pictures of any source at any time, rendered headless in Chromium."""
+"""Pictures of any source at any time, rendered in a headless Chromium."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ __all__ = ["launch_chromium", "snapshot"]
 
 @contextlib.contextmanager
 def launch_chromium() -> Iterator[Browser]:
-    """Run a headless Chromium that needs no graphics card.
+    """Run a headless Chromium without a GPU.
 
     Raises:
-        UserError: there is no Chromium, no Playwright, or it does not start.
+        UserError: Chromium or Playwright is missing, or Chromium does not start.
     """
     program = find_chromium()
     try:
@@ -64,30 +64,30 @@ def snapshot(
     seed: int = 0,
     device: str = "cpu",
 ) -> NDArray[np.uint8]:
-    """Render the scene of `source` at `time`; the same arguments give the same picture, up to the edges of lines.
+    """Render the scene of `source` at `time`. Equal arguments give equal pictures, up to the edges of lines.
 
     Args:
-        source: what to fly or play; is closed.
+        source: source to show; closed afterwards.
         path: PNG file to write; None writes none.
-        time: when, in the source [s]: a flight is flown up to there, a recording is sought.
-        config: of the planner; None is the default.
+        time: source time [s]. A flight is flown up to it, a recording seeks to it.
+        config: configuration of the planner; None is the default.
         camera: "follow", "top" or "side", or position and look-at [m], each shape [3], world frame.
         size: width and height of the picture.
         layers: names of the layers to show, see `Dashboard.layers`; None shows those that are on by default.
-        seed: of the planner's noise.
-        device: of the planner.
+        seed: seed of the planner's noise.
+        device: Warp device of the planner.
 
     Returns:
         The picture, shape [height, width, 3].
 
     Raises:
-        UserError: no browser, an unknown layer or camera, a time beyond the end, a size out of range, or a file that
-            cannot be written.
+        UserError: there is no browser, a layer or camera is unknown, the time is beyond the end, the size is out of
+            range, or the file cannot be written.
     """
     if not all(16 <= length <= 8192 for length in size):
         source.close()
         raise UserError(f"The size is {size[0]} x {size[1]} pixels; width and height must be in [16, 8192].")
-    if path is not None and (reason := _why_not(Path(path))):  # said before the flight, not after it
+    if path is not None and (reason := _path_problem(Path(path))):  # before the flight
         source.close()
         raise UserError(f"The picture {path} cannot be written: {reason}.")
     with contextlib.ExitStack() as stack:
@@ -97,34 +97,31 @@ def snapshot(
         dashboard = Dashboard(session, port=0)
         stack.callback(dashboard.close)
         dashboard.show_only(layers)
-        look = _camera(session, camera)
-        if layers is not None and "samples" in layers:
-            session.set_samples(True)
-        # Playwright wants a thread without an event loop; a notebook's has one.
-        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, look, size).result()
+        pose = _camera(session, camera)
+        # Playwright needs a thread without an event loop; that of a notebook has one.
+        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, pose, size).result()
     if path is not None:
         _write(image, Path(path))
     return image
 
 
 def _go_to(session: Session, time: float) -> None:
-    """Go to the tick at or before `time` without a clock."""
+    """Go to the tick at or before `time` [s], as fast as the machine can."""
     if not np.isfinite(time) or time < 0.0:
         raise UserError(f"The time is {time:g} s; it must be a finite number that is not negative.")
-    frame = session.tick()
-    times = session.source.times
-    if times is not None:
-        if time > times[-1] + session.source.period:
-            raise UserError(f"{session.source.name} ends at {times[-1]:.2f} s; give an earlier time.")
+    frame, source = session.tick(), session.source
+    if source.times is not None:
+        if time > source.times[-1] + source.period:
+            raise UserError(f"{source.name} ends at {source.times[-1]:.2f} s; give an earlier time.")
         session.seek(time).result()
         return
-    half = 0.5 * session.source.period
-    while frame.time < time - half:
+    tolerance = 0.5 * source.period
+    while frame.time < time - tolerance:
         frame = session.tick()
-        if frame.outcome is not None and frame.time < time - half:
-            why = "" if frame.explanation is None else f" {frame.explanation}"
+        if frame.outcome is not None and frame.time < time - tolerance:
+            reason = "" if frame.explanation is None else f" {frame.explanation}"
             raise UserError(
-                f"{session.source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time.{why}"
+                f"{source.name} ends at {frame.time:.2f} s ({frame.outcome}); give an earlier time.{reason}"
             )
 
 
@@ -142,25 +139,25 @@ def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tupl
     return position, look_at
 
 
-def _render(dashboard: Dashboard, look: tuple[Any, Any], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Open the page and let it render the scene from `look`, without panels."""
+def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Open the page and render its scene, without panels, for a camera position and look-at point."""
     with launch_chromium() as browser:
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         page.goto(dashboard.url)
         client = _first_client(dashboard, page)
         assert dashboard.drain(), "the frame was not sent"
-        position, look_at = look
+        position, look_at = pose
         view: dict[str, Any] = {"wxyz": orientation(position, look_at), "position": position, "fov": FIELD_OF_VIEW}
         view |= {"transport_format": "png", "timeout": 60.0}
-        before = None
+        previous = None
         for _ in range(20):  # the page builds its nodes over several frames
-            small = client.get_render(size[1] // 4, size[0] // 4, **view)
-            if before is not None and np.array_equal(small, before):
+            preview = client.get_render(size[1] // 4, size[0] // 4, **view)
+            if previous is not None and np.array_equal(preview, previous):
                 break
-            before = small
+            previous = preview
             page.wait_for_timeout(100)
         picture = client.get_render(size[1], size[0], **view)
-    # Where nothing was drawn the picture is transparent.
+    # The picture is transparent where nothing was drawn.
     cover = picture[..., 3:].astype(np.float32) / 255.0
     return (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
 
@@ -169,13 +166,13 @@ def _first_client(dashboard: Dashboard, page: Page) -> Any:
     deadline = clock.monotonic() + 60.0
     while not dashboard.server.get_clients():
         if clock.monotonic() > deadline:
-            raise UserError("The browser did not open the page within 60 s; look whether `aero-viz doctor` finds it.")
+            raise UserError("The browser did not open the page within 60 s; run `aero-viz doctor` to check it.")
         page.wait_for_timeout(50)
     return next(iter(dashboard.server.get_clients().values()))
 
 
-def _why_not(path: Path) -> str:
-    """Return what keeps a picture from being written there, empty for nothing that can be seen beforehand."""
+def _path_problem(path: Path) -> str:
+    """Return why no picture can be written there, empty if nothing prevents it."""
     if path.is_dir():
         return f"it is a folder; give the name of a file, such as {path / 'picture.png'}"
     if path.suffix.lower() != ".png":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +21,7 @@ from aero_viz.flight.simulator import FlightRules, Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel, livox_mid360
-from aero_viz.session.source import Observation, Scenery
+from aero_viz.session.source import Observation, SourceInfo
 
 __all__ = ["KEPT_BYTES", "FlightSource"]
 
@@ -83,9 +84,6 @@ class FlightSource:
         UserError: the tick does not divide the LiDAR's sweep.
     """
 
-    closed_loop = True
-    times = None
-
     def __init__(
         self,
         world: World,
@@ -111,10 +109,15 @@ class FlightSource:
             )
         except ValueError as error:
             raise UserError(f"Cannot fly {world.name!r}: {error}") from error
-        self.name = world.name
-        self.period = rules.period * rules.ticks_per_plan
+        self.info = SourceInfo(
+            name=world.name,
+            closed_loop=True,
+            period=rules.period * rules.ticks_per_plan,
+            start=world.start,
+            world=world,
+            settings=_settings(self._simulator),
+        )
         self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
-        self.scenery = Scenery(start=world.start, world=world)
         self._world, self._seed, self._goal = world, seed, world.goal
         with wp.ScopedDevice(self._simulator.device):
             self._looking = wp.zeros(1, dtype=int)
@@ -230,7 +233,7 @@ class FlightSource:
             [self.outcome],
             period=self._simulator.rules.period,
             seeds=[self._seed],
-            scenes=[self.name],
+            scenes=[self.info.name],
             configs=[""],
             plan_ms=None,
             explanations=[self._explain()],
@@ -312,6 +315,21 @@ class FlightSource:
             assert oldest.points is not None
             self._kept_bytes -= oldest.points.nbytes
             oldest.points = None
+
+
+def _settings(simulator: Simulator) -> dict[str, Any]:
+    """Return what reproduces a flight besides its world, goals and configurations."""
+    models = {
+        "lidar": simulator.lidar.model,
+        "drone": simulator.vehicle.model,
+        "noise": simulator.noise,
+        "rules": simulator.rules,
+    }
+    return {
+        "seed": simulator.seeds[0],
+        "device": simulator.device.alias,
+        **{name: None if model is None else dataclasses.asdict(model) for name, model in models.items()},
+    }
 
 
 def _returns(parts: list[Cloud]) -> Cloud:

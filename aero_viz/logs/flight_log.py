@@ -11,7 +11,6 @@ import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -33,9 +32,9 @@ from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.sinks import Sink
-from aero_viz.session.source import Source
+from aero_viz.session.source import SourceInfo
 
-__all__ = ["FlightLog", "flight_settings", "fly_and_log", "new_points", "record"]
+__all__ = ["FlightLog", "fly_and_log", "new_points", "record"]
 
 _log = logging.getLogger(__name__)
 
@@ -157,13 +156,13 @@ class FlightLog:
             self._channels[message.topic] = self._writer.register_channel(message.topic, "cdr", schema)
         self._writer.add_message(self._channels[message.topic], stamp, message.data, stamp)
 
-    def _attach_source(self, source: Source) -> None:
+    def _attach_source(self, source: SourceInfo) -> None:
         suffix = f"_{self._sources}.json" if self._sources else ".json"
         self._sources += 1
-        world = source.scenery.world
-        if world is not None:
-            self._attach(f"world{suffix}", "application/json", json.dumps(world.to_dict(), allow_nan=False))
-        self._attach(f"flight{suffix}", "application/json", json.dumps(flight_settings(source), allow_nan=False))
+        if source.world is not None:
+            self._attach(f"world{suffix}", "application/json", json.dumps(source.world.to_dict(), allow_nan=False))
+        settings = {"source": source.name, **source.settings}
+        self._attach(f"flight{suffix}", "application/json", json.dumps(settings, allow_nan=False))
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
         self._writer.add_attachment(self._stamp, self._stamp, name, media_type, text.encode())
@@ -197,7 +196,7 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
     ten seconds to catch up; frames that wait even then are dropped like the others.
     """
     log = FlightLog(path)
-    sinks: list[Sink] = []  # empty while the first frame may already be on its way
+    sinks: list[Sink[Frame]] = []  # empty while the first frame may already be on its way
     failed = announced = False
 
     def write(frame: Frame) -> None:
@@ -218,7 +217,7 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
     try:
         yield log
     finally:
-        session.unsubscribe(sink, patience=_PATIENCE)
+        session.unsubscribe(sink, timeout=_PATIENCE)
         sink.close(timeout=None)  # until the last write has ended, the file is that thread's
         if sink.dropped:
             text = f"The flight log {path} lacks {sink.dropped} frames: the disk was too slow for them."
@@ -299,22 +298,3 @@ def fly_and_log(
     if result.reason is None:
         raise FlightInterrupted(result)
     return result
-
-
-def flight_settings(source: Source) -> dict[str, Any]:
-    """Return the name of a source and, of a flight, what repeats it besides its world, goals and configurations."""
-    if not isinstance(source, FlightSource):
-        return {"source": source.name}
-    simulator = source.simulator
-    parts = {
-        "lidar": simulator.lidar.model,
-        "drone": simulator.vehicle.model,
-        "noise": simulator.noise,
-        "rules": simulator.rules,
-    }
-    return {
-        "source": source.name,
-        "seed": simulator.seeds[0],
-        "device": simulator.device.alias,
-        **{name: None if part is None else dataclasses.asdict(part) for name, part in parts.items()},
-    }

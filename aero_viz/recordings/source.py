@@ -13,7 +13,7 @@ from aero_planner.quaternions import rotate, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
 from aero_viz.recordings.recording import PointSweep, Recording
-from aero_viz.session.source import Observation, Scenery
+from aero_viz.session.source import Observation, SourceInfo
 
 __all__ = ["MAX_POINTS", "RecordedPath", "RecordingSource"]
 
@@ -82,8 +82,6 @@ class RecordingSource:
         UserError: a number is out of range.
     """
 
-    closed_loop = False
-
     def __init__(self, recording: Recording, *, goal_ahead: float = 15.0, sweeps: int = 10):
         if sweeps < 1:
             raise UserError(f"sweeps must be at least 1, not {sweeps}: the planner needs a cloud")
@@ -98,14 +96,15 @@ class RecordingSource:
             if inside.any():
                 self._ticks = poses.times[inside]
             self._path = RecordedPath(poses.times, poses.positions)
-        self.times: NDArray[np.float64] | None = self._ticks
-        self.name = recording.path.name
-        self.period = float(np.median(np.diff(self._ticks))) if len(self._ticks) > 1 else 0.1
         self.outcome: str | None = None
-        self.scenery = Scenery(
+        self.info = SourceInfo(
+            name=recording.path.name,
+            closed_loop=False,
+            period=float(np.median(np.diff(self._ticks))) if len(self._ticks) > 1 else 0.1,
             start=self._pose(float(self._ticks[0])).position,
+            times=self._ticks,
             recorded_path=None if poses is None else poses.positions,
-            notices=("open loop: the plan is displayed but not flown", *recording.problems),
+            notices=("Open loop: the plan is displayed but not flown.", *recording.problems),
         )
         self._index = 0
         self._goal: NDArray[np.float64] | None = None

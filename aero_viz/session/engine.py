@@ -1,4 +1,4 @@
-"""One tick after another: source -> planner -> Frame, and jumps in time. Single-threaded; `Session` adds threads."""
+"""The loop source -> planner -> Frame, and jumps in time. Single-threaded; `Session` adds threads."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from aero_planner.planner import History
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
-from aero_viz.session.timeline import Mark, Timeline
+from aero_viz.session.timeline import Checkpoint, Timeline
 
 __all__ = ["Engine"]
 
 
 class Engine:
-    """Owns a source, a planner and the ticks so far.
+    """Owns a source, a planner and a checkpoint of every tick so far.
 
     Args:
-        source: where sweeps and states come from; closed with the engine.
-        configs: the newest configuration is used at every tick.
-        device, seed: of the planner.
+        source: provides sweeps and states; closed with the engine.
+        configs: provides the configuration of every tick.
+        device: Warp device of the planner.
+        seed: seed of the planner's noise.
         publish: called with every frame.
     """
 
@@ -34,10 +35,13 @@ class Engine:
         self, source: Source, *, configs: ConfigHistory, device: str, seed: int, publish: Callable[[Frame], None]
     ) -> None:
         self.source = source
+        """The source in use."""
         self.frame: Frame | None = None
+        """The newest frame."""
         self.samples = False
-        """Whether frames carry the Stage I samples."""
+        """True if frames include the Stage I samples."""
         self.dropped_ticks = 0
+        """Ticks of a recording that were skipped since its start."""
         self._configs = configs
         self._config = configs.present[0]
         self._planner = Planner(self._config, device=device, seed=seed)
@@ -49,12 +53,12 @@ class Engine:
     @property
     def time_range(self) -> tuple[float, float]:
         """First and last time that `seek` can reach [s]."""
-        times = self.source.times
+        times = self.source.info.times
         return (float(times[0]), float(times[-1])) if times is not None and len(times) else self._timeline.time_range
 
     @property
     def planned_config(self) -> PlannerConfig:
-        """Configuration of the newest frame."""
+        """Configuration of the newest plan."""
         return self._config
 
     @property
@@ -62,13 +66,16 @@ class Engine:
         """Source time of the next tick [s]."""
         if self.frame is None:
             return 0.0
-        times = self.source.times
+        times = self.source.info.times
         if times is None:
-            return self.frame.time + self.source.period
+            return self.frame.time + self.source.info.period
         return float(times[min(_row(times, self.frame.time) + 1, len(times) - 1)])
 
     def tick(self) -> Frame:
-        """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again."""
+        """Advance the source by the last plan, then observe, plan and publish.
+
+        Returns the last frame again if the source has ended.
+        """
         if self.frame is None or not self._timeline:
             return self._plan()
         if self.source.outcome is not None:
@@ -77,19 +84,19 @@ class Engine:
         self.source.advance(self.frame.plan)
         advance_ms = 1e3 * (time.perf_counter() - started)
         if self.source.outcome == "end":
-            # A recording that is over has no further tick: what is on screen stays.
+            # A recording has no tick after its last one: keep the last plan.
             return self._publish(dataclasses.replace(self.frame, outcome="end"))
         return self._plan(advance_ms=advance_ms)
 
     def replan(self) -> None:
-        """Plan the present tick again, as if for the first time."""
+        """Plan the current tick again, from the planner's state before its first plan."""
         if self._timeline:
-            self._plan(history=self._timeline.present.history)
+            self._plan(history=self._timeline.current.planner)
 
     def set_goal(self, position: NDArray[np.float64]) -> None:
-        """Move the goal [m], shape [3], world frame; the present tick is planned again, and returned to with it.
+        """Move the goal [m], shape [3], world frame, and plan the current tick again.
 
-        If it cannot be planned to, the goal stays.
+        A later return to this tick keeps the new goal. If planning fails, the previous goal is restored.
         """
         before = self.source.checkpoint()
         self.source.set_goal(position)
@@ -98,46 +105,50 @@ class Engine:
                 self._timeline.amend(self.source.checkpoint())
             self.replan()
         except Exception:
-            # Otherwise every further tick would fail in the same way.
+            # Otherwise every later tick would fail in the same way.
             self.source.restore(before)
             if self._timeline:
                 self._timeline.amend(before)
             raise
 
-    def seek(self, wanted: float) -> None:
-        """Go to the tick at or before `wanted` [s]; ValueError unless it is finite."""
-        if not np.isfinite(wanted):
-            raise ValueError(f"time is {wanted}; it must be a finite number [s].")
-        if self.source.times is not None:
-            self.source.seek(wanted)
-            self._forget()
+    def seek(self, time: float) -> None:
+        """Go to the tick at or before `time` [s]; ValueError unless it is finite."""
+        if not np.isfinite(time):
+            raise ValueError(f"time is {time}; it must be a finite number [s].")
+        if self.source.info.times is not None:
+            self.source.seek(time)
+            self._start_over()
             self._plan()
         elif self._timeline:
-            self._return_to(self._timeline.go_to_time(wanted))
+            self._return_to(self._timeline.go_to_time(time))
 
     def step_back(self, count: int) -> None:
-        """Go back by `count` ticks, or to the first."""
-        if self.source.times is not None and self.frame is not None and self._timeline.earlier < count:
-            self.seek(float(self.source.times[max(_row(self.source.times, self.frame.time) - count, 0)]))
+        """Go back by `count` ticks, or to the first one."""
+        times = self.source.info.times
+        if times is not None and self.frame is not None and self._timeline.earlier < count:
+            self.seek(float(times[max(_row(times, self.frame.time) - count, 0)]))
         elif self._timeline:
             self._return_to(self._timeline.go_by(-count))
 
-    def skip_to(self, wanted: float) -> None:
-        """Drop the ticks of a recording before the one at or before `wanted` [s]; the next tick is that one."""
-        times = self.source.times
+    def skip_to(self, time: float) -> None:
+        """Drop ticks of a recording so that the next tick is the one at or before `time` [s]."""
+        times = self.source.info.times
         if times is None or self.frame is None or self.source.outcome is not None:
             return
-        target = _row(times, wanted)
+        target = _row(times, time)
         skipped = target - _row(times, self.frame.time) - 1
         if skipped > 0:
             self.source.seek(float(times[target - 1]))
             self.dropped_ticks += skipped
 
-    def exchange(self, source: Source) -> None:
-        """Go on with another source from its start. If its first tick fails, it is closed and the present one stays."""
+    def set_source(self, source: Source) -> None:
+        """Continue with another source, from its start.
+
+        If its first tick fails, the new source is closed and the current one stays.
+        """
         before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks)
         self.source, self.dropped_ticks = source, 0
-        self._forget()
+        self._start_over()
         try:
             self._plan()
         except Exception:
@@ -147,20 +158,25 @@ class Engine:
             raise
         before[0].close()
 
-    def _forget(self) -> None:
-        """Start anew at the source's present tick."""
+    def _start_over(self) -> None:
+        """Discard all checkpoints and the previous plan; the source's current tick becomes the first one."""
         self._planner.reset()
         self._timeline = Timeline()
         self._epoch += 1
 
-    def _return_to(self, mark: Mark) -> None:
-        self.source.restore(mark.checkpoint)
+    def _return_to(self, checkpoint: Checkpoint) -> None:
+        self.source.restore(checkpoint.source)
         self._epoch += 1
-        self._plan(history=mark.history)
+        self._plan(history=checkpoint.planner)
 
     def _plan(self, *, history: History | None = None, advance_ms: float = 0.0) -> Frame:
-        """Plan and publish the source's present tick: a new one, or with `history` the timeline's present one again."""
-        mark = history is None
+        """Plan and publish the source's current tick.
+
+        Args:
+            history: the planner's state before a tick that is planned again; None for a new tick.
+            advance_ms: how long the source took to advance to this tick [ms].
+        """
+        is_new = history is None
         config, version = self._configs.present
         started = time.perf_counter()
         observation = self.source.observe()
@@ -170,7 +186,7 @@ class Engine:
         if history is None:
             history = self._planner.history()
         else:
-            # After `configure`: only a planner of the structure that the history comes from takes it up.
+            # Only after `_configure`: the history fits a planner of the same structure.
             self._planner.restore(history)
         plan = self._planner.plan(
             observation.state,
@@ -181,11 +197,11 @@ class Engine:
             samples=self.samples,
         )
         planned = time.perf_counter()
-        if mark:
-            position = observation.actual_state.position
-            self._timeline.append(Mark(observation.time, self.source.checkpoint(), history), position)
+        if is_new:
+            checkpoint = Checkpoint(observation.time, self.source.checkpoint(), history)
+            self._timeline.append(checkpoint, observation.actual_state.position)
             self._tick_ends.append(planned)
-        times = self.source.times
+        times = self.source.info.times
         frame = Frame(
             index=self._timeline.index if times is None else _row(times, observation.time),
             time=observation.time,
@@ -204,7 +220,7 @@ class Engine:
             dropped_ticks=self.dropped_ticks,
             trail=self._timeline.trail(),
             epoch=self._epoch,
-            source=self.source,
+            source=self.source.info,
         )
         return self._publish(frame)
 
@@ -217,7 +233,7 @@ class Engine:
         try:
             self._planner.configure(config)
         except Exception:
-            # Otherwise every further tick would fail in the same way, and every undo would lead back to it.
+            # Otherwise every later tick would fail in the same way, and undo would return to it.
             self._configs.drop(config, self._config)
             raise
         self._config = config

@@ -1,7 +1,8 @@
-"""What the engine publishes: one immutable record per tick, and sentences for the user."""
+"""Records that a session publishes: one immutable frame per tick, and notices for the user."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,46 +10,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig
-from aero_viz.session.source import Observation, Source
+from aero_viz.session.source import Observation, SourceInfo
 
 __all__ = ["Frame", "Notice"]
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Record of one tick: what was seen, what was planned, and how. Never changed after it is published."""
+    """Record of one tick: the planner's input, its plan, and how the plan was computed. Immutable once published."""
 
     index: int
-    """Number of the tick since the source's start; the row in its times for a recording."""
+    """Number of the tick since the source's start; for a recording, the row in `source.times`."""
     time: float
-    """Time in the source [s]."""
+    """Source time [s]."""
     observation: Observation
+    """Input of the planner."""
     plan: Plan
+    """Output of the planner."""
     config: PlannerConfig
+    """Configuration of the planner."""
     config_version: int
-    """Counts the configurations of the session."""
+    """Number of configuration changes in the session so far."""
     outcome: str | None
-    """None while running; see `Source.outcome`."""
+    """None while the source is running; see `Source.outcome`."""
     explanation: str | None
-    """In one sentence what the outcome leaves open; see `Source.explanation`."""
-    timings_ms: dict[str, float]
-    """Duration of "observe", "plan" and of the "advance" that led here [ms]."""
+    """One sentence that explains the outcome; see `Source.explanation`."""
+    timings_ms: Mapping[str, float]
+    """Duration of "observe", of "plan" and of the "advance" that led to this tick [ms]."""
     rate: float
-    """Ticks per second of wall time, over the last second."""
+    """Ticks per wall second, over the last second [Hz]."""
     dropped_ticks: int
-    """Ticks that a recording skipped, or that came too late on a drone, since the source's start. A simulated flight
-    skips none: it runs slower."""
+    """Ticks since the source's start that a recording skipped or a drone missed. A simulated flight drops none: it
+    runs slower instead."""
     trail: NDArray[np.float32]
     """Positions so far [m], shape [n, 3], world frame; read-only."""
     epoch: int
-    """Changes when time jumps or the source is exchanged."""
-    source: Source
-    """Where the observation comes from; its methods belong to the engine, so only read its attributes."""
+    """Changes when time jumps or another source starts."""
+    source: SourceInfo
+    """The source of the observation; another object means another source."""
 
 
 @dataclass(frozen=True)
 class Notice:
-    """A sentence for the user."""
+    """A message for the user."""
 
     level: Literal["info", "error"]
     text: str
+    """One or more sentences."""

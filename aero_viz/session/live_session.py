@@ -1,4 +1,4 @@
-"""A drone that flies elsewhere, as a session for the dashboard."""
+"""Session that shows the live plans of a drone in flight."""
 
 from __future__ import annotations
 
@@ -12,53 +12,50 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-import numpy as np
-
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.session.broadcast import Steerable
+from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.node_client import READ_ONLY, LiveSource, NodeClient
+from aero_viz.session.node_client import NodeClient
 
 __all__ = ["LiveSession"]
 
 _log = logging.getLogger(__name__)
 
 _KEPT = 300
-"""Frames from before a pause that can be returned to, and as many after it: half a minute each at 10 Hz."""
-_OLD = 1.5
-"""Age from which on the page tells how old the newest plan is [s]."""
-_LOOK = 0.25
-"""Time between two looks at that age [s]."""
-_RETRY = 1.0
-"""Time between two attempts to connect again [s]."""
+"""Frames kept from before a pause, and as many from after it: half a minute each at 10 Hz."""
+_STALE_AGE = 1.5
+"""Age of the newest plan from which it is shown to the user [s]."""
+_AGE_CHECK_PERIOD = 0.25
+"""Time between two checks of that age [s]."""
+_RETRY_PERIOD = 1.0
+"""Time between two attempts to reconnect [s]."""
 
 
-class LiveSession(Steerable):
-    """A drone in the place of `aero_viz.session.Session`, for the dashboard: looks on, and can hold still and go back.
+class LiveSession(BaseSession):
+    """Follows a drone in flight. The picture can be paused and moved back in time, but nothing is sent to the drone.
 
     Args:
-        client: the connection; closed with the session. When it ends, another is tried every second.
-        reconnect: makes another connection; None stays with the first.
+        client: the connection; closed with the session. If it ends, the session reconnects once per second.
+        reconnect: opens another connection; None never reconnects.
     """
 
     def __init__(self, client: NodeClient, *, reconnect: Callable[[], NodeClient] | None = None) -> None:
-        super().__init__()
-        self._playing = True
+        super().__init__(playing=True)
         self._client = client
-        self._in_sight = True
+        self._connected = True
         self._reconnect = reconnect
         self._kept: deque[Frame] = deque()
-        self._waiting: Frame | None = None
-        """The newest frame, where the pause has left no room for it among the kept ones."""
-        self._chosen: Frame | None = None
-        """Of the kept ones, the one that is shown."""
+        self._overflow: Frame | None = None
+        """The newest frame, if the pause has filled `_kept`."""
+        self._current: Frame | None = None
+        """The kept frame that is shown."""
         self._shown: Frame | None = None
-        """The same, with what the page is told besides."""
-        self._arrived = 0.0
-        """When the newest frame came [s]."""
-        self._told_age = 0
-        """Age of the newest frame that `_shown` tells [s]; 0: none."""
+        """`_current` with the epoch and the explanation that the page shows."""
+        self._last_arrival = 0.0
+        """When the newest frame arrived [s]."""
+        self._shown_age = 0
+        """Age of the newest frame according to `_shown` [s]; 0 if it is recent."""
         self._epoch = 0
         self._closed = threading.Event()
         self._lock = threading.RLock()
@@ -67,43 +64,33 @@ class LiveSession(Steerable):
             for name, target in (("listen", self._run), ("age", self._watch_age))
         ]
 
-    # --- what anyone may read ---------------------------------------------------------------------------------------
-
-    read_only = True
+    # --- state ------------------------------------------------------------------------------------------------------
 
     @property
-    def waiting(self) -> str:
-        """Whether the drone can be heard, and what it plans from."""
+    def controls(self) -> None:
+        """None: a drone in flight takes no commands from here."""
+        return None
+
+    @property
+    def waiting_message(self) -> str:
+        """Text for the user as long as there is no frame."""
         name = self._client.name
-        if not self._in_sight:
-            return f"{name} is out of sight, and had not planned yet."
+        if not self._connected:
+            return f"The connection to {name} was lost before its first plan."
         return (
-            f"Connected to {name}, which has not planned yet: for that it needs states from the autopilot, points from "
-            "the LiDAR, and a goal."
+            f"Connected to {name}, which has not planned yet: it needs states from the autopilot, points from the "
+            "LiDAR, and a goal."
         )
 
     @property
     def frame(self) -> Frame | None:
-        """The frame to be shown."""
+        """The frame to show; None before the first plan."""
         return self._shown
 
     @property
-    def source(self) -> LiveSource:
-        """What is known of the drone."""
-        shown = self._shown
-        if shown is not None:
-            return shown.source  # type: ignore[return-value]
-        return LiveSource(self._client.name, 1.0 / self._client.onboard.rates.replan, np.zeros(3))
-
-    @property
     def config(self) -> PlannerConfig:
-        """The configuration that the drone flies with."""
+        """The drone's configuration."""
         return self._client.config
-
-    @property
-    def speed(self) -> float:
-        """A drone's time is everyone's."""
-        return 1.0
 
     @property
     def time_range(self) -> tuple[float, float]:
@@ -111,14 +98,14 @@ class LiveSession(Steerable):
         with self._lock:
             return (self._kept[0].time, self._kept[-1].time) if self._kept else (0.0, 0.0)
 
-    # --- what the page may do ---------------------------------------------------------------------------------------
+    # --- playback ---------------------------------------------------------------------------------------------------
 
     def play(self) -> None:
         """Follow the drone again."""
         with self._lock:
             self._set_playing(True)
-            if self._waiting is not None:
-                self._kept, self._waiting = deque([self._waiting]), None
+            if self._overflow is not None:
+                self._kept, self._overflow = deque([self._overflow]), None
             if self._kept:
                 self._jump_to(self._kept[-1])
 
@@ -128,86 +115,45 @@ class LiveSession(Steerable):
             self._set_playing(False)
 
     def step(self, count: int = 1) -> Future[Any]:
-        """Hold the picture and go `count` frames on, or back when negative, half a minute from the pause at most."""
+        """Hold the picture and move by `count` frames, backward if negative; half a minute from the pause at most."""
         with self._lock:
             self._set_playing(False)
-            if self._chosen is not None:
-                place = self._kept.index(self._chosen) + count
+            if self._current is not None:
+                place = self._kept.index(self._current) + count
                 self._jump_to(self._kept[min(max(place, 0), len(self._kept) - 1)])
-        return _done()
+        return _completed()
 
     def seek(self, time: float) -> Future[Any]:
-        """Show the frame at or before `time` [s], or the oldest that is kept."""
+        """Show the frame at or before `time` [s], or the oldest one kept."""
         with self._lock:
             earlier = [frame for frame in self._kept if frame.time <= time + 1e-9]
             if self._kept:
                 self._jump_to(earlier[-1] if earlier else self._kept[0])
-        return _done()
-
-    def set_samples(self, wanted: bool) -> Future[Any]:
-        """Samples stay on the drone."""
-        if wanted:
-            self.notify("The drone does not send its samples: they would fill the link.")
-        return _done()
-
-    def set_speed(self, speed: float) -> None:
-        """A drone's time can't be changed."""
-        self.notify("The drone flies in its own time; pause, and step or go back, to look closer.", level="error")
-
-    def set_goal(self, position: Any, *, quiet: bool = False) -> Future[Any]:
-        """The goal is the drone's; see `Session.set_goal`."""
-        return self._refuse(quiet=quiet)
-
-    def set_source(self, source: Any) -> Future[Any]:
-        """There is no other source than the drone."""
-        return self._refuse()
-
-    def configure(self, change: Any) -> PlannerConfig:
-        """The settings are the drone's.
-
-        Raises:
-            UserError: always.
-        """
-        raise UserError(READ_ONLY)
-
-    def undo(self) -> PlannerConfig:
-        """See `configure`."""
-        raise UserError(READ_ONLY)
-
-    def redo(self) -> PlannerConfig:
-        """See `configure`."""
-        raise UserError(READ_ONLY)
-
-    def _refuse(self, *, quiet: bool = False) -> Future[Any]:
-        if not quiet:
-            self.notify(READ_ONLY, level="error")
-        future: Future[Any] = Future()
-        future.set_exception(UserError(READ_ONLY))
-        return future
+        return _completed()
 
     def _jump_to(self, frame: Frame) -> None:
         self._epoch += 1
         self._show(frame)
 
     def _show(self, frame: Frame) -> None:
-        self._chosen = frame
-        self._told_age = self._age()
-        told: dict[str, Any] = {"epoch": self._epoch}
-        if self._told_age:
-            words = (frame.explanation, f"The newest plan is {self._told_age} s old.")
-            told |= {"rate": 0.0, "explanation": " ".join(filter(None, words))}
-        self._shown = dataclasses.replace(frame, **told)
+        self._current = frame
+        self._shown_age = self._stale_age()
+        changes: dict[str, Any] = {"epoch": self._epoch}
+        if self._shown_age:
+            sentences = (frame.explanation, f"The newest plan is {self._shown_age} s old.")
+            changes |= {"rate": 0.0, "explanation": " ".join(filter(None, sentences))}
+        self._shown = dataclasses.replace(frame, **changes)
         self._frames.publish(self._shown)
 
-    def _age(self) -> int:
-        """Age of the newest frame in whole seconds, 0 for one that is new enough."""
-        age = time.monotonic() - self._arrived
-        return round(age) if age > _OLD else 0
+    def _stale_age(self) -> int:
+        """Return the age of the newest frame in whole seconds, 0 if it is recent."""
+        age = time.monotonic() - self._last_arrival
+        return round(age) if age > _STALE_AGE else 0
 
-    # --- listening --------------------------------------------------------------------------------------------------
+    # --- connection -------------------------------------------------------------------------------------------------
 
     def start(self, *, play: bool = True) -> None:
-        """Start to listen."""
+        """Start to receive frames."""
         self._set_playing(play)
         for thread in self._threads:
             thread.start()
@@ -216,57 +162,56 @@ class LiveSession(Steerable):
         while not self._closed.is_set():
             try:
                 for item in self._client:
-                    self._take(item)
-                reason = "the connection has ended"
+                    self._receive(item)
+                reason = "the drone closed it"
             except UserError as error:
                 reason = str(error)
             self._client.close()
             if self._closed.is_set():
                 return
-            self._in_sight = False
+            self._connected = False
             _log.warning("%s: %s", self._client.name, reason)
-            self.notify(f"The drone is out of sight: {reason}", level="error")
-            if self._reconnect is None or not self._find_again():
+            self.notify(f"The connection to the drone is lost: {reason}", level="error")
+            if self._reconnect is None or not self._try_to_reconnect(self._reconnect):
                 return
 
-    def _find_again(self) -> bool:
-        assert self._reconnect is not None
-        while not self._closed.wait(_RETRY):
+    def _try_to_reconnect(self, reconnect: Callable[[], NodeClient]) -> bool:
+        while not self._closed.wait(_RETRY_PERIOD):
             with contextlib.suppress(UserError):
-                client = self._reconnect()
-                self._client, self._in_sight = client, True
-                self.notify("The drone is in sight again.")
+                self._client = reconnect()
+                self._connected = True
+                self.notify("The drone is connected again.")
                 return True
         return False
 
-    def _take(self, item: Frame | Notice) -> None:
+    def _receive(self, item: Frame | Notice) -> None:
         if isinstance(item, Notice):
             self._notices.publish(item)
             return
         with self._lock:
-            self._arrived = time.monotonic()
-            another = bool(self._kept) and self._kept[-1].source is not item.source  # connected again
-            if not self._playing and (another or len(self._kept) >= 2 * _KEPT):
-                self._waiting = item  # what is held to be studied stays
+            self._last_arrival = time.monotonic()
+            reconnected = bool(self._kept) and self._kept[-1].source is not item.source
+            if not self._playing and (reconnected or len(self._kept) >= 2 * _KEPT):
+                self._overflow = item  # a pause keeps the frames that are being studied
             else:
-                if another:
+                if reconnected:
                     self._kept.clear()
                     self._epoch += 1
                 self._kept.append(item)
                 while self._playing and len(self._kept) > _KEPT:
                     self._kept.popleft()
-            if self._playing or self._chosen is None:
+            if self._playing or self._current is None:
                 self._show(item)
 
     def _watch_age(self) -> None:
-        """Tell the page, where no frame comes, how old the newest one is; and that it no longer is."""
-        while not self._closed.wait(_LOOK):
+        """Publish the current frame again whenever the age shown with it is out of date."""
+        while not self._closed.wait(_AGE_CHECK_PERIOD):
             with self._lock:
-                if self._chosen is not None and self._told_age != self._age():
-                    self._show(self._chosen)
+                if self._current is not None and self._shown_age != self._stale_age():
+                    self._show(self._current)
 
     def close(self) -> None:
-        """End the connection and the sinks."""
+        """Close the connection and the sinks."""
         self._closed.set()
         self._client.close()
         for thread in self._threads:
@@ -275,7 +220,7 @@ class LiveSession(Steerable):
         self.close_sinks()
 
 
-def _done() -> Future[Any]:
+def _completed() -> Future[Any]:
     future: Future[Any] = Future()
     future.set_result(None)
     return future

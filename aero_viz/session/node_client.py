@@ -1,4 +1,4 @@
-"""A drone's live plan on the desk: the telemetry of `aero-planner run` as frames. Read-only: nothing is sent there."""
+"""Client of `aero-planner run`: turns its telemetry into frames. It only receives; nothing is sent to the drone."""
 
 from __future__ import annotations
 
@@ -18,84 +18,37 @@ from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP
 from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.source import Observation, Scenery
+from aero_viz.session.source import Observation, SourceInfo
 
-__all__ = ["READ_ONLY", "LiveSource", "NodeClient"]
+__all__ = ["NodeClient"]
 
 _CHUNK = 1 << 18
 _RATE_WINDOW = 2.0
-"""Time over which plans are counted [s]."""
+"""Time over which the rate of plans is measured [s]."""
 _KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPALIVE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
-"""Silence before the first probe [s], by its names on Linux and macOS; time between two [s]; probes that may fail."""
-READ_ONLY = "The drone flies with its own settings; nothing can be changed from here."
-
-
-class LiveSource:
-    """What the dashboard reads of a drone; it implements the attributes of `aero_viz.session.source.Source`.
-
-    Args:
-        name: of the node.
-        period: of its plans [s].
-        start: first known position [m], shape [3].
-    """
-
-    closed_loop = True
-    times: NDArray[np.float64] | None = None
-    outcome: str | None = None
-    explanation: str | None = None
-
-    def __init__(self, name: str, period: float, start: Any) -> None:
-        self.name = name
-        self.period = period
-        told = ("Live: this is the drone's own plan. The page looks on and steers nothing.",)
-        self.scenery = Scenery(start=np.asarray(start, dtype=np.float64), notices=told)
-
-    def observe(self) -> Observation:
-        """Frames come by themselves."""
-        raise TypeError(READ_ONLY)
-
-    def advance(self, plan: Plan) -> None:
-        """The drone flies by itself."""
-        raise TypeError(READ_ONLY)
-
-    def checkpoint(self) -> object:
-        """A flight that happens can't be repeated."""
-        raise TypeError(READ_ONLY)
-
-    def restore(self, checkpoint: object) -> None:
-        """See `checkpoint`."""
-        raise TypeError(READ_ONLY)
-
-    def seek(self, time: float) -> None:
-        """See `checkpoint`."""
-        raise TypeError(READ_ONLY)
-
-    def set_goal(self, position: Any) -> None:
-        """The goal is the drone's."""
-        raise UserError(READ_ONLY)
-
-    def close(self) -> None:
-        """Nothing to release."""
+"""Silence before the first probe [s] (its names on Linux and macOS), time between probes [s], failures allowed."""
+_NOTICE = "Live: this is the drone's own plan. The page only shows it and controls nothing."
 
 
 class NodeClient:
-    """A connection to a node.
+    """Connection to a node.
 
     Args:
         host: name or address of the drone.
-        port: TCP port, `telemetry.port` of its settings.
-        timeout: longest wait for the connection and the first message [s].
+        port: TCP port; `telemetry.port` in the node's settings.
+        timeout: longest wait for the connection and for the first message [s].
 
     Raises:
-        UserError: nobody answers there, or somebody who is no node of this release.
-
-    Attributes:
-        config: of the planner on the drone.
-        onboard: settings of the node.
+        UserError: nothing answers there, or what answers is not a node of this release.
     """
 
     def __init__(self, host: str, port: int = 14650, *, timeout: float = 5.0) -> None:
         self.name = f"{host}:{port}"
+        """Address of the node."""
+        self.config: PlannerConfig
+        """Configuration of the drone's planner."""
+        self.onboard: OnboardConfig
+        """Settings of the node."""
         self._reader = MessageReader()
         self._ready: deque[Message] = deque()
         try:
@@ -103,14 +56,14 @@ class NodeClient:
         except (OSError, UnicodeError) as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             raise UserError(
-                f"No node answers at {self.name}: {reason}; start `aero-planner run` there, and let its "
-                "telemetry.host be an address that this computer reaches."
+                f"No node answers at {self.name}: {reason}; start `aero-planner run` there, and set its "
+                "telemetry.host to an address that this computer can reach."
             ) from error
         try:
             try:
                 hello = self._receive()
             except TimeoutError as error:
-                raise UserError(f"Something answers at {self.name}, but says nothing; it is no node.") from error
+                raise UserError(f"Something listens at {self.name} but sends nothing; it is no node.") from error
             except OSError:
                 hello = None
             if hello is None or hello.kind != Kind.HELLO:
@@ -124,7 +77,7 @@ class NodeClient:
             except (KeyError, AttributeError, ValueError) as error:
                 raise UserError(
                     f"The node at {self.name} has other settings than this program knows ({error}); install the same "
-                    "release on both."
+                    "release on both computers."
                 ) from error
             self._socket.settimeout(None)
             _keep_alive(self._socket)
@@ -136,11 +89,11 @@ class NodeClient:
     def __iter__(self) -> Iterator[Frame | Notice]:
         """Yield frames, and a notice for each transition of the drone's safety state, until the connection ends.
 
-        A node without a goal is silent for as long as it likes; one that the network no longer leads to is given up
+        A node without a goal may be silent for any time. A node that the network no longer reaches counts as lost
         after a few seconds.
 
         Raises:
-            UserError: the connection is lost, or what comes is damaged.
+            UserError: the connection is lost, or a message is damaged.
         """
         while (message := self._next()) is not None:
             if message.kind == Kind.CHANGE:
@@ -149,21 +102,21 @@ class NodeClient:
                 try:
                     frame = self._frames.make(message)
                 except (KeyError, IndexError, TypeError, ValueError) as error:
-                    raise UserError(f"What the node at {self.name} sends is no plan: {error!r}.") from error
+                    raise UserError(f"The node at {self.name} sent a malformed plan: {error!r}.") from error
                 yield frame
 
     def close(self) -> None:
-        """End the connection; an iteration in another thread ends, too."""
+        """Close the connection, which also ends an iteration in another thread."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
     def _next(self) -> Message | None:
-        """Return the next message, None when there will be none."""
+        """Return the next message, None at the end of the connection."""
         try:
             return self._receive()
         except OSError as error:
-            if self._socket.fileno() < 0:  # closed by us
+            if self._socket.fileno() < 0:  # by `close`
                 return None
             reason = error.strerror or str(error)
             raise UserError(f"the connection to {self.name} is lost: {reason}.") from error
@@ -181,9 +134,9 @@ class NodeClient:
 
 
 def _keep_alive(connection: socket.socket) -> None:
-    """Let the system ask the other end whether it is still there: who only reads learns of a lost link in no other way.
+    """Let the system probe the connection: a peer that only receives cannot notice a lost link otherwise.
 
-    Where the platform can't set one of the times, its own holds.
+    A time that the platform cannot set keeps its system default.
     """
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in _KEEPALIVE.items():
@@ -192,26 +145,28 @@ def _keep_alive(connection: socket.socket) -> None:
 
 
 class _FrameMaker:
-    """Makes frames of messages."""
+    """Turns messages into frames."""
 
     def __init__(self, name: str, config: PlannerConfig, period: float) -> None:
         self._name, self._config, self._period = name, config, period
-        self._source: LiveSource | None = None
-        self._began = 0.0
+        self._source: SourceInfo | None = None
+        self._start_time = 0.0
         self._trail = np.empty((1024, 3), dtype=np.float32)
         self._count = 0
         self._recent: deque[tuple[float, int]] = deque()
 
     def make(self, message: Message) -> Frame:
         values, arrays = message.values, message.arrays
-        measured, when = _state(arrays, "measured"), float(values["time"])
+        measured, time = _state(arrays, "measured"), float(values["time"])
         position = np.asarray(measured.position)
         if self._source is None:
-            self._began = when
-            self._source = LiveSource(self._name, self._period, position)
+            self._start_time = time
+            self._source = SourceInfo(
+                self._name, closed_loop=True, period=self._period, start=position, notices=(_NOTICE,)
+            )
         points = (position + arrays["points"] * POINT_STEP).astype(np.float32).reshape(-1, 3)
         observation = Observation(
-            time=when - self._began,
+            time=time - self._start_time,
             state=measured,
             goal=Goal(arrays["goal"].reshape(3)),
             points=points,
@@ -226,7 +181,7 @@ class _FrameMaker:
             dropped_points=int(values["dropped_points"]),
             stage_ms=dict(values["stage_ms"]),
         )
-        plan.command  # noqa: B018 - raises where the parts do not fit each other
+        plan.command  # noqa: B018 - raises an error if the shapes are inconsistent
         return Frame(
             index=int(values["number"]),
             time=observation.time,
@@ -237,22 +192,22 @@ class _FrameMaker:
             outcome=None,
             explanation=_explanation(State[values["safety"]], values["missing"]),
             timings_ms={"observe": 0.0, "plan": float(values["plan_ms"]), "advance": 0.0},
-            rate=self._rate(when, int(values["number"])),
+            rate=self._rate(time, int(values["number"])),
             dropped_ticks=int(values["late_ticks"]),
-            trail=self._moved_to(position),
+            trail=self._extend_trail(position),
             epoch=0,
             source=self._source,
         )
 
-    def _rate(self, when: float, number: int) -> float:
-        """Plans per second lately, also those that were not sent."""
-        self._recent.append((when, number))
-        while when - self._recent[0][0] > _RATE_WINDOW:
+    def _rate(self, time: float, number: int) -> float:
+        """Return the recent rate of plans [Hz], including plans that were not sent."""
+        self._recent.append((time, number))
+        while time - self._recent[0][0] > _RATE_WINDOW:
             self._recent.popleft()
-        first, count = self._recent[0]
-        return (number - count) / (when - first) if when > first else 0.0
+        first_time, first_number = self._recent[0]
+        return (number - first_number) / (time - first_time) if time > first_time else 0.0
 
-    def _moved_to(self, position: Any) -> Any:
+    def _extend_trail(self, position: NDArray[np.float64]) -> NDArray[np.float32]:
         if self._count == len(self._trail):
             self._trail = np.concatenate((self._trail, np.empty_like(self._trail)))
         self._trail[self._count] = position
@@ -263,10 +218,10 @@ class _FrameMaker:
 
 
 def _state(arrays: Mapping[str, Any], name: str) -> VehicleState:
-    position, velocity, quaternion, when = (
+    position, velocity, quaternion, time = (
         arrays[f"{name}.{part}"] for part in ("position", "velocity", "quaternion", "time")
     )
-    return VehicleState(position.reshape(3), velocity.reshape(3), quaternion.reshape(4), None, float(when))
+    return VehicleState(position.reshape(3), velocity.reshape(3), quaternion.reshape(4), None, float(time))
 
 
 def _explanation(state: State, missing: list[str]) -> str:

@@ -1,4 +1,4 @@
-"""The session: an engine with a clock, sinks, and commands from any thread. Headless; knows nothing of the page."""
+"""The session: an engine with a clock, sinks, and commands from any thread. Headless."""
 
 from __future__ import annotations
 
@@ -10,36 +10,37 @@ from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.session.broadcast import Steerable
+from aero_viz.session.base import BaseSession, SessionControls
 from aero_viz.session.clock import Clock
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
-from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.source import Source
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import Source, SourceInfo
 
-__all__ = ["Frame", "Notice", "Session"]
+__all__ = ["Session"]
 
 _log = logging.getLogger(__name__)
-_EXPECTED = (UserError, ValueError)
+_USER_MISTAKES = (UserError, ValueError)
 _CATCH_UP = 0.1
-"""A flight that is late by up to this makes up for it by and by [s of wall time]: other work comes in bursts."""
+"""Delay up to which a flight catches up with the clock [s of wall time], since other processes run in bursts."""
 
 
-class Session(Steerable):
+class Session(BaseSession):
     """Owns a source, a planner and the clock.
 
-    Either call `tick` yourself, as fast as you like, or `start` a thread that keeps time and control it from any thread
-    with `play`, `pause`, `step`, `seek`, `speed` and the setters. Commands take effect between two ticks; those that
-    come after `close` are cancelled.
+    Either call `tick` in a loop, as fast as the machine can, or call `start`, which ticks on a separate thread in step
+    with the clock. All other methods may be called from any thread. They take effect between two ticks; after `close`
+    they are cancelled.
 
     Args:
-        source: where sweeps and states come from; closed with the session.
-        config: of the planner.
-        device: of the planner.
-        seed: of the planner's noise.
+        source: provides sweeps and states; closed with the session.
+        config: configuration of the planner; None is the default.
+        device: Warp device of the planner.
+        seed: seed of the planner's noise.
     """
 
     def __init__(
@@ -52,11 +53,17 @@ class Session(Steerable):
         self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._closed = False
-        # Who uses the engine holds it, until a thread is started that alone does.
+        # Protects the engine until `start`; from then on only the session's thread uses the engine.
         self._lock = threading.RLock()
-        self._told_end: int | None = None
+        self._announced_epoch: int | None = None
+        """Epoch of the last frame whose outcome was announced."""
 
-    # --- what anyone may read ---------------------------------------------------------------------------------------
+    # --- state ------------------------------------------------------------------------------------------------------
+
+    @property
+    def controls(self) -> SessionControls:
+        """The session itself: it takes every command."""
+        return self
 
     @property
     def frame(self) -> Frame | None:
@@ -64,18 +71,18 @@ class Session(Steerable):
         return self._engine.frame
 
     @property
-    def source(self) -> Source:
-        """The source in use; only read its attributes."""
-        return self._engine.source
+    def source(self) -> SourceInfo:
+        """Facts about the source in use."""
+        return self._engine.source.info
 
     @property
     def config(self) -> PlannerConfig:
-        """The configuration that the next tick will use."""
+        """Configuration of the next tick."""
         return self._configs.present[0]
 
     @property
     def speed(self) -> float:
-        """Source time per wall time."""
+        """Source time that passes per wall time."""
         return self._clock.speed
 
     @property
@@ -83,13 +90,13 @@ class Session(Steerable):
         """First and last time that `seek` can reach [s]."""
         return self._engine.time_range
 
-    # --- commands, from any thread ----------------------------------------------------------------------------------
+    # --- commands ---------------------------------------------------------------------------------------------------
 
     def play(self) -> None:
-        """Let time go on; at the end, start again from the beginning."""
+        """Resume playback, from the beginning if the source has ended."""
 
         def command() -> None:
-            if self.source.outcome is not None:
+            if self._engine.source.outcome is not None:
                 self._engine.seek(self.time_range[0])
             self._set_playing(True)
             self._clock.restart(self._engine.next_time)
@@ -97,11 +104,11 @@ class Session(Steerable):
         self._post(command)
 
     def pause(self) -> None:
-        """Hold time; parameters still act on the plan."""
+        """Stop time at the current tick. Parameters still change its plan."""
         self._post(lambda: self._set_playing(False))
 
     def step(self, count: int = 1) -> Future[Any]:
-        """Pause and go `count` ticks on, or back when negative."""
+        """Pause and move by `count` ticks, backward if negative."""
 
         def command() -> None:
             self._set_playing(False)
@@ -113,8 +120,10 @@ class Session(Steerable):
         return self._post(command)
 
     def seek(self, time: float) -> Future[Any]:
-        """Go to the tick at or before `time` [s]. A flight can go back to any tick flown, and from there on
-        differently."""
+        """Go to the tick at or before `time` [s].
+
+        A flight can return to any tick flown so far, and continue differently from there.
+        """
 
         def command() -> None:
             self._engine.seek(time)
@@ -123,7 +132,7 @@ class Session(Steerable):
         return self._post(command)
 
     def set_speed(self, speed: float) -> None:
-        """Set source time per wall time; ValueError unless it lies in [0.01, 100]."""
+        """Set the source time that passes per wall time; ValueError unless it is in [0.01, 100]."""
         if not 0.01 <= speed <= 100.0:
             raise ValueError(f"speed is {speed:g}; it must be in [0.01, 100].")
 
@@ -132,12 +141,15 @@ class Session(Steerable):
 
         self._post(command)
 
-    def set_goal(self, position: Any, *, quiet: bool = False) -> Future[Any]:
-        """Move the goal [m], shape [3], world frame; one that can't be flown to is refused, and the goal stays.
+    def set_goal(self, position: ArrayLike, *, quiet: bool = False) -> Future[Any]:
+        """Move the goal. The source refuses a position that cannot be flown to; the goal then stays.
 
         Args:
-            position: where to.
-            quiet: tell of a refusal in the future only, not in a notice: for one of many positions in a row.
+            position: new goal [m], shape [3], world frame.
+            quiet: report a refusal in the future only, without a notice; for one of many positions in a row.
+
+        Raises:
+            ValueError: the position is not three finite numbers.
         """
         goal = np.asarray(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
@@ -145,46 +157,46 @@ class Session(Steerable):
 
         def command() -> None:
             self._engine.set_goal(goal)
-            if self.source.outcome is None:
-                self._told_end = None  # a flight that goes on ends once more
+            if self._engine.source.outcome is None:
+                self._announced_epoch = None  # the flight continues and will end once more
 
         return self._post(command, quiet=quiet)
 
     def set_source(self, source: Source) -> Future[Any]:
-        """Go on with another source from its start. If its first tick fails, the present one stays.
+        """Continue with another source, from its start. If its first tick fails, the current source stays.
 
-        The session closes the source, also one that it does not take.
+        The session closes `source` in either case.
         """
 
         def command() -> None:
-            self._engine.exchange(source)
+            self._engine.set_source(source)
             self._clock.restart(self._engine.next_time)
 
         future = self._post(command)
         future.add_done_callback(lambda done: source.close() if done.cancelled() else None)
         return future
 
-    def set_samples(self, wanted: bool) -> Future[Any]:
-        """Let frames carry the Stage I samples or not."""
+    def set_samples(self, enabled: bool) -> Future[Any]:
+        """Include the Stage I samples in frames, or leave them out."""
 
         def command() -> None:
-            self._engine.samples = wanted
+            self._engine.samples = enabled
             self._engine.replan()
 
         return self._post(command)
 
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
-        """Use another configuration, or the present one with some parameters changed, from the next tick on.
+        """Use another configuration, or change some parameters of the current one, from the next tick on.
 
         Raises:
-            ValueError: a parameter is unknown or out of its bounds; the present configuration stays.
+            ValueError: a parameter is unknown or out of its bounds; the current configuration stays.
         """
         config = self._configs.change(change)
         self._post(self._replan_if_changed)
         return config
 
     def undo(self) -> PlannerConfig:
-        """Return to the configuration before the present one."""
+        """Return to the configuration before the current one."""
         return self._go_to_config(-1)
 
     def redo(self) -> PlannerConfig:
@@ -197,7 +209,7 @@ class Session(Steerable):
         return config
 
     def _post(self, command: Callable[[], Any], *, quiet: bool = False) -> Future[Any]:
-        """Run `command` between two ticks; where no thread keeps the time and no other ticks just now, at once."""
+        """Run `command` between two ticks: immediately if the session has no thread and nobody is ticking it."""
         future: Future[Any] = Future()
 
         def run() -> None:
@@ -209,18 +221,21 @@ class Session(Steerable):
                 future.set_result(command())
             except Exception as error:
                 future.set_exception(error)
-                if not (quiet and isinstance(error, _EXPECTED)):
+                if not (quiet and isinstance(error, _USER_MISTAKES)):
                     self._report(error)
 
         self._commands.put(run)
         if self._closed:
             future.cancel()
-        self._run_waiting()
+        self._run_commands()
         return future
 
-    def _run_waiting(self) -> None:
-        """Run the commands so far, where no thread of the session does. Who ticks just now runs them afterwards: to
-        wait for the lock instead could take long, as a loop of ticks hardly lets go of it."""
+    def _run_commands(self) -> None:
+        """Run the queued commands, unless the session has a thread that does.
+
+        If another thread is ticking, that thread runs them after its tick. Waiting for the lock instead could take
+        long, since a loop of ticks hardly ever releases it.
+        """
         while self._thread is None and not self._commands.empty() and self._lock.acquire(blocking=False):
             try:
                 while self._thread is None and not self._commands.empty():
@@ -231,17 +246,19 @@ class Session(Steerable):
 
     def _report(self, error: Exception) -> None:
         self.notify(str(error) or type(error).__name__, level="error")
-        _log.error("%s", error, exc_info=None if isinstance(error, _EXPECTED) else error)
+        _log.error("%s", error, exc_info=None if isinstance(error, _USER_MISTAKES) else error)
 
     def _replan_if_changed(self) -> None:
-        # Of many changes in a row only the last one is planned.
+        # After many changes in a row, only the last one is planned.
         if not self._playing and self.config is not self._engine.planned_config:
             self._engine.replan()
 
-    # --- keeping time -----------------------------------------------------------------------------------------------
+    # --- ticks ------------------------------------------------------------------------------------------------------
 
     def tick(self) -> Frame:
-        """Advance the source by the last plan, observe, plan, publish. At the end the last frame is returned again.
+        """Advance the source by the last plan, then observe, plan and publish.
+
+        Returns the last frame again if the source has ended.
 
         Raises:
             RuntimeError: the session was started, so that its own thread ticks, or it is closed.
@@ -249,26 +266,31 @@ class Session(Steerable):
         try:
             with self._lock:
                 if self._closed:
-                    raise RuntimeError("the session is closed; make another one.")
+                    raise RuntimeError("the session is closed; create another one.")
                 if self._thread is not None:
                     raise RuntimeError("the session was started and ticks by itself; use step(), play() and pause().")
-                self._run_waiting()
+                self._run_commands()
                 return self._tick()
         finally:
-            self._run_waiting()
+            self._run_commands()
 
     def _tick(self) -> Frame:
         frame = self._engine.tick()
-        if self.source.outcome is not None:
+        outcome = self._engine.source.outcome
+        if outcome is not None:
             self._set_playing(False)
-            if self._told_end != frame.epoch:
-                self._told_end = frame.epoch
-                words = [f"{self.source.name}: {_OUTCOMES.get(self.source.outcome, self.source.outcome)}"]
-                self.notify(" ".join(words if frame.explanation is None else [*words, frame.explanation]))
+            if self._announced_epoch != frame.epoch:
+                self._announced_epoch = frame.epoch
+                sentences = [f"{self.source.name}: {_OUTCOMES.get(outcome, outcome)}"]
+                self.notify(" ".join(sentences if frame.explanation is None else [*sentences, frame.explanation]))
         return frame
 
     def start(self, *, play: bool = True) -> None:
-        """Start the thread that keeps time; RuntimeError when the session was started before or is closed."""
+        """Start the thread that ticks in step with the clock.
+
+        Raises:
+            RuntimeError: the session was started before, or it is closed.
+        """
         with self._lock:
             if self._thread is not None or self._closed:
                 raise RuntimeError(f"the session {'is closed' if self._closed else 'was already started'}.")
@@ -276,7 +298,7 @@ class Session(Steerable):
             self._thread.start()
 
     def _run(self, play: bool) -> None:
-        if self._try_tick() and play and self.source.outcome is None:
+        if self._try_tick() and play and self._engine.source.outcome is None:
             self._set_playing(True)
             self._clock.restart(self._engine.next_time)
         while True:
@@ -301,24 +323,24 @@ class Session(Steerable):
         return True
 
     def _keep_up(self) -> None:
-        """When planning takes too long, a recording skips ticks and a flight runs slower."""
-        late = self._clock.now() - self._engine.next_time
+        """Handle planning that takes too long: a recording skips ticks, a flight runs slower."""
+        delay = self._clock.now() - self._engine.next_time
         if self.source.times is not None:
             self._engine.skip_to(self._clock.now())
-        elif late > max(self.source.period, _CATCH_UP * self.speed):
+        elif delay > max(self.source.period, _CATCH_UP * self.speed):
             self._clock.restart(self._engine.next_time)
 
     def close(self) -> None:
-        """End the thread, the sinks, the source and the planner."""
+        """Stop the thread and close the sinks, the source and the planner."""
         with self._lock:
             self._closed = True
-        self._run_waiting()
+        self._run_commands()
         if self._thread is not None:
             self._commands.put(None)
             self._thread.join(timeout=10.0)
         self.close_sinks()
         if self._thread is None or not self._thread.is_alive():
-            self._engine.close()  # never under a thread that is still planning with it
+            self._engine.close()  # never while a thread still plans with it
 
 
 _OUTCOMES = {

@@ -6,37 +6,39 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Generic, TypeVar
 
 __all__ = ["Publisher", "Sink"]
+
+T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
 
 
-class Sink:
-    """Calls a function with each item, from a thread of its own.
+class Sink(Generic[T]):
+    """Calls a function with each item, on its own thread.
 
     Args:
-        callback: called with one item at a time; what it raises is logged and counted, and the next item is delivered.
-        capacity: items that may wait. When full, the oldest is dropped: 1 delivers the newest.
-        name: of the thread and in the log.
+        callback: called with one item at a time. An exception is logged and counted; the next item is still delivered.
+        capacity: number of items that may wait. When full, the oldest is dropped: 1 delivers the newest.
+        name: of the thread, also in the log.
     """
 
-    def __init__(self, callback: Callable[[Any], None], *, capacity: int = 1, name: str = "sink") -> None:
+    def __init__(self, callback: Callable[[T], None], *, capacity: int = 1, name: str = "sink") -> None:
         self._callback = callback
-        self._items: deque[Any] = deque(maxlen=capacity)
+        self._items: deque[T] = deque(maxlen=capacity)
         self._changed = threading.Condition()
         self._busy = False
         self._closed = False
         self.dropped = 0
-        """Items that were never delivered."""
+        """Number of items that were never delivered."""
         self.failures = 0
-        """Items that the callback raised at."""
+        """Number of items for which the callback raised an exception."""
         self._thread = threading.Thread(target=self._run, name=f"aero-viz-{name}", daemon=True)
         self._thread.start()
 
-    def put(self, item: Any) -> None:
-        """Hand over an item without waiting; a closed sink takes none."""
+    def put(self, item: T) -> None:
+        """Hand over an item without waiting. A closed sink ignores it."""
         with self._changed:
             if self._closed:
                 return
@@ -58,16 +60,18 @@ class Sink:
                 self._callback(item)
             except Exception:
                 self.failures += 1
-                _log.exception("%s failed and goes on with the next item", threading.current_thread().name)
+                _log.exception("%s failed; it continues with the next item", threading.current_thread().name)
 
     def drain(self, timeout: float = 10.0) -> bool:
-        """Wait until everything handed over so far is delivered; False when that takes longer than `timeout` [s]."""
+        """Wait until all items so far are delivered; return False if that takes longer than `timeout` [s]."""
         with self._changed:
             return self._changed.wait_for(lambda: self._closed or not (self._items or self._busy), timeout)
 
     def close(self, timeout: float | None = 2.0) -> None:
-        """Deliver nothing more: what still waits is dropped. An item that is being delivered is waited for up to
-        `timeout` [s], with None until it is."""
+        """Stop delivery and drop the items that wait.
+
+        Waits up to `timeout` [s] for the item that is being delivered, with None as long as it takes.
+        """
         with self._changed:
             self._closed = True
             self.dropped += len(self._items)
@@ -77,34 +81,34 @@ class Sink:
             self._thread.join(timeout)
 
 
-class Publisher:
+class Publisher(Generic[T]):
     """Hands each item to any number of sinks."""
 
     def __init__(self) -> None:
-        # Replaced whole, never changed, so that publishing needs no lock.
-        self._sinks: tuple[Sink, ...] = ()
+        # Replaced as a whole and never changed, so that `publish` needs no lock.
+        self._sinks: tuple[Sink[T], ...] = ()
         self._lock = threading.Lock()
 
-    def subscribe(self, callback: Callable[[Any], None], *, capacity: int, name: str) -> Sink:
+    def subscribe(self, callback: Callable[[T], None], *, capacity: int, name: str) -> Sink[T]:
         """Return a new sink for `callback`; see `Sink`."""
         sink = Sink(callback, capacity=capacity, name=name)
         with self._lock:
             self._sinks = (*self._sinks, sink)
         return sink
 
-    def publish(self, item: Any) -> None:
+    def publish(self, item: T) -> None:
         """Hand `item` to every sink without waiting."""
         for sink in self._sinks:
             sink.put(item)
 
-    def unsubscribe(self, sink: Sink, *, patience: float = 0.0) -> None:
-        """Forget a sink and close it, when it has delivered what waits or `patience` [s] is over."""
+    def unsubscribe(self, sink: Sink[T], *, timeout: float = 0.0) -> None:
+        """Remove and close a sink. Items that still wait are delivered for up to `timeout` [s]."""
         with self._lock:
             if sink not in self._sinks:
                 return
-            self._sinks = tuple(other for other in self._sinks if other is not sink)
-        if patience:
-            sink.drain(patience)
+            self._sinks = tuple(kept for kept in self._sinks if kept is not sink)
+        if timeout:
+            sink.drain(timeout)
         sink.close()
 
     def close(self) -> None:

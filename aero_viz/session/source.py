@@ -1,9 +1,10 @@
-"""What a source of sweeps and states gives to the engine: a recording or a flight behind one protocol."""
+"""Protocol between the engine and its input: a recording or a simulated flight."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,81 +14,66 @@ from aero_planner import Goal, Plan, VehicleState
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["Observation", "Opener", "Scenery", "Source"]
+__all__ = ["Observation", "Opener", "Source", "SourceInfo"]
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What the planner sees at one tick."""
+    """Input of the planner at one tick."""
 
     time: float
     """Time since the start of the source [s]."""
     state: VehicleState
     """Estimated state, world frame."""
     goal: Goal
-    """Where to fly, world frame."""
+    """Goal, world frame."""
     points: NDArray[np.float32]
-    """Accumulated cloud [m], shape [P, 3], world frame; rows that are not finite are no points."""
+    """Accumulated cloud [m], shape [P, 3], world frame; rows with NaN or infinity are ignored."""
     sweep_count: int = 0
-    """Number of sweeps accumulated in `points`."""
+    """Number of sweeps in `points`."""
     cloud_age: float = 0.0
     """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
     ground_height: float | None = None
     """Height of the flat ground [m], world frame; None where there is none or it is unknown."""
     true_state: VehicleState | None = None
-    """True state of a simulated vehicle, None on a recording."""
+    """True state of a simulated vehicle; None for a recording."""
 
     @property
     def actual_state(self) -> VehicleState:
-        """Where the drone is, as well as can be known: the true state, else the estimated one."""
+        """The true state if it is known, otherwise the estimated one."""
         return self.true_state or self.state
 
 
 @dataclass(frozen=True, eq=False)
-class Scenery:
-    """What stands still and can be drawn once."""
+class SourceInfo:
+    """Facts about a source that hold as long as it runs. Two sources never share one object."""
 
+    name: str
+    """Short name for the user."""
+    closed_loop: bool
+    """True if the plan is flown, False if a recorded motion is replayed."""
+    period: float
+    """Nominal time between two ticks [s]."""
     start: NDArray[np.float64]
     """First position of the drone [m], shape [3]."""
+    times: NDArray[np.float64] | None = None
+    """Tick times of a recording [s], shape [n]; None for a flight."""
     world: World | None = None
     """Obstacles of a synthetic world."""
     recorded_path: NDArray[np.float64] | None = None
     """Recorded positions [m], shape [n, 3]."""
-    notices: tuple[str, ...] = field(default=())
-    """Sentences the user should see, such as "open loop: the plan is displayed but not flown"."""
-
-    @property
-    def ground_height(self) -> float | None:
-        """Height of the flat ground [m]; None where there is none, or none is known of."""
-        return None if self.world is None else self.world.ground_height
+    notices: tuple[str, ...] = ()
+    """Sentences for the user, such as "Open loop: the plan is displayed but not flown."."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """What reproduces a flight besides its world, goals and configurations; values that JSON can hold."""
 
 
 class Source(Protocol):
-    """Sweeps and states over time. Called from one thread."""
+    """Sweeps and states over time. All methods are called from one thread."""
 
     @property
-    def name(self) -> str:
-        """Short name for the user."""
-        ...
-
-    @property
-    def closed_loop(self) -> bool:
-        """True when the plan is flown, False when a recording is replayed."""
-        ...
-
-    @property
-    def period(self) -> float:
-        """Nominal time between two ticks [s]."""
-        ...
-
-    @property
-    def times(self) -> NDArray[np.float64] | None:
-        """Tick times of a recording [s], shape [n]; None for a flight, which ends when it ends."""
-        ...
-
-    @property
-    def scenery(self) -> Scenery:
-        """What stands still and can be drawn once."""
+    def info(self) -> SourceInfo:
+        """Facts that hold as long as the source runs; always the same object."""
         ...
 
     @property
@@ -97,20 +83,22 @@ class Source(Protocol):
 
     @property
     def explanation(self) -> str | None:
-        """In one sentence what ended a flight, or what of a recording could not be read so far; None where there is
-        nothing to tell beyond the outcome."""
+        """One sentence on why a flight ended, or on which sweeps of a recording could not be read so far.
+
+        None if the outcome says it all.
+        """
         ...
 
     def observe(self) -> Observation:
-        """Return the current tick's observation; without side effects."""
+        """Return the observation at the current tick. Has no side effects."""
         ...
 
     def advance(self, plan: Plan) -> None:
-        """Go one tick on, flying `plan` when the loop is closed."""
+        """Advance by one tick; a closed loop flies `plan`."""
         ...
 
     def checkpoint(self) -> object:
-        """Return all that `restore` needs to continue from here exactly; small, as one is kept for every tick."""
+        """Return everything that `restore` needs to continue from here exactly. Small: one is kept for every tick."""
         ...
 
     def restore(self, checkpoint: object) -> None:
@@ -125,7 +113,7 @@ class Source(Protocol):
         """Move the goal to `position` [m], shape [3], world frame.
 
         Raises:
-            UserError: it can't be flown to, and the goal stays.
+            UserError: the position cannot be flown to; the goal stays.
         """
         ...
 
@@ -135,12 +123,12 @@ class Source(Protocol):
 
 
 class Opener(Protocol):
-    """Makes a source from what a user names."""
+    """Opens a source by name or path."""
 
     def __call__(self, spec: str, /, *, seed: int) -> Source:
-        """Open a recording, a world or a scene, with the `seed` of the scene, the LiDAR and all noise.
+        """Open a recording, a world or a scene; `seed` is that of the scene, the LiDAR and all noise.
 
         Raises:
-            UserError: what is named does not exist or cannot be used.
+            UserError: it does not exist or cannot be used.
         """
         ...

@@ -90,8 +90,8 @@ def bare(browser):
         switches = [layer for layer in desk.dashboard.layers.values() if layer.available]
         for layer in switches:
             box = desk.checkbox(layer.title)
-            assert box.is_checked() == layer.on
-            if layer.on:
+            assert box.is_checked() == layer.on_by_default
+            if layer.on_by_default:
                 box.click()
         desk.wait_for(lambda: not any(layer.visible for layer in switches), "all layers to be off")
         before = [desk.screenshot()]

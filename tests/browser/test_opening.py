@@ -14,7 +14,7 @@ if not hasattr(os, "mkfifo"):
 def test_the_page_tells_that_a_source_is_being_opened_until_it_is(fresh_desk, tmp_path):
     desk, path, whole = fresh_desk, tmp_path / "slow.json", tmp_path / "whole.json"
     os.mkfifo(path)
-    world = small_source().scenery.world
+    world = small_source().info.world
     assert world is not None
     world.save(whole)
     desk.control("Path").locator("input").fill(str(path))

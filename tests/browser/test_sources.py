@@ -15,7 +15,7 @@ from tests.browser.pictures import differing, rollouts_drawn
 
 def choose(desk: Desk, name: str) -> None:
     """Open a source on offer as a user does: unfold the list, take one, press the button."""
-    desk.control("On offer").locator("input").first.click()
+    desk.control("Scene").locator("input").first.click()
     desk.page.get_by_role("option", name=name, exact=True).click()
     desk.page.get_by_role("button", name="Open", exact=True).click()
 
@@ -101,7 +101,7 @@ def recording(browser, shared_datasets):
 
 
 def test_a_recording_says_that_its_loop_is_open(recording):
-    recording.page.get_by_text("open loop: the plan is displayed but not flown").wait_for(timeout=10_000)
+    recording.page.get_by_text("Open loop: the plan is displayed but not flown").wait_for(timeout=10_000)
     recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for(timeout=10_000)
 
 

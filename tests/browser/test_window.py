@@ -44,7 +44,7 @@ def test_nothing_is_cut_off_on_the_right_and_everything_can_be_scrolled_to(small
 
 def test_every_scene_on_offer_has_a_name_that_fits_and_says_what_it_is(small):
     small.open_tab("Fly")
-    field = small.control("On offer").locator("input").first
+    field = small.control("Scene").locator("input").first
     for name, kind in SCENES.items():
         field.click()
         small.page.get_by_role("option", name=name, exact=True).click()

@@ -21,7 +21,7 @@ def short_poles(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def _save_poles(tmp_path_factory: pytest.TempPathFactory, *, goal: float) -> str:
-    world = small_source(goal=goal).scenery.world
+    world = small_source(goal=goal).info.world
     assert world is not None
     path: Path = tmp_path_factory.mktemp("worlds") / "poles.json"
     world.save(path)

@@ -26,20 +26,24 @@ class Curves:
         frame = self.session.frame
         assert frame is not None
         apply(self._panel.update(frame))
-        time, *_, mark = self._panel._motion.data
+        time, *_, mark = self._panel.motion.data
         (present,) = np.flatnonzero(mark)
         assert time[present - 1] == time[present] == time[present + 1]
         return np.unique(time), float(time[present])
 
+    def restart(self) -> None:
+        """Show the session's source as if it were another one."""
+        apply(self._panel.on_new_source(self.session.source))
+
     def labels(self) -> list[str]:
-        return [str(series.get("label")) for series in self._panel._motion.series]
+        return [str(series.get("label")) for series in self._panel.motion.series]
 
 
 @pytest.fixture
 def curves() -> Iterator[Curves]:
     session = Session(small_source(), config=small_config())
     dashboard = Dashboard(session, port=0)
-    (panel,) = (panel for panel in dashboard._panels if isinstance(panel, ChartPanel))
+    (panel,) = (panel for panel in dashboard.panels if isinstance(panel, ChartPanel))
     yield Curves(session, panel)
     dashboard.close()
     session.close()
@@ -82,7 +86,7 @@ def test_a_long_flight_is_drawn_whole_with_few_rows(curves, monkeypatch):
 
 def test_another_source_begins_a_curve_of_its_own(curves):
     fly(curves, 5)
-    curves._panel.enter(curves.session.source)
+    curves.restart()
     curves.session.seek(0.0).result()
     times, now = curves.look()
     assert now == times[0] == 0.0 and len(times) == 2, "an axis that has a length, or the page keeps the old one"

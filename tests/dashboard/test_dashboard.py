@@ -12,15 +12,15 @@ def test_a_late_frame_of_the_old_source_is_not_taken_for_the_new_ones():
     session = Session(small_source(), config=small_config())
     dashboard = Dashboard(session, port=0)
     old = session.tick()
-    dashboard._changes(old)
+    dashboard.changes(old)
     before = session.source
-    assert dashboard._source is before
+    assert dashboard.source is before
     session.set_source(small_source(goal=20.0)).result()
-    dashboard._changes(old)
-    assert dashboard._source is before
+    dashboard.changes(old)
+    assert dashboard.source is before
     new = session.frame
     assert new is not None
-    dashboard._changes(new)
-    assert dashboard._source is session.source is not before
+    dashboard.changes(new)
+    assert dashboard.source is session.source is not before
     dashboard.close()
     session.close()

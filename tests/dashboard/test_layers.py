@@ -91,7 +91,7 @@ def test_the_cloud_is_thinned_evenly_and_sent_once(server, frame):
     layer = CloudLayer(server)
     assert layer.update(frame)
     assert layer.update(frame) == [], "the same cloud is not sent again"
-    layer.color_by = "range"
+    layer.color_by.value = "range"
     assert layer.update(frame)
 
 
@@ -126,7 +126,7 @@ def test_cost_scale_runs_from_the_worst_to_the_best(frame, by):
 def test_a_layer_follows_a_change_of_structure(server, kind):
     layer = kind(server)
     session = Session(FlightSource(scene("forest", seed=0)))
-    apply(layer.enter(session.source))
+    apply(layer.on_new_source(session.source))
     session.set_samples(True)
     try:
         apply(layer.update(session.tick()))
@@ -156,15 +156,15 @@ def test_solids_of_every_kind_are_drawn_as_long_as_they_are_there(server):
     layer = ObstacleLayer(server)
 
     def drawn(source: FlightSource) -> dict[str, np.ndarray]:
-        apply(layer.enter(source))
+        apply(layer.on_new_source(source.info))
         assert layer.available
-        return {shape: node.vertices for shape, node in layer._nodes.items() if node.visible}
+        return {shape: node.vertices for shape, node in layer.nodes.items() if node.visible}
 
     assert drawn(solid(**SOLIDS)).keys() == SOLIDS.keys()
     assert drawn(solid(spheres=SOLIDS["spheres"])).keys() == {"spheres"}
     triangle = drawn(solid(triangles=SOLIDS["triangles"]))
     np.testing.assert_array_equal(triangle["triangles"].ravel(), SOLIDS["triangles"].ravel())
-    assert layer._nodes["triangles"].side == "double", "a mesh's triangles may face any way"
+    assert layer.nodes["triangles"].side == "double", "a mesh's triangles may face any way"
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_solids_of_every_kind_are_drawn_as_long_as_they_are_there(server):
 def test_the_grid_lies_on_flat_ground_and_else_below_what_is_seen(server, tables, low, high):
     layer = GroundLayer(server)
     session = Session(solid(**tables))
-    layer.enter(session.source)
+    layer.on_new_source(session.source)
     [(_, name, place)] = layer.update(session.tick())
     session.close()
     assert name == "position"

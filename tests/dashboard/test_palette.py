@@ -1,4 +1,4 @@
-"""Colours: the tables, and the way through the page's film curve."""
+"""Colormaps, and colours after the film curve of the page."""
 
 from __future__ import annotations
 
@@ -12,11 +12,15 @@ LINES = {
 }
 
 
+ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]])
+ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
+
+
 def film(linear: np.ndarray) -> np.ndarray:
-    """What three.js shows for linear light: ACES filmic as published by Stephen Hill, then sRGB."""
-    light = linear / 0.6 @ palette._ACES_IN.T
+    """Return the colour that three.js shows for linear light: ACES filmic as published by Stephen Hill, then sRGB."""
+    light = linear / 0.6 @ ACES_IN.T
     curved = (light * (light + 0.0245786) - 0.000090537) / (light * (0.983729 * light + 0.432951) + 0.238081)
-    shown = np.clip(curved @ palette._ACES_OUT.T, 0.0, 1.0)
+    shown = np.clip(curved @ ACES_OUT.T, 0.0, 1.0)
     return 255.0 * np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1.0 / 2.4) - 0.055)
 
 

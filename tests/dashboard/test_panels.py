@@ -16,7 +16,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels import source as source_panel
-from aero_viz.dashboard.panels.configuration import _uploaded
+from aero_viz.dashboard.panels.configuration import parse_upload
 from aero_viz.dashboard.panels.parameters import Control, add_control
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.server import LocalServer
@@ -65,13 +65,13 @@ def test_a_slider_over_the_logarithm_stays_in_its_bounds(server):
 
 def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
     config = PlannerConfig.preset("paper")
-    assert _uploaded(viser.UploadedFile("mine.yaml", format_config(config).encode())) == (config, OnboardConfig())
+    assert parse_upload(viser.UploadedFile("mine.yaml", format_config(config).encode())) == (config, OnboardConfig())
     with pytest.raises(ValueError, match=r"^mine\.yaml.*lidr"):
-        _uploaded(viser.UploadedFile("mine.yaml", b"onboard:\n  lidr:\n    port: 1\n"))
+        parse_upload(viser.UploadedFile("mine.yaml", b"onboard:\n  lidr:\n    port: 1\n"))
     with pytest.raises(ValueError, match=r"^mine\.yaml sets nothing"):
-        _uploaded(viser.UploadedFile("mine.yaml", b"# nothing\n\n"))
+        parse_upload(viser.UploadedFile("mine.yaml", b"# nothing\n\n"))
     with pytest.raises(ValueError, match=r"^mine\.yaml.*q_trak"):
-        _uploaded(viser.UploadedFile("../../mine.yaml", b"costs:\n  q_trak: 3\n"))
+        parse_upload(viser.UploadedFile("../../mine.yaml", b"costs:\n  q_trak: 3\n"))
 
 
 def test_names_from_outside_cannot_become_markup():
@@ -83,5 +83,6 @@ def test_an_empty_path_opens_nothing(server, monkeypatch):
     opened: Any = []
     monkeypatch.setattr(source_panel, "notify", lambda server, text, **options: said.append(text))
     page: Any = SimpleNamespace(server=server, session=None)
-    SourcePanel(page, cast(Any, opened.append), [], seed=0)._open("", None)
-    assert said == ["Give the path of a recording or a world first."] and not opened
+    controls: Any = None
+    SourcePanel(page, controls, cast(Any, opened.append), [], seed=0).open("", None)
+    assert said == ["Enter the path of a recording or a world first."] and not opened

@@ -28,7 +28,7 @@ def dashboard() -> Iterator[Dashboard]:
 @pytest.fixture
 def tell(dashboard: Dashboard) -> Callable[..., str]:
     """Returns what the panel says of the present frame, some of whose fields are others."""
-    (panel,) = (panel for panel in dashboard._panels if isinstance(panel, StatusPanel))
+    (panel,) = (panel for panel in dashboard.panels if isinstance(panel, StatusPanel))
 
     def tell(**fields: object) -> str:
         frame = panel.session.frame
@@ -40,7 +40,7 @@ def tell(dashboard: Dashboard) -> Callable[..., str]:
 
 
 def test_a_flight_that_does_not_keep_up_is_slower_and_loses_nothing(dashboard, tell, monkeypatch):
-    monkeypatch.setattr(status, "_SETTLED", 0.0)
+    monkeypatch.setattr(status, "_SETTLE_TIME", 0.0)
     session = dashboard._session
     nominal = 1.0 / session.source.period
     assert "slower" not in tell(rate=nominal / 1.8), "while time stands still nothing is late"
@@ -48,11 +48,11 @@ def test_a_flight_that_does_not_keep_up_is_slower_and_loses_nothing(dashboard, t
     assert "1.8 times slower than real time" in tell(rate=nominal / 1.8)
     assert "slower" not in tell(rate=0.95 * nominal)
     session.set_speed(4.0)
-    assert "2.0 times slower than asked for" in tell(rate=2.0 * nominal)
+    assert "2.0 times slower than requested" in tell(rate=2.0 * nominal)
 
 
 def test_a_rate_from_before_the_speed_was_changed_is_not_taken_for_a_lag(dashboard, tell, monkeypatch):
-    monkeypatch.setattr(status, "_SETTLED", 1e6)
+    monkeypatch.setattr(status, "_SETTLE_TIME", 1e6)
     session = dashboard._session
     session._set_playing(True)
     session.set_speed(4.0)
@@ -60,8 +60,8 @@ def test_a_rate_from_before_the_speed_was_changed_is_not_taken_for_a_lag(dashboa
 
 
 def test_ticks_that_are_lost_are_told(tell):
-    assert "lost" not in tell()
-    assert "12 ticks lost" in tell(dropped_ticks=12)
+    assert "dropped" not in tell()
+    assert "12 ticks dropped" in tell(dropped_ticks=12)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_ticks_that_are_lost_are_told(tell):
 def test_the_legend_has_a_key_for_every_layer_that_is_shown(dashboard, tell, layer, words):
     def show(names: list[str]) -> str:
         dashboard.show_only(names)
-        dashboard._changes(dashboard._session.frame)
+        dashboard.changes(dashboard._session.frame)
         return tell()
 
     assert not any(word in show([]) for word in words)
@@ -97,5 +97,5 @@ def test_no_layer_is_without_a_case_above(dashboard):
 
 
 def test_the_rollouts_scale_says_what_they_are_coloured_by(dashboard, tell):
-    dashboard.layers["rollouts"].color_by = "log cost"
+    dashboard.layers["rollouts"].color_by.value = "log cost"
     assert "log cost of" not in tell() and "rollouts: logarithm of the Stage II cost" in tell()

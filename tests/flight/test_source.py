@@ -42,12 +42,12 @@ def fly(source: Source, planner: Planner, ticks: int):
 
 def test_first_observation(source):
     now = source.observe()
-    assert (now.time, now.sweep_count, source.outcome, source.period) == (0.0, 10, None, 0.02)
+    assert (now.time, now.sweep_count, source.outcome, source.info.period) == (0.0, 10, None, 0.02)
     np.testing.assert_array_equal(now.state.position, [0.0, 0.0, 2.0])
     np.testing.assert_array_equal(now.goal.position, [45.0, 0.0, 2.0])
     assert now.points.dtype == np.float32 and np.isfinite(now.points).all() and len(now.points) > 1000
-    assert np.abs(source.scenery.world.distance(now.points)).max() < 0.15  # 6 sigma of the range noise
-    assert source.closed_loop and source.times is None
+    assert np.abs(source.info.world.distance(now.points)).max() < 0.15  # 6 sigma of the range noise
+    assert source.info.closed_loop and source.info.times is None
 
 
 def test_observe_has_no_side_effects(source, planner):
@@ -223,7 +223,7 @@ def test_noise_separates_estimated_and_true_state(planner):
 def test_one_plan_for_five_ticks(planner):
     rules = FlightRules(ticks_per_plan=5)
     source = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4, rules=rules)
-    assert source.period == pytest.approx(0.1)
+    assert source.info.period == pytest.approx(0.1)
     now = source.observe()
     plan = planner.plan(now.state, now.goal, now.points)
     source.advance(plan)

@@ -140,7 +140,7 @@ def test_new_points():
 
 
 def test_configurations_world_and_settings_are_attached(session, tmp_path):
-    world = session.source.scenery.world
+    world = session.source.world
     first = session.tick()
     session.configure({"costs.q_track": 7.5})
     frames = [first, session.tick(), session.tick()]
@@ -157,7 +157,7 @@ def test_configurations_world_and_settings_are_attached(session, tmp_path):
 
 def test_what_the_page_changes_on_the_way_is_logged(session, tmp_path):
     """Another goal, a goal that is taken back by going back in time, another world, and a recording of all that."""
-    worlds = [session.source.scenery.world, scene("wall", seed=1)]
+    worlds = [session.source.world, scene("wall", seed=1)]
     path = tmp_path / "a.mcap"
     with record(session, path):
         frames = [session.tick() for _ in range(3)]

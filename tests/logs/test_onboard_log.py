@@ -35,7 +35,7 @@ def test_the_log_plays(flown: Path):
     assert info.sweeps and info.poses
     source = RecordingSource(open_recording(str(flown)))
     try:
-        times = source.times
+        times = source.info.times
         assert times is not None and len(times) > 50
         source.seek(float(times[-1]))
         observation = source.observe()

@@ -18,8 +18,13 @@ def path(bags, mcap_of):
 
 
 @pytest.fixture
-def session(path) -> Iterator[Session]:
-    session = Session(RecordingSource(open_recording(path)), config=small_config())
+def source(path) -> RecordingSource:
+    return RecordingSource(open_recording(path))
+
+
+@pytest.fixture
+def session(source: RecordingSource) -> Iterator[Session]:
+    session = Session(source, config=small_config())
     yield session
     session.close()
 
@@ -48,7 +53,7 @@ def test_lost_ticks_are_counted_until_another_source_comes(session: Session, pat
     assert session.frame.dropped_ticks == 0
 
 
-def test_sweeps_that_turn_out_to_be_damaged_are_told(session: Session, path) -> None:
+def test_sweeps_that_turn_out_to_be_damaged_are_told(session: Session, source: RecordingSource, path) -> None:
     told: list[str] = []
     sink = session.subscribe_notices(lambda notice: told.append(notice.text))
     assert session.tick().explanation is None
@@ -58,9 +63,7 @@ def test_sweeps_that_turn_out_to_be_damaged_are_told(session: Session, path) -> 
     while (frame := session.tick()).outcome is None:
         pass
     assert sink.drain()
-    source = session.source
-    assert isinstance(source, RecordingSource)
     count = len(source.recording.damaged_sweeps)
     assert 0 < count < 14 and frame.explanation is not None
     assert frame.explanation.startswith(f"{count} of 14 sweeps could not be read and played without points: ")
-    assert told == [f"{source.name}: end of the recording. {frame.explanation}"]
+    assert told == [f"{source.info.name}: end of the recording. {frame.explanation}"]

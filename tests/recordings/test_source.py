@@ -35,7 +35,7 @@ def test_one_tick_per_pose_until_the_end(bags, source_of):
     source = source_of(bags.drive())
     seen = play(source)
     np.testing.assert_allclose([o.time for o in seen], 0.025 * np.arange(37), atol=1e-9)
-    assert source.outcome == "end" and source.period == pytest.approx(0.025) and not source.closed_loop
+    assert source.outcome == "end" and source.info.period == pytest.approx(0.025) and not source.info.closed_loop
     for o in seen:
         np.testing.assert_allclose(o.state.position, [2 * o.time, 0, 0], atol=1e-6)
         np.testing.assert_allclose(o.state.velocity, [2, 0, 0], atol=1e-6)
@@ -168,7 +168,7 @@ def test_seek_goes_to_the_tick_at_or_before(bags, source_of):
 
 def test_recording_without_poses_plays_at_the_origin(bags, source_of):
     source = source_of([bags.cloud(0.1 * k, bags.xyz(bags.wall(seed=k))) for k in range(4)])
-    assert any("no poses are recorded" in notice for notice in source.scenery.notices)
+    assert any("no poses are recorded" in notice for notice in source.info.notices)
     seen = play(source)
     assert len(seen) == 4 and seen[-1].sweep_count == 4
     np.testing.assert_array_equal(seen[-1].state.quaternion, [1, 0, 0, 0])
@@ -177,5 +177,5 @@ def test_recording_without_poses_plays_at_the_origin(bags, source_of):
 
 def test_scenery_shows_the_recorded_path(bags, source_of):
     source = source_of(bags.drive())
-    np.testing.assert_allclose(source.scenery.recorded_path[-1], [1.8, 0, 0], atol=1e-6)
-    assert source.scenery.world is None and "open loop" in source.scenery.notices[0]
+    np.testing.assert_allclose(source.info.recorded_path[-1], [1.8, 0, 0], atol=1e-6)
+    assert source.info.world is None and "Open loop" in source.info.notices[0]

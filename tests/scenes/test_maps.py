@@ -114,8 +114,8 @@ def test_a_real_map_becomes_a_world(shared_datasets):
 
 def test_a_map_opens_as_a_flight(hall):
     source = open_source(hall, lidar="mid360")
-    assert isinstance(source, FlightSource) and source.name == "hall" and source.outcome is None
+    assert isinstance(source, FlightSource) and source.info.name == "hall" and source.outcome is None
     points = source.observe().points
     assert len(points) > 5_000
-    assert source.scenery.world is not None
-    assert np.abs(source.scenery.world.distance(points)).max() < 0.15  # six times the range noise
+    assert source.info.world is not None
+    assert np.abs(source.info.world.distance(points)).max() < 0.15  # six times the range noise

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +23,15 @@ from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers import apply
-from aero_viz.dashboard.panels.goal import GoalPanel
+from aero_viz.dashboard.layers.drone import DroneLayer
+from aero_viz.dashboard.layers.goal import GoalLayer
+from aero_viz.dashboard.panels.camera import CameraPanel
+from aero_viz.dashboard.panels.charts import ChartPanel
+from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.errors import UserError
-from aero_viz.session import Session, live_session
+from aero_viz.session import live_session
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.live_session import LiveSession
 from aero_viz.session.node_client import NodeClient
@@ -203,9 +207,9 @@ def test_a_pause_outlasts_the_connection(records: list[PlanRecord]):
     show(first, watcher, records[:4])
     session.pause()
     first.close()
-    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
     second = serve(port)
-    assert watcher.wait(lambda: any("in sight again" in notice.text for notice in watcher.notices))
+    assert watcher.wait(lambda: any("connected again" in notice.text for notice in watcher.notices))
     send(second, watcher, records[:2])  # a node that was started anew counts from the beginning
     session.step(-1)
     held = session.frame
@@ -271,22 +275,17 @@ def test_a_link_that_is_lost_without_a_word_is_noticed():
     assert re.fullmatch(r"the connection to 127\.0\.0\.1:\d+ is lost: .+\.\n", done.stdout), done.stdout
 
 
-def test_nothing_reaches_the_drone(live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]):
-    session, watcher = live
-    for attempt in (lambda: session.configure({"costs.q_track": 1.0}), session.undo, session.redo):
-        with pytest.raises(UserError, match="nothing can be changed from here"):
-            attempt()
-    assert isinstance(session.set_goal((1.0, 2.0, 3.0)).exception(), UserError)
-    assert watcher.wait(lambda: len(watcher.notices) == 1)
-    assert isinstance(session.set_goal((1.0, 2.0, 3.0), quiet=True).exception(), UserError)
-    session.set_speed(2.0)
-    session.set_samples(True)
-    assert watcher.wait(lambda: len(watcher.notices) == 3)
+def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[LiveSession, Watcher]):
+    session, _ = live
+    assert session.controls is None
     assert session.speed == 1.0 and session.config == SMALL
-    show(telemetry, watcher, records[:1])
-    for name in ("observe", "checkpoint"):
-        with pytest.raises(TypeError, match="nothing can be changed"):
-            getattr(session.source, name)()
+    dashboard = Dashboard(session, port=0)
+    try:
+        offered = {type(panel) for panel in dashboard.panels}
+        assert offered == {PlaybackPanel, CameraPanel, ChartPanel, LayerPanel, StatusPanel}
+        assert not any(layer.needs_samples for layer in dashboard.layers.values()), "the drone sends no samples"
+    finally:
+        dashboard.close()
 
 
 def test_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
@@ -304,9 +303,9 @@ def test_a_drone_out_of_sight_is_found_again(records: list[PlanRecord]):
     session.start()
     show(first, watcher, records[:2])
     first.close()
-    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
+    assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
     second = serve(port)
-    assert watcher.wait(lambda: any("in sight again" in notice.text for notice in watcher.notices))
+    assert watcher.wait(lambda: any("connected again" in notice.text for notice in watcher.notices))
     show(second, watcher, records[2:4])
     assert watcher.frames[-1].epoch > watcher.frames[0].epoch
     session.close()
@@ -317,16 +316,16 @@ def test_the_dashboard_shows_a_drone(
     live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
 ):
     session, watcher = live
-    dashboard = Dashboard(cast(Session, session), port=0)
+    dashboard = Dashboard(session, port=0)
     try:
         show(telemetry, watcher, records[:3])
         frame = session.frame
         assert frame is not None
-        changes = dashboard._changes(frame)
+        changes = dashboard.changes(frame)
         assert len(changes) > 20 and dashboard.drain() and dashboard.failures == 0
         shown = [str(value) for handle, name, value in changes if name == "content"]
         assert any("FLYING" in text or "READY" in text for text in shown)
-        assert any("steers nothing" in text for text in shown)
+        assert any("controls nothing" in text for text in shown)
     finally:
         dashboard.close()
 
@@ -338,12 +337,11 @@ def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
     dashboard = Dashboard(session, port=0)
     try:
         assert dashboard.drain()
-        (status,) = (panel for panel in dashboard._panels if isinstance(panel, StatusPanel))
-        assert f"Connected to 127.0.0.1:{telemetry.port}, which has not planned yet" in status._html.content
-        assert not any(isinstance(panel, GoalPanel) for panel in dashboard._panels)
-        placed = [dashboard.layers[name]._pose for name in ("goal", "drone")]  # type: ignore[attr-defined]
+        (status,) = (panel for panel in dashboard.panels if isinstance(panel, StatusPanel))
+        assert f"Connected to 127.0.0.1:{telemetry.port}, which has not planned yet" in status.html.content
+        placed = [x.pose for x in dashboard.layers.values() if isinstance(x, GoalLayer | DroneLayer)]
         assert not any(pose.visible for pose in placed), "where they are is not known yet"
-        (play,) = (panel._play for panel in dashboard._panels if isinstance(panel, PlaybackPanel))
+        (play,) = (panel.play_button for panel in dashboard.panels if isinstance(panel, PlaybackPanel))
         assert play.label == "Pause"
         session.pause()
         assert dashboard.drain() and play.label == "Play"
@@ -351,8 +349,8 @@ def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
         show(telemetry, watcher, records[:1])
         frame = session.frame
         assert frame is not None
-        apply(dashboard._changes(frame))
-        assert all(pose.visible for pose in placed) and "has not planned yet" not in status._html.content
+        apply(dashboard.changes(frame))
+        assert all(pose.visible for pose in placed) and "has not planned yet" not in status.html.content
     finally:
         dashboard.close()
 
@@ -363,8 +361,8 @@ def test_a_drone_that_is_lost_before_it_has_planned_is_not_said_to_be_connected(
     watcher = Watcher(session)
     session.start()
     telemetry.close()
-    assert watcher.wait(lambda: any("out of sight" in notice.text for notice in watcher.notices))
-    assert "out of sight" in session.waiting and "Connected" not in session.waiting
+    assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
+    assert "was lost" in session.waiting_message and "Connected" not in session.waiting_message
     session.close()
 
 

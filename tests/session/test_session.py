@@ -276,8 +276,8 @@ def test_another_source_starts_from_its_beginning(live: Session) -> None:
     live.set_source(small_source(goal=20.0)).result()
     assert live.frame is not None
     assert live.frame.index == 0
-    assert live.source.scenery.world is not None
-    assert live.source.scenery.world.goal[0] == 20.0
+    assert live.source.world is not None
+    assert live.source.world.goal[0] == 20.0
 
 
 def test_a_source_that_fails_at_once_leaves_the_old_one(live: Session) -> None:

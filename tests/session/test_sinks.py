@@ -83,7 +83,7 @@ def test_who_unsubscribes_can_wait_for_what_was_published_and_no_longer() -> Non
     for i in range(3):
         publisher.publish(i)
     threading.Timer(0.2, gate.set).start()
-    publisher.unsubscribe(sink, patience=5.0)
+    publisher.unsubscribe(sink, timeout=5.0)
     publisher.publish(3)
     assert (seen, sink.dropped) == ([0, 1, 2], 0)
 

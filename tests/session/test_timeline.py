@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aero_planner.planner import History
-from aero_viz.session.timeline import Mark, Timeline
+from aero_viz.session.timeline import Checkpoint, Timeline
 
 HISTORY = History(
     controls=np.zeros((1, 2, 4), np.float32),
@@ -18,7 +18,7 @@ HISTORY = History(
 def flown(count: int) -> Timeline:
     timeline = Timeline()
     for i in range(count):
-        timeline.append(Mark(0.1 * i, i, HISTORY), (float(i), 0.0, 0.0))
+        timeline.append(Checkpoint(0.1 * i, i, HISTORY), (float(i), 0.0, 0.0))
     return timeline
 
 
@@ -30,7 +30,7 @@ def test_an_empty_timeline_is_false() -> None:
 @pytest.mark.parametrize(("time", "index"), [(-1.0, 0), (0.0, 0), (0.25, 2), (0.3, 3), (99.0, 9)])
 def test_going_to_a_time_finds_the_tick_at_or_before_it(time: float, index: int) -> None:
     timeline = flown(10)
-    assert timeline.go_to_time(time).checkpoint == index
+    assert timeline.go_to_time(time).source == index
     assert timeline.index == index
     np.testing.assert_array_equal(timeline.trail()[:, 0], np.arange(index + 1))
 
@@ -39,7 +39,7 @@ def test_going_on_from_an_earlier_tick_forgets_the_later_ones_but_changes_no_tra
     timeline = flown(10)
     before = timeline.trail()
     timeline.go_by(-5)
-    timeline.append(Mark(0.5, "other", HISTORY), (50.0, 0.0, 0.0))
+    timeline.append(Checkpoint(0.5, "other", HISTORY), (50.0, 0.0, 0.0))
     np.testing.assert_array_equal(before[:, 0], np.arange(10))
     np.testing.assert_array_equal(timeline.trail()[:, 0], [0, 1, 2, 3, 4, 50])
     assert timeline.time_range == (0.0, 0.5)

@@ -1,9 +1,9 @@
-"""What can be drawn, one module for each kind; in the order of the page."""
+"""Layers of the scene, in the order of the page. A new layer needs its module and an entry in LAYERS."""
 
 from __future__ import annotations
 
 from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
-from aero_viz.dashboard.layers.base import Change, Layer, apply
+from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Option, apply
 from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.drone import DroneLayer, TrailLayer
@@ -12,7 +12,7 @@ from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer
 
-__all__ = ["LAYERS", "Change", "Layer", "apply"]
+__all__ = ["LAYERS", "Change", "ColorKey", "ColorScale", "Layer", "Option", "apply"]
 
 LAYERS: tuple[type[Layer], ...] = (
     RolloutLayer,

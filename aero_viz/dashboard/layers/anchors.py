@@ -1,4 +1,4 @@
-"""Anchors and guides: where the instances are led."""
+"""Anchors and the guides that lead to them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
 from aero_viz.session.frame import Frame
 
 __all__ = ["AnchorLayer", "GuideLayer"]
@@ -16,18 +16,18 @@ _GUIDE = palette.unmapped(palette.GUIDE)
 
 
 class AnchorLayer(Layer):
-    """Initial endpoints, refined anchors, and a line from one to the other."""
+    """Initial endpoints, refined anchors, and a line from each endpoint to its anchor."""
 
     name, title = "anchors", "Endpoints and anchors"
 
     def create(self, scene: viser.SceneApi) -> None:
-        nothing = np.zeros((1, 3), np.float32)
+        origin = np.zeros((1, 3), np.float32)
         self._initial = scene.add_point_cloud(
-            "/anchors/initial", nothing, palette.ENDPOINT, point_size=0.05, point_shape="circle", precision="float32",
+            "/anchors/initial", origin, palette.ENDPOINT, point_size=0.05, point_shape="circle", precision="float32",
             point_shading="flat",
         )  # fmt: skip
         self._refined = scene.add_point_cloud(
-            "/anchors/refined", nothing, palette.ANCHOR, point_size=0.08, point_shape="circle", precision="float32",
+            "/anchors/refined", origin, palette.ANCHOR, point_size=0.08, point_shape="circle", precision="float32",
             point_shading="flat",
         )  # fmt: skip
         self._moves = Lines(scene, "/anchors/moves", thickness=1.4)
@@ -41,9 +41,12 @@ class AnchorLayer(Layer):
             *self._moves.show(np.stack((initial, refined), axis=1), _RAMP),
         ]
 
+    def legend(self, frame: Frame) -> list[ColorKey]:
+        return [ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR)]
+
 
 class GuideLayer(Layer):
-    """The quintic guides of the anchors."""
+    """Quintic guides to the anchors."""
 
     name, title = "guides", "Guides"
 
@@ -52,3 +55,6 @@ class GuideLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), _GUIDE)
+
+    def legend(self, frame: Frame) -> list[ColorKey]:
+        return [ColorKey("guides", palette.GUIDE)]

@@ -1,48 +1,88 @@
-"""What all layers share: a node with a visibility, and line segments in a buffer of fixed size."""
+"""Base of all layers, and line segments in a buffer of fixed size."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner import PlannerConfig
+from aero_viz.dashboard import palette
 from aero_viz.session.frame import Frame
-from aero_viz.session.source import Source
+from aero_viz.session.source import SourceInfo
 
-__all__ = ["Change", "Layer", "Lines", "apply", "polylines"]
+__all__ = ["Change", "ColorKey", "ColorScale", "Layer", "Lines", "Option", "apply", "polylines"]
 
 Change = tuple[Any, str, Any]
-"""Handle, property, new value: computed first, then all assigned at once."""
+"""Handle, property, new value. All changes of an update are computed first and then assigned together."""
 
 
 def apply(changes: Iterable[Change]) -> None:
-    """Assign every change; viser sends only what differs."""
+    """Assign every change; viser sends only properties that differ."""
     for handle, name, value in changes:
         setattr(handle, name, value)
 
 
+@dataclass(frozen=True)
+class ColorKey:
+    """Legend entry of something drawn in one colour."""
+
+    label: str
+    color: palette.Rgb
+
+
+@dataclass(frozen=True, eq=False)
+class ColorScale:
+    """Legend entry of something coloured by a quantity."""
+
+    label: str
+    low: str
+    """Text at the left end."""
+    high: str
+    """Text at the right end."""
+    colormap: palette.Colormap
+    """Colours from left to right."""
+
+
+@dataclass
+class Option:
+    """A choice that a layer offers on the page, as a dropdown."""
+
+    label: str
+    choices: Callable[[PlannerConfig], Sequence[str]]
+    """Returns the choices under a configuration."""
+    value: str
+    """The current choice."""
+    hint: str | None = None
+
+
 class Layer:
-    """One kind of thing to draw. Nodes are made once and changed in place."""
+    """One kind of thing to draw. Scene nodes are created once and changed in place."""
 
     name: ClassVar[str]
     """Name in the scene tree, in `Dashboard.layers` and in `snapshot`."""
     title: ClassVar[str]
     """Name for the user."""
-    on: ClassVar[bool] = True
-    """Whether it is shown when the page opens."""
+    on_by_default: ClassVar[bool] = True
+    """True if the layer is visible when the page opens."""
+    needs_samples: ClassVar[bool] = False
+    """True if the layer draws the Stage I samples, which frames include only on request."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self.available = True
-        """Whether the source has what the layer shows."""
-        self._root = server.scene.add_frame(f"/{self.name}", show_axes=False, visible=self.on)
+        """True if the source provides what the layer draws."""
+        self.options: tuple[Option, ...] = ()
+        """Choices that the page offers for this layer."""
+        self._root = server.scene.add_frame(f"/{self.name}", show_axes=False, visible=self.on_by_default)
         self.create(server.scene)
 
     @property
     def visible(self) -> bool:
-        """Whether the layer is shown, and updated."""
+        """True if the layer is shown and updated."""
         return bool(self._root.visible)
 
     @visible.setter
@@ -50,29 +90,33 @@ class Layer:
         self._root.visible = visible
 
     def create(self, scene: viser.SceneApi) -> None:
-        """Make the nodes, below `/name`."""
+        """Create the scene nodes, below `/name`, and the options."""
         raise NotImplementedError
 
-    def enter(self, source: Source) -> list[Change]:
-        """Return the changes that another source brings."""
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        """Return the changes that show what is fixed for another source."""
         return []
 
     def update(self, frame: Frame) -> list[Change]:
         """Return the changes that show `frame`."""
         return []
 
+    def legend(self, frame: Frame) -> Sequence[ColorKey | ColorScale]:
+        """Return the meaning of the layer's colours in `frame`."""
+        return ()
+
 
 class Lines:
-    """Line segments in a buffer that only ever grows, so that the page seldom sees another size.
+    """Line segments in a buffer that only grows, so that its size on the page seldom changes.
 
-    Rows without data repeat the last point: segments of length zero, which draw nothing. The thickness is in pixels:
-    lines stay legible at any distance, and cost half of what lines in metres do.
+    Unused rows repeat the last point: segments of length zero, which draw nothing. The thickness is in pixels, which
+    keeps lines legible at any distance and costs half as much as a thickness in metres.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, *, thickness: float, capacity: int = 64) -> None:
         self._capacity = capacity
         self._colors: ArrayLike | None = None
-        self._painted = (0, 0)
+        self._colored_size = (0, 0)
         self.node = scene.add_line_segments(
             name,
             np.zeros((capacity, 2, 3), dtype=np.float32),
@@ -83,12 +127,12 @@ class Lines:
         )
 
     def show(self, segments: ArrayLike, colors: ArrayLike) -> list[Change]:
-        """Return the changes that show `segments` [m], shape [n, 2, 3].
+        """Return the changes that show line segments.
 
         Args:
-            segments: from where to where.
-            colors: uint8, broadcast to the same shape; as `palette.unmapped` makes them. Those of the call before, the
-                same object, are not sent again.
+            segments: start and end points [m], shape [n, 2, 3].
+            colors: uint8, broadcast to the same shape, as returned by `palette.unmapped`. If this is the same object
+                as in the previous call, the colours are not sent again.
         """
         segments = np.asarray(segments, dtype=np.float32)
         count = len(segments)
@@ -99,14 +143,14 @@ class Lines:
         points = np.empty((self._capacity, 2, 3), dtype=np.float32)
         points[:count], points[count:] = segments, segments[-1, 1]
         changes: list[Change] = [(self.node, "points", points), (self.node, "visible", True)]
-        # One colour fills the whole buffer, whatever the count.
+        # A single colour fills the whole buffer, whatever the count.
         size = (self._capacity, count if np.ndim(colors) > 1 else 0)
-        if colors is not self._colors or size != self._painted:
-            self._colors, self._painted = colors, size
-            paint = np.empty((self._capacity, 2, 3), dtype=np.uint8)
-            paint[:count] = colors
-            paint[count:] = paint[count - 1, 1]
-            changes.append((self.node, "colors", paint))
+        if colors is not self._colors or size != self._colored_size:
+            self._colors, self._colored_size = colors, size
+            buffer = np.empty((self._capacity, 2, 3), dtype=np.uint8)
+            buffer[:count] = colors
+            buffer[count:] = buffer[count - 1, 1]
+            changes.append((self.node, "colors", buffer))
         return changes
 
 

@@ -1,4 +1,4 @@
-"""The spherical partition: occupied fine cells, and the coarse cells with their safe directions."""
+"""The spherical partition: occupied fine cells, and coarse cells with their safe directions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, Layer, Lines
+from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines
 from aero_viz.session.frame import Frame
 
 __all__ = ["CoarseCellLayer", "FineCellLayer"]
@@ -15,13 +15,14 @@ __all__ = ["CoarseCellLayer", "FineCellLayer"]
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
 _BORDER = palette.unmapped(palette.GRID_SECTION)
 _FREE = palette.unmapped(palette.VIRIDIS)
-_SPHERE = 2.0  # radius at which the coarse cells are drawn [m]
+_SPHERE = 2.0
+"""Radius at which the coarse cells are drawn [m]."""
 
 
 class FineCellLayer(Layer):
-    """A patch at its range for every occupied fine cell, coloured by range: near is red."""
+    """A patch at the measured range for every occupied fine cell, coloured by range. Red is near."""
 
-    name, title, on = "fine_cells", "Occupied cells", False
+    name, title, on_by_default = "fine_cells", "Occupied cells", False
 
     def create(self, scene: viser.SceneApi) -> None:
         self._pose = scene.add_frame("/fine_cells/body", show_axes=False)
@@ -55,11 +56,15 @@ class FineCellLayer(Layer):
             (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, palette.NEAR_TO_FAR)),
         ]
 
+    def legend(self, frame: Frame) -> list[ColorScale]:
+        reach = f"{frame.config.partition.range_max:g} m"
+        return [ColorScale("occupied cells: range", "0 m", reach, palette.NEAR_TO_FAR)]
+
 
 class CoarseCellLayer(Layer):
-    """The coarse cells on a sphere of 2 m, and a line along each safe direction, longer the farther it is free."""
+    """Coarse cells on a sphere of 2 m, and a line along each safe direction, longer where more range is free."""
 
-    name, title, on = "coarse_cells", "Coarse cells and safe directions", False
+    name, title, on_by_default = "coarse_cells", "Coarse cells and safe directions", False
 
     def create(self, scene: viser.SceneApi) -> None:
         self._pose = scene.add_frame("/coarse_cells/body", show_axes=False)
@@ -76,8 +81,15 @@ class CoarseCellLayer(Layer):
         reach = frame.config.partition.range_max
         start = _SPHERE * directions.reshape(-1, 3)
         share = ranges.reshape(-1, 1) / reach
-        paint = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, _FREE)
-        return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), paint)]
+        colors = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, _FREE)
+        return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), colors)]
+
+    def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
+        reach = f"{frame.config.partition.range_max:g} m"
+        return [
+            ColorScale("safe directions: free range", "0 m", reach, palette.VIRIDIS),
+            ColorKey("coarse cells", palette.GRID_SECTION),
+        ]
 
 
 def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:
@@ -86,7 +98,7 @@ def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:
 
 
 def _centers(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return azimuth and elevation of every cell [rad], row by row."""
+    """Return the azimuth and elevation of every cell [rad], row by row, each of shape [rows * columns]."""
     rows, columns = shape
     elevation = np.radians(-90.0 + 180.0 * (np.arange(rows) + 0.5) / rows)
     azimuth = np.radians(-180.0 + 360.0 * (np.arange(columns) + 0.5) / columns)
@@ -99,13 +111,13 @@ def _direction(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> 
 
 
 def _facing(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the rotations, w x y z, that turn +x to each direction: yaw by azimuth after pitch by -elevation."""
+    """Return quaternions (w, x, y, z) that turn +x to each direction: pitch by -elevation, then yaw by azimuth."""
     cy, sy, cp, sp = np.cos(azimuth / 2), np.sin(azimuth / 2), np.cos(-elevation / 2), np.sin(-elevation / 2)
     return np.stack((cy * cp, -sy * sp, cy * sp, sy * cp), axis=-1).astype(np.float32)
 
 
 def _borders(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the cells' borders on the unit sphere as segments, shape [n, 2, 3]; curved ones in steps of 6 deg."""
+    """Return the borders of the cells on the unit sphere as segments, shape [n, 2, 3], in steps of 6 deg."""
     rows, columns = shape
     fine = np.radians(np.arange(-180.0, 180.1, 6.0))
     parallels = np.radians(np.linspace(-90.0, 90.0, rows + 1)[1:-1])

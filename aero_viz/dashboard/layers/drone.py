@@ -1,4 +1,4 @@
-"""The drone and where it has been."""
+"""The drone and its trail."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.session.frame import Frame
 
@@ -17,12 +17,12 @@ _TRAIL = palette.unmapped(palette.TRAIL)
 
 
 class DroneLayer(Layer):
-    """A quadrotor at the true pose, or at the recorded one."""
+    """Quadrotor at its true pose, or at the recorded one."""
 
     name, title = "drone", "Drone"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._pose = scene.add_frame("/drone/body", show_axes=False, visible=False)
+        self.pose = scene.add_frame("/drone/body", show_axes=False, visible=False)
         for name, (mesh, color, opacity) in quadrotor().items():
             scene.add_mesh_simple(
                 f"/drone/body/{name}",
@@ -37,14 +37,17 @@ class DroneLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         state = frame.observation.actual_state
         return [
-            (self._pose, "position", np.asarray(state.position, dtype=np.float64)),
-            (self._pose, "wxyz", np.asarray(state.quaternion, dtype=np.float64)),
-            (self._pose, "visible", True),
+            (self.pose, "position", np.asarray(state.position, dtype=np.float64)),
+            (self.pose, "wxyz", np.asarray(state.quaternion, dtype=np.float64)),
+            (self.pose, "visible", True),
         ]
+
+    def legend(self, frame: Frame) -> list[ColorKey]:
+        return [ColorKey("drone", palette.DRONE)]
 
 
 class TrailLayer(Layer):
-    """The path flown so far, thinned to 512 segments."""
+    """Path flown so far, thinned to 512 segments."""
 
     name, title = "trail", "Flown trail"
 
@@ -53,9 +56,12 @@ class TrailLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         trail = frame.trail
-        # Multiples of a power of two: vertices stay where they are while the trail grows.
+        # With steps that are powers of two, vertices stay in place while the trail grows.
         step = 1
         while len(trail) > (_TRAIL_SEGMENTS - 1) * step:
             step *= 2
         vertices = np.concatenate((trail[::step], trail[-1:]))
         return self._lines.show(polylines(vertices), _TRAIL)
+
+    def legend(self, frame: Frame) -> list[ColorKey]:
+        return [ColorKey("flown trail", palette.TRAIL)]

@@ -1,4 +1,4 @@
-"""Where to fly."""
+"""The goal."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, Layer, Lines, apply
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply
 from aero_viz.session.frame import Frame
 
 __all__ = ["GoalLayer"]
 
 
 class GoalLayer(Layer):
-    """A ball in a ring."""
+    """Goal of the flight: a ball in a ring."""
 
     name, title = "goal", "Goal"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._pose = scene.add_frame("/goal/pose", show_axes=False, visible=False)
+        self.pose = scene.add_frame("/goal/pose", show_axes=False, visible=False)
         scene.add_icosphere("/goal/pose/ball", radius=0.3, color=palette.GOAL, subdivisions=3)
         angle = 2.0 * np.pi * np.arange(49) / 48
         ring = 0.8 * np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=1)
@@ -27,4 +27,7 @@ class GoalLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
-        return [(self._pose, "position", goal), (self._pose, "visible", True)]
+        return [(self.pose, "position", goal), (self.pose, "visible", True)]
+
+    def legend(self, frame: Frame) -> list[ColorKey]:
+        return [ColorKey("goal", palette.GOAL)]

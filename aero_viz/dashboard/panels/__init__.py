@@ -1,4 +1,4 @@
-"""The control panel, one module for each part."""
+"""The control panel, one module per part."""
 
 from __future__ import annotations
 

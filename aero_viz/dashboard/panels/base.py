@@ -1,4 +1,4 @@
-"""What all panels share."""
+"""Base of all panels."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import viser
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
-from aero_viz.session.broadcast import Steerable
+from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
-from aero_viz.session.source import Source
+from aero_viz.session.source import SourceInfo
 
 __all__ = ["Page", "Panel"]
 
@@ -26,13 +26,20 @@ class Page:
     """What panels act on."""
 
     server: LocalServer
-    session: Steerable
+    session: BaseSession
     layers: Mapping[str, Layer]
+    """The layers by name."""
     refresh: Callable[[], None]
-    """Show the newest frame again: after a change that brings no frame of its own."""
+    """Shows the newest frame again, after a change that brings no new frame."""
+
+    def update_samples(self) -> None:
+        """Include the Stage I samples in frames if a visible layer needs them."""
+        controls = self.session.controls
+        if controls is not None:
+            controls.set_samples(any(layer.needs_samples and layer.visible for layer in self.layers.values()))
 
     def attempt(self, action: Callable[[], Any], client: viser.ClientHandle | None = None) -> bool:
-        """Run `action`; a user's mistake becomes a notification. Returns whether it went well."""
+        """Run `action` and return True if it succeeded. A failure is shown to `client`, or to everyone."""
         try:
             action()
         except (UserError, ValueError, OSError) as error:
@@ -40,7 +47,7 @@ class Page:
             return False
         except Exception as error:
             _log.exception("an action of the page failed")
-            text = f"That did not work ({type(error).__name__}: {error}); the terminal says more."
+            text = f"{type(error).__name__}: {error}. The terminal shows the details."
             notify(self.server, text, level="error", client=client)
             return False
         finally:
@@ -49,9 +56,9 @@ class Page:
 
 
 class Panel:
-    """Part of the control panel: turns clicks into calls of the session, and shows what the session says.
+    """Part of the control panel: turns clicks into calls of the session, and shows the state of the session.
 
-    Callbacks are coroutines: viser runs those in the order of the clicks.
+    Callbacks are coroutines, since viser runs coroutines in the order of the clicks.
     """
 
     def __init__(self, page: Page) -> None:
@@ -60,20 +67,20 @@ class Panel:
         self.create(page.server.gui)
 
     def create(self, gui: viser.GuiApi) -> None:
-        """Make the controls, in the container that is open."""
+        """Create the controls, in the container that is open."""
         raise NotImplementedError
 
-    def enter(self, source: Source) -> list[Change]:
-        """Return the changes that another source brings."""
+    def close(self) -> None:
+        """Stop the panel's threads."""
+
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        """Return the changes that show what is fixed for another source."""
         return []
 
-    def close(self) -> None:
-        """End what runs on its own."""
-
-    def wait(self) -> list[Change]:
-        """Return the changes that tell that there is no frame yet."""
+    def update_without_frame(self) -> list[Change]:
+        """Return the changes that show the session before its first frame."""
         return []
 
     def update(self, frame: Frame) -> list[Change]:
-        """Return the changes that show `frame` and the session's present settings; called a few times per second."""
+        """Return the changes that show `frame` and the session's settings. Called a few times per second."""
         return []

@@ -1,4 +1,4 @@
-"""The flight as curves."""
+"""Charts of the flight."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
-from aero_viz.session.source import Source
+from aero_viz.session.source import SourceInfo
 
 __all__ = ["ChartPanel"]
 
 _ROWS = 150
-"""The page gets the whole curve each time, so it must stay short."""
+"""Longest curve. It must stay short, since every update sends the whole curve."""
 _AXIS: Any = {
     "stroke": palette.css(palette.MUTED),
     "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1},
@@ -27,53 +27,54 @@ _AXIS: Any = {
 
 
 class _Row(NamedTuple):
-    """What is drawn of a tick."""
+    """Values of one tick."""
 
     time: float
     speed: float
     clearance: float
     reach: float
-    """Where the clearance is cut off."""
+    """Largest clearance that the planner measures [m]."""
     plan_ms: float
 
 
 class ChartPanel(Panel):
-    """Speed and clearance, and the time of a plan, over the source's time, with a mark at the present."""
+    """Speed, clearance and plan time over source time, with a vertical line at the current tick."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self._rows: list[_Row] = []
         self._frame: Frame | None = None
         self._reach = self.session.config.costs.distance_max
-        self._motion = _chart(gui, _motion_series(self._reach))
-        self._plan = _chart(gui, (_curve("plan [ms]", palette.GUIDE), _MARK))
+        self.motion = _chart(gui, _motion_series(self._reach))
+        self.plan_time = _chart(gui, (_curve("plan [ms]", palette.GUIDE), _MARK))
 
-    def enter(self, source: Source) -> list[Change]:
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
         self._rows, self._frame = [], None
         return []
 
     def update(self, frame: Frame) -> list[Change]:
-        before, self._frame = self._frame, frame
-        if frame is before:
+        previous, self._frame = self._frame, frame
+        if frame is previous:
             return []
-        changes: list[Change] = [(self._motion, "visible", True), (self._plan, "visible", True)]
+        changes: list[Change] = [(self.motion, "visible", True), (self.plan_time, "visible", True)]
         row = _row(frame)
         if row.reach != self._reach:
             self._reach = row.reach
-            changes.append((self._motion, "series", (_TIME, *_motion_series(self._reach))))
-        # Who goes back may look at what comes after; it is another flight's once this one goes on from there.
-        goes_on = before is not None and frame.epoch == before.epoch and frame.time > before.time
-        self._rows = [r for r in self._rows if r.time < row.time or (r.time > row.time and not goes_on)]
+            changes.append((self.motion, "series", (_TIME, *_motion_series(self._reach))))
+        # After a step back the later rows stay visible. They belong to another flight once this one advances again.
+        advanced = previous is not None and frame.epoch == previous.epoch and frame.time > previous.time
+        self._rows = [r for r in self._rows if r.time < row.time or (r.time > row.time and not advanced)]
         if len(self._rows) >= _ROWS:
             time = np.array([r.time for r in self._rows])
-            del self._rows[1 + int(np.argmin(time[2:] - time[:-2]))]  # where they lie closest
+            del self._rows[1 + int(np.argmin(time[2:] - time[:-2]))]  # where rows are closest
         bisect.insort(self._rows, row)
-        # The mark is a spike; and the page would keep the axis of before if one had no length.
+        # With a single row the time axis would have no length, and the page would keep the previous axis.
         rows = self._rows if len(self._rows) > 1 else [row, row._replace(time=row.time + frame.source.period)]
-        here = rows.index(row)
-        time, speed, clearance, reach, plan = np.array([*rows[:here], row, row, *rows[here:]]).T
-        mark = (np.arange(len(time)) == here + 1).astype(np.float64)
-        changes.append((self._motion, "data", (time, speed, clearance, reach, mark)))
-        return [*changes, (self._plan, "data", (time, plan, mark))]
+        current = rows.index(row)
+        # The vertical line is a spike: three rows at the same time, of which the middle one is 1.
+        time, speed, clearance, reach, plan = np.array([*rows[:current], row, row, *rows[current:]]).T
+        mark = (np.arange(len(time)) == current + 1).astype(np.float64)
+        changes.append((self.motion, "data", (time, speed, clearance, reach, mark)))
+        return [*changes, (self.plan_time, "data", (time, plan, mark))]
 
 
 def _row(frame: Frame) -> _Row:

@@ -1,4 +1,4 @@
-"""The configuration as a whole: presets, undo, files."""
+"""Presets, undo and files: the configuration as a whole."""
 
 from __future__ import annotations
 
@@ -11,26 +11,31 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import ConfigFile, format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard, load_flight_config
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["ConfigurationPanel"]
+__all__ = ["ConfigurationPanel", "parse_upload"]
 
-_OWN = "(changed)"
+_CHANGED = "(changed)"
 
 
 class ConfigurationPanel(Panel):
     """Presets, undo and redo, download and upload.
 
-    Settings of the drone's node, under `onboard:` in an uploaded file, are not for the page; what is downloaded has
-    them again.
+    The page does not use the settings of the drone's node, under `onboard:` in an uploaded file; a later download
+    contains them unchanged.
     """
+
+    def __init__(self, page: Page, controls: SessionControls) -> None:
+        self._controls = controls
+        super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
         self._onboard = OnboardConfig()
         presets = PlannerConfig.presets()
         hint = " ".join(f"{name}: {help}" for name, help in presets.items())
-        self._preset = gui.add_dropdown("Preset", (*presets, _OWN), initial_value=_OWN, hint=hint)
+        self._preset = gui.add_dropdown("Preset", (*presets, _CHANGED), initial_value=_CHANGED, hint=hint)
         steps = gui.add_button_group("History", ("undo", "redo", "reset all"))
         with gui.add_folder("File", expand_by_default=False):
             save = gui.add_button("Download YAML", icon=viser.Icon.DOWNLOAD, color="gray")
@@ -38,17 +43,16 @@ class ConfigurationPanel(Panel):
 
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:
-            if event.client is not None and self._preset.value != _OWN:
-                self.page.attempt(
-                    lambda: self.session.configure(PlannerConfig.preset(self._preset.value)), event.client
-                )
+            if event.client is not None and self._preset.value != _CHANGED:
+                preset = PlannerConfig.preset(self._preset.value)
+                self.page.attempt(lambda: self._controls.configure(preset), event.client)
 
         @steps.on_click
         async def _(event: viser.GuiEvent) -> None:
             actions = {
-                "undo": self.session.undo,
-                "redo": self.session.redo,
-                "reset all": lambda: self.session.configure(PlannerConfig()),
+                "undo": self._controls.undo,
+                "redo": self._controls.redo,
+                "reset all": lambda: self._controls.configure(PlannerConfig()),
             }
             self.page.attempt(actions[steps.value], event.client)
 
@@ -62,29 +66,33 @@ class ConfigurationPanel(Panel):
 
         @load.on_upload
         async def _(event: viser.GuiEvent) -> None:
-            self.page.attempt(lambda: self._take(load.value), event.client)
+            self.page.attempt(lambda: self._load(load.value), event.client)
 
-    def _take(self, file: viser.UploadedFile) -> None:
-        config, onboard = _uploaded(file)
-        self.session.configure(config)
+    def _load(self, file: viser.UploadedFile) -> None:
+        config, onboard = parse_upload(file)
+        self._controls.configure(config)
         self._onboard = onboard
 
     def update(self, frame: Frame) -> list[Change]:
         config = self.session.config
         presets = PlannerConfig.presets()
-        name = next((name for name in presets if PlannerConfig.preset(name) == config), _OWN)
+        name = next((name for name in presets if PlannerConfig.preset(name) == config), _CHANGED)
         return [(self._preset, "value", name)]
 
 
-def _uploaded(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:
-    """Read a file that a browser sent, the planner's part and the node's; errors name it as the user does."""
+def parse_upload(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:
+    """Return the planner's and the node's settings in a file that a browser sent.
+
+    Raises:
+        ValueError: the file is malformed or sets nothing; names the file as the user knows it.
+    """
     name = Path(file.name).name or "upload.yaml"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(file.content)
         try:
             if not ConfigFile.read(path).entries:
-                raise ValueError(f"{path} sets nothing; the configuration stays. 'reset all' brings the default.")
+                raise ValueError(f"{path} sets nothing; the configuration stays. Press 'reset all' for the default.")
             return load_flight_config(path)
         except ValueError as error:
             raise ValueError(str(error).replace(str(path), name)) from error

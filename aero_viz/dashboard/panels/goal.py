@@ -1,4 +1,4 @@
-"""Moves the goal: by numbers or by dragging it in the scene."""
+"""Controls that move the goal: numbers, and arrows in the scene."""
 
 from __future__ import annotations
 
@@ -8,27 +8,32 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.sinks import Sink
 
 __all__ = ["GoalPanel"]
 
 _HOLD = 0.7
-"""How long the goal is left to the hand that moved it [s]."""
+"""Time after a user's change for which the control is not overwritten [s]."""
 
 
 class GoalPanel(Panel):
-    """The goal's coordinates, and three arrows at the goal."""
+    """Coordinates of the goal, and three arrows at the goal."""
+
+    def __init__(self, page: Page, controls: SessionControls) -> None:
+        self._controls = controls
+        super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
         self._typed = self._dragged = -_HOLD
-        self._position = gui.add_vector3("Goal", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world [m].")
+        self._position = gui.add_vector3("Goal", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world frame [m].")
         self._drag = gui.add_checkbox("Drag the goal", False, hint="Show arrows at the goal that move it.")
         self._arrows = self.page.server.scene.add_transform_controls(
             "/goal_arrows", scale=2.0, disable_rotations=True, depth_test=False, visible=False
         )
-        self._moves = Sink(self._move, name="goal")
+        self._moves = Sink(self._set_goal, name="goal")
 
         @self._position.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -48,12 +53,12 @@ class GoalPanel(Panel):
     def close(self) -> None:
         self._moves.close()
 
-    def _move(self, move: tuple[tuple[float, float, float], bool]) -> None:
-        """Runs in the sink's thread. A place that is refused is news only where the hand lets go."""
-        position, on_the_way = move
-        refused = self.session.set_goal(position, quiet=on_the_way).exception() is not None
-        if refused and not on_the_way:
-            self._typed = self._dragged = -_HOLD  # back to the goal that stays
+    def _set_goal(self, move: tuple[tuple[float, float, float], bool]) -> None:
+        """Move the goal, on the sink's thread. While it is dragged, a refused position is not reported."""
+        position, is_dragged = move
+        is_refused = self._controls.set_goal(position, quiet=is_dragged).exception() is not None
+        if is_refused and not is_dragged:
+            self._typed = self._dragged = -_HOLD  # show the goal that stays
         self.page.refresh()
 
     def update(self, frame: Frame) -> list[Change]:

@@ -1,68 +1,57 @@
-"""Which layers are shown, and how they are coloured."""
+"""Switches and options of the layers."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import viser
 
-from aero_viz.dashboard.layers import Change, Layer
-from aero_viz.dashboard.layers.cloud import CloudLayer
-from aero_viz.dashboard.layers.rollouts import RolloutLayer
-from aero_viz.dashboard.layers.samples import BEST, SampleLayer
+from aero_viz.dashboard.layers import Change, Layer, Option
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
 
 __all__ = ["LayerPanel"]
 
-_CHOSEN = "the chosen one"
-
 
 class LayerPanel(Panel):
-    """A switch for every layer."""
+    """A switch for every layer, with the layer's options below it."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._switches: dict[str, viser.GuiCheckboxHandle] = {}
+        self._switches: list[tuple[Layer, viser.GuiCheckboxHandle]] = []
+        self._dropdowns: list[tuple[Layer, Option, viser.GuiDropdownHandle[Any]]] = []
         for layer in self.page.layers.values():
             self._add_switch(gui, layer)
-            if isinstance(layer, RolloutLayer | CloudLayer):
-                self._add_colors(gui, layer)
-            elif isinstance(layer, SampleLayer):
-                self._add_instances(gui, layer)
+            for option in layer.options:
+                self._add_dropdown(gui, layer, option)
 
     def _add_switch(self, gui: viser.GuiApi, layer: Layer) -> None:
-        switch = self._switches[layer.name] = gui.add_checkbox(layer.title, layer.visible, hint=type(layer).__doc__)
+        switch = gui.add_checkbox(layer.title, layer.visible, hint=type(layer).__doc__)
+        self._switches.append((layer, switch))
 
         @switch.on_update
         async def _(event: viser.GuiEvent) -> None:
             layer.visible = switch.value
-            if isinstance(layer, SampleLayer) and event.client is not None:
-                self.session.set_samples(switch.value)
+            if layer.needs_samples and event.client is not None:
+                self.page.update_samples()
             self.page.refresh()
 
-    def _add_colors(self, gui: viser.GuiApi, layer: RolloutLayer | CloudLayer) -> None:
-        colors = gui.add_dropdown("coloured by", layer.colors, initial_value=layer.color_by)
+    def _add_dropdown(self, gui: viser.GuiApi, layer: Layer, option: Option) -> None:
+        choices = tuple(option.choices(self.session.config))
+        dropdown = gui.add_dropdown(option.label, choices, initial_value=option.value, hint=option.hint)
+        self._dropdowns.append((layer, option, dropdown))
 
-        @colors.on_update
+        @dropdown.on_update
         async def _(_: viser.GuiEvent) -> None:
-            layer.color_by = colors.value
+            option.value = dropdown.value
             self.page.refresh()
-
-    def _add_instances(self, gui: viser.GuiApi, layer: SampleLayer) -> None:
-        hint = "Whose samples are drawn."
-        self._instances = gui.add_dropdown("of instance", self._instance_names(), initial_value=_CHOSEN, hint=hint)
-
-        @self._instances.on_update
-        async def _(_: viser.GuiEvent) -> None:
-            layer.instance = BEST if self._instances.value == _CHOSEN else int(self._instances.value.split()[0])
-            self.page.refresh()
-
-    def _instance_names(self) -> tuple[str, ...]:
-        return (_CHOSEN, *(f"{i} {kind}" for i, kind in enumerate(self.session.config.kinds)))
 
     def update(self, frame: Frame) -> list[Change]:
         changes: list[Change] = []
-        for name, switch in self._switches.items():
-            layer = self.page.layers[name]
+        for layer, switch in self._switches:
             changes += [(switch, "visible", layer.available), (switch, "value", layer.visible)]
-        if self._instances.options != self._instance_names():
-            changes.append((self._instances, "options", self._instance_names()))
-        return [*changes, (self._instances, "visible", self.page.layers["samples"].visible)]
+        for layer, option, dropdown in self._dropdowns:
+            choices = tuple(option.choices(self.session.config))
+            if dropdown.options != choices:
+                changes.append((dropdown, "options", choices))
+            changes.append((dropdown, "visible", layer.available and layer.visible))
+        return changes

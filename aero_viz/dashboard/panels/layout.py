@@ -1,4 +1,4 @@
-"""Where everything stands on the page."""
+"""Layout of the page."""
 
 from __future__ import annotations
 
@@ -24,25 +24,30 @@ __all__ = ["build"]
 def build(
     page: Page, *, open_source: Opener | None, choices: Sequence[tuple[str, str]], seed: int
 ) -> tuple[CameraPanel, list[Panel]]:
-    """Make all panels: the controls docked on the right, the status floating at the lower left."""
-    gui = page.server.gui
+    """Create all panels: the controls docked on the right, the status floating at the lower left.
+
+    Without `session.controls`, there are no panels that change the session.
+    """
+    gui, controls = page.server.gui, page.session.controls
     gui.main_panel.dock_right()
     gui.main_panel.set_width(350)
     panels: list[Panel] = [PlaybackPanel(page)]
     camera = CameraPanel(page)
     tabs = gui.add_tab_group()
     with tabs.add_tab("Fly", viser.Icon.DRONE):
-        if open_source is not None:
+        if controls is not None and open_source is not None:
             with gui.add_folder("Source"):
-                panels.append(SourcePanel(page, open_source, choices, seed=seed))
-        if not page.session.read_only:
+                panels.append(SourcePanel(page, controls, open_source, choices, seed=seed))
+        if controls is not None:
             with gui.add_folder("Goal"):
-                panels.append(GoalPanel(page))
+                panels.append(GoalPanel(page, controls))
         panels.append(ChartPanel(page))
     with tabs.add_tab("Layers", viser.Icon.STACK_2):
         panels.append(LayerPanel(page))
-    with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
-        panels += [ConfigurationPanel(page), LiveParameterPanel(page), StructureParameterPanel(page)]
+    if controls is not None:
+        with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
+            panels.append(ConfigurationPanel(page, controls))
+            panels += [LiveParameterPanel(page, controls), StructureParameterPanel(page, controls)]
     status = gui.add_panel()
     with status.add_tab("Planner", viser.Icon.GAUGE):
         panels.append(StatusPanel(page))

@@ -1,31 +1,43 @@
-"""Small pieces of HTML for the status panel. Texts from outside go through `text`."""
+"""HTML snippets for the panels. Strings from outside this program must go through `text`."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.palette import Rgb, css
 
-__all__ = ["bars", "block", "key", "metrics", "note", "pill", "scale", "stacked", "text"]
+__all__ = ["Bar", "bars", "block", "heading", "key", "metrics", "muted", "note", "pill", "scale", "stacked", "text"]
+
+
+class Bar(NamedTuple):
+    """One column of a bar chart."""
+
+    height: float
+    """From 0 to 1."""
+    tooltip: str
+    color: Rgb
+    is_marked: bool
+
 
 _FONT = "font-size:12px;line-height:1.45;font-variant-numeric:tabular-nums"
 
 
 def text(value: object) -> str:
-    """Return `value` as harmless HTML."""
+    """Return `value` with HTML characters escaped."""
     return html.escape(str(value))
 
 
 def block(*parts: str) -> str:
-    """Stack parts."""
+    """Return the parts stacked vertically; empty ones are left out."""
     rows = "".join(f'<div style="margin-bottom:9px">{part}</div>' for part in parts if part)
     return f'<div style="{_FONT};padding:4px 12px 2px 12px">{rows}</div>'
 
 
 def pill(label: str, color: Rgb) -> str:
-    """A word on a coloured ground."""
+    """Return a short text on a coloured background."""
     return (
         f'<span style="display:inline-block;padding:1px 9px;border-radius:9px;font-weight:600;margin-right:6px;'
         f'color:{css(color)};background:{css(color, 0.16)}">{text(label)}</span>'
@@ -33,17 +45,17 @@ def pill(label: str, color: Rgb) -> str:
 
 
 def muted(label: str) -> str:
-    """A word of less importance."""
+    """Return a text in a muted colour."""
     return f'<span style="color:{css(palette.MUTED)}">{text(label)}</span>'
 
 
 def note(label: str) -> str:
-    """A small line of its own under a control; nothing for nothing."""
+    """Return a small line of text below a control; empty for an empty label."""
     return f'<div style="{_FONT};font-size:11px;padding:0 12px">{muted(label)}</div>' if label else ""
 
 
 def metrics(values: Iterable[tuple[str, str, str]]) -> str:
-    """Figures in two columns: label, number, unit."""
+    """Return a grid of figures, each given as label, number and unit."""
     cells = "".join(
         f'<div><div style="color:{css(palette.MUTED)};font-size:11px">{text(label)}</div>'
         f'<span style="font-size:16px;font-weight:600">{text(number)}</span> {muted(unit)}</div>'
@@ -53,12 +65,12 @@ def metrics(values: Iterable[tuple[str, str, str]]) -> str:
 
 
 def heading(label: str, value: str = "") -> str:
-    """A label on the left and a figure on the right."""
+    """Return a label on the left with a figure on the right."""
     return f'<div style="display:flex;justify-content:space-between">{muted(label)}<span>{text(value)}</span></div>'
 
 
 def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
-    """One bar, divided in proportion, with a legend below; parts below 2 % have no entry there."""
+    """Return a bar divided in proportion, with a legend below that leaves out parts under 2 %."""
     total = max(sum(value for _, value, _ in parts), 1e-9)
     bar = "".join(
         f'<div style="width:{100 * value / total:.2f}%;background:{css(color)}"></div>' for _, value, color in parts
@@ -75,18 +87,19 @@ def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
     )
 
 
-def bars(values: Sequence[tuple[float, str, Rgb, bool]]) -> str:
-    """Columns side by side: height in [0, 1], tooltip, colour, whether marked."""
+def bars(values: Sequence[Bar]) -> str:
+    """Return a chart with a column for each value."""
     columns = "".join(
-        f'<div title="{text(tip)}" style="flex:1;height:{max(4.0, 100.0 * height):.0f}%;background:{css(color)};'
-        f'border-radius:2px 2px 0 0{";outline:1px solid #fff" if marked else ""}"></div>'
-        for height, tip, color, marked in values
+        f'<div title="{text(bar.tooltip)}" style="flex:1;height:{max(4.0, 100.0 * bar.height):.0f}%;'
+        f"background:{css(bar.color)};border-radius:2px 2px 0 0"
+        f'{";outline:1px solid #fff" if bar.is_marked else ""}"></div>'
+        for bar in values
     )
     return f'<div style="display:flex;align-items:flex-end;gap:2px;height:42px;margin-top:4px">{columns}</div>'
 
 
 def dot(color: Rgb) -> str:
-    """A small disc."""
+    """Return a small coloured disc."""
     return (
         f'<span style="display:inline-block;width:8px;height:8px;border-radius:4px;margin-right:5px;'
         f'background:{css(color)}"></span>'
@@ -94,15 +107,15 @@ def dot(color: Rgb) -> str:
 
 
 def key(entries: Iterable[tuple[str, Rgb]]) -> str:
-    """What each colour means, in two columns."""
+    """Return a legend of single colours in two columns."""
     items = "".join(f"<div>{dot(color)}{muted(label)}</div>" for label, color in entries)
     return f'<div style="display:grid;grid-template-columns:1fr 1fr;gap:1px 8px;font-size:11px">{items}</div>'
 
 
-def scale(label: str, low: str, high: str, table: palette.Table) -> str:
-    """A colormap with its ends."""
+def scale(label: str, low: str, high: str, colormap: palette.Colormap) -> str:
+    """Return a legend of a colormap, with a text at either end."""
     return (
         f'<div style="font-size:11px">{muted(label)}<div style="height:7px;border-radius:3px;margin:2px 0;'
-        f'background:{palette.gradient(table)}"></div><div style="display:flex;justify-content:space-between">'
+        f'background:{palette.gradient(colormap)}"></div><div style="display:flex;justify-content:space-between">'
         f"<span>{text(low)}</span><span>{text(high)}</span></div></div>"
     )

@@ -1,4 +1,4 @@
-"""A control for every parameter, made from the planner's own list of parameters."""
+"""A control for every parameter, built from the planner's table of parameters."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo, Value, parameters
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
 __all__ = ["LiveParameterPanel", "StructureParameterPanel"]
@@ -93,7 +94,8 @@ def _nice(value: float) -> float:
 class _ParameterPanel(Panel):
     """Controls that show the session's configuration, whoever changes it."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Page, controls: SessionControls) -> None:
+        self._commands = controls
         self._shown: PlannerConfig | None = None
         self._controls: list[Control] = []
         super().__init__(page)
@@ -126,7 +128,7 @@ class LiveParameterPanel(_ParameterPanel):
         @control.handle.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None and not self.page.attempt(
-                lambda: self.session.configure({info.path: control.value}), event.client
+                lambda: self._commands.configure({info.path: control.value}), event.client
             ):
                 self._shown = None
 
@@ -134,7 +136,7 @@ class LiveParameterPanel(_ParameterPanel):
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
             default = PlannerConfig()
-            self.page.attempt(lambda: self.session.configure({p: default.get(p) for p in paths}), event.client)
+            self.page.attempt(lambda: self._commands.configure({p: default.get(p) for p in paths}), event.client)
 
 
 class StructureParameterPanel(_ParameterPanel):
@@ -149,7 +151,7 @@ class StructureParameterPanel(_ParameterPanel):
         @apply.on_click
         async def _(event: viser.GuiEvent) -> None:
             changes = {control.info.path: control.value for control in self._controls}
-            if not self.page.attempt(lambda: self.session.configure(changes), event.client):
+            if not self.page.attempt(lambda: self._commands.configure(changes), event.client):
                 self._shown = None
             form.submit()
 

@@ -1,4 +1,4 @@
-"""Play, pause, step, speed and the timeline."""
+"""Play, pause, step, speed and timeline."""
 
 from __future__ import annotations
 
@@ -9,49 +9,62 @@ import viser
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
+from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.sinks import Sink
-from aero_viz.session.source import Source
+from aero_viz.session.source import SourceInfo
 
 __all__ = ["PlaybackPanel"]
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _HOLD = 0.7
-"""How long the timeline is left to the hand that moved it [s]."""
+"""Time after a user's change for which the timeline is not overwritten [s]."""
 
 
 class PlaybackPanel(Panel):
-    """Controls of the session's clock."""
+    """Controls of the session's clock and timeline."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = -_HOLD
-        self._play = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray")
-        self._restart = gui.add_button(
-            "Restart", icon=viser.Icon.PLAYER_SKIP_BACK, color="gray", hint="Go back to the beginning.",
-            visible=not self.session.read_only,
-        )  # fmt: skip
+        self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray")
+        if self.session.controls is not None:
+            self._add_restart(gui)
         self._steps = gui.add_button_group(
-            "Step", ("-10", "-1", "+1", "+10"), hint="Pause and go some ticks back or on."
+            "Step", ("-10", "-1", "+1", "+10"), hint="Pause and move by some ticks, backward or forward."
         )
         self._time = gui.add_slider(
             "Time", 0.0, 1.0, 0.01, 0.0,
-            hint="Pause and go to this time [s]. A flight can be flown differently from there on.",
+            hint="Pause and go to this time [s]. A flight can continue differently from there.",
         )  # fmt: skip
-        self._speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Source time per wall time.")
-        # Of the positions that a drag passes through, only the newest is worth going to.
+        if self.session.controls is not None:
+            self._add_speed(gui, self.session.controls)
+        # While the slider is dragged, only its newest position matters.
         self._seeks = Sink(self._seek, name="seek")
         self._connect(gui)
 
-    def _connect(self, gui: viser.GuiApi) -> None:
-        session = self.session
+    def _add_restart(self, gui: viser.GuiApi) -> None:
+        restart = gui.add_button(
+            "Restart", icon=viser.Icon.PLAYER_SKIP_BACK, color="gray", hint="Go back to the beginning."
+        )
 
-        @self._play.on_click
+        @restart.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.session.seek(self.session.time_range[0])
+
+    def _add_speed(self, gui: viser.GuiApi, controls: SessionControls) -> None:
+        speed = gui.add_dropdown(
+            "Speed", tuple(_SPEEDS), initial_value="1", hint="Source time that passes per wall time."
+        )
+
+        @speed.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                controls.set_speed(_SPEEDS[speed.value])
+
+    def _connect(self, gui: viser.GuiApi) -> None:
+        @self.play_button.on_click
         async def _(_: viser.GuiEvent) -> None:
             self._toggle()
-
-        @self._restart.on_click
-        async def _(_: viser.GuiEvent) -> None:
-            session.seek(session.time_range[0])
 
         @self._steps.on_click
         async def _(_: viser.GuiEvent) -> None:
@@ -61,18 +74,15 @@ class PlaybackPanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._touched = time.monotonic()
-                session.pause()
+                self.session.pause()
                 self._seeks.put(float(self._time.value))
-
-        @self._speed.on_update
-        async def _(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                session.set_speed(_SPEEDS[self._speed.value])
 
         play = gui.add_command("Play or pause", hotkey="P", icon=viser.Icon.PLAYER_PLAY)
         play.on_trigger(lambda _: self._toggle())
-        on = gui.add_command("Step on", hotkey="arrowright", modifier="shift", icon=viser.Icon.PLAYER_TRACK_NEXT)
-        on.on_trigger(lambda _: self._step(1))
+        forward = gui.add_command(
+            "Step forward", hotkey="arrowright", modifier="shift", icon=viser.Icon.PLAYER_TRACK_NEXT
+        )
+        forward.on_trigger(lambda _: self._step(1))
         back = gui.add_command("Step back", hotkey="arrowleft", modifier="shift", icon=viser.Icon.PLAYER_TRACK_PREV)
         back.on_trigger(lambda _: self._step(-1))
 
@@ -82,12 +92,12 @@ class PlaybackPanel(Panel):
     def _step(self, count: int) -> None:
         self.session.step(count)
 
-    def _seek(self, wanted: float) -> None:
-        self.session.seek(wanted).exception()  # waits; what went wrong the session says
-        # While time stands still no frame follows that would show where the seek led.
-        settled = threading.Timer(1.1 * _HOLD, self.page.refresh)
-        settled.daemon = True
-        settled.start()
+    def _seek(self, time: float) -> None:
+        self.session.seek(time).exception()  # waits; the session reports errors itself
+        # While time stands still, no later frame would show the time that was reached.
+        timer = threading.Timer(1.1 * _HOLD, self.page.refresh)
+        timer.daemon = True
+        timer.start()
 
     def _toggle(self) -> None:
         if self.session.playing:
@@ -95,19 +105,19 @@ class PlaybackPanel(Panel):
         else:
             self.session.play()
 
-    def enter(self, source: Source) -> list[Change]:
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
         return [(self._time, "step", max(round(source.period, 3), 0.001))]
 
-    def wait(self) -> list[Change]:
+    def update_without_frame(self) -> list[Change]:
         playing = self.session.playing
         return [
-            (self._play, "label", "Pause" if playing else "Play"),
-            (self._play, "icon", viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY),
-            (self._play, "color", "gray" if playing else "green"),
+            (self.play_button, "label", "Pause" if playing else "Play"),
+            (self.play_button, "icon", viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY),
+            (self.play_button, "color", "gray" if playing else "green"),
         ]
 
     def update(self, frame: Frame) -> list[Change]:
-        changes = self.wait()
+        changes = self.update_without_frame()
         if time.monotonic() - self._touched > _HOLD:
             first, last = self.session.time_range
             changes += [

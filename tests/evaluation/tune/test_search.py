@@ -22,7 +22,7 @@ SPAN = Span("anchors.lookahead", 1.0, 8.0)
 
 @pytest.fixture(scope="module")
 def poles() -> World:
-    world = small_source(goal=7.0).scenery.world
+    world = small_source(goal=7.0).info.world
     assert world is not None
     return world
 

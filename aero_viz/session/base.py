@@ -1,0 +1,152 @@
+"""Interfaces between sessions and whatever shows or controls them, such as the dashboard."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import Any, Literal, Protocol
+
+from numpy.typing import ArrayLike
+
+from aero_planner import PlannerConfig
+from aero_viz.session.frame import Frame, Notice
+from aero_viz.session.sinks import Publisher, Sink
+from aero_viz.session.source import Source
+
+__all__ = ["BaseSession", "SessionControls"]
+
+
+class SessionControls(Protocol):
+    """Commands that change a session: its source, its goal, its speed and its configuration. Safe from any thread."""
+
+    def set_source(self, source: Source) -> Future[Any]:
+        """Continue with another source, from its start."""
+        ...
+
+    def set_goal(self, position: ArrayLike, *, quiet: bool = False) -> Future[Any]:
+        """Move the goal [m], shape [3], world frame. With `quiet`, a refusal is reported in the future only."""
+        ...
+
+    def set_speed(self, speed: float) -> None:
+        """Set the source time that passes per wall time."""
+        ...
+
+    def set_samples(self, enabled: bool) -> Future[Any]:
+        """Include the Stage I samples in frames, or leave them out."""
+        ...
+
+    def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+        """Use another configuration, or change some parameters of the current one."""
+        ...
+
+    def undo(self) -> PlannerConfig:
+        """Return to the configuration before the current one."""
+        ...
+
+    def redo(self) -> PlannerConfig:
+        """Return to the configuration that `undo` left."""
+        ...
+
+
+class BaseSession(ABC):
+    """Publishes frames, notices and the playback state to any number of listeners, and moves through recorded time.
+
+    Each listener has its own thread, so that a slow one delays nobody else.
+    """
+
+    def __init__(self, *, playing: bool = False) -> None:
+        self._frames = Publisher[Frame]()
+        self._notices = Publisher[Notice]()
+        self._playing_changes = Publisher[bool]()
+        self._playing = playing
+
+    @property
+    @abstractmethod
+    def controls(self) -> SessionControls | None:
+        """Commands that change the session; None for a session that can only be watched."""
+
+    @property
+    @abstractmethod
+    def frame(self) -> Frame | None:
+        """The frame to show; None before the first plan."""
+
+    @property
+    @abstractmethod
+    def config(self) -> PlannerConfig:
+        """The planner's configuration."""
+
+    @property
+    @abstractmethod
+    def time_range(self) -> tuple[float, float]:
+        """First and last time that `seek` can reach [s]."""
+
+    @property
+    def playing(self) -> bool:
+        """True while time advances."""
+        return self._playing
+
+    @property
+    def speed(self) -> float:
+        """Source time that passes per wall time."""
+        return 1.0
+
+    @property
+    def waiting_message(self) -> str:
+        """Text for the user as long as there is no frame."""
+        return "The first plan is being computed. Kernels that are new to this machine take a minute to compile."
+
+    @abstractmethod
+    def play(self) -> None:
+        """Resume playback."""
+
+    @abstractmethod
+    def pause(self) -> None:
+        """Stop time at the current frame."""
+
+    @abstractmethod
+    def step(self, count: int = 1) -> Future[Any]:
+        """Pause and move by `count` frames, backward if negative."""
+
+    @abstractmethod
+    def seek(self, time: float) -> Future[Any]:
+        """Go to the frame at or before `time` [s]."""
+
+    def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink[Frame]:
+        """Call `callback` with the current frame and those that follow, on a separate thread, until `unsubscribe`.
+
+        A callback that is too slow gets the newest frame only. With `every`, up to 256 frames wait for it instead.
+        """
+        sink = self._frames.subscribe(callback, capacity=256 if every else 1, name=name)
+        if self.frame is not None:
+            sink.put(self.frame)
+        return sink
+
+    def subscribe_notices(self, callback: Callable[[Notice], None]) -> Sink[Notice]:
+        """Call `callback` with each notice, on a separate thread, until `unsubscribe`."""
+        return self._notices.subscribe(callback, capacity=64, name="notices")
+
+    def subscribe_playing(self, callback: Callable[[bool], None]) -> Sink[bool]:
+        """Call `callback` with `playing`, now and at every change, on a separate thread, until `unsubscribe`."""
+        sink = self._playing_changes.subscribe(callback, capacity=64, name="playing")
+        sink.put(self._playing)
+        return sink
+
+    def unsubscribe(self, sink: Sink[Any], *, timeout: float = 0.0) -> None:
+        """Remove and close a sink. Items that still wait are delivered for up to `timeout` [s]."""
+        for publisher in (self._frames, self._notices, self._playing_changes):
+            publisher.unsubscribe(sink, timeout=timeout)
+
+    def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
+        """Publish a notice."""
+        self._notices.publish(Notice(level, text))
+
+    def close_sinks(self) -> None:
+        """Close all sinks. Items that still wait are dropped."""
+        for publisher in (self._frames, self._notices, self._playing_changes):
+            publisher.close()
+
+    def _set_playing(self, playing: bool) -> None:
+        if playing != self._playing:
+            self._playing = playing
+            self._playing_changes.publish(playing)
