@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.scenes import rooms
+from aero_viz.scenes.primitives import DISTANCES
 from aero_viz.scenes.world import World
 
 __all__ = ["SCENES", "SceneKind", "density", "forest", "inclines", "scene", "verticals"]
@@ -208,8 +209,10 @@ def _axis(rng: np.random.Generator, tilt_max: float) -> Rows:
 
 
 def _is_clear(cylinders: Rows, spheres: Rows) -> bool:
-    obstacle = World("", np.array(START), np.array(GOAL), cylinders=cylinders, spheres=spheres)
-    return bool(np.all(obstacle.distance([START, GOAL]) >= CLEAR_RADIUS))
+    # Without a `World` for each candidate, whose checks would take most of the time of making a scene.
+    ends = np.array([[START], [GOAL]])
+    tables = {"cylinders": cylinders, "spheres": spheres}
+    return all(np.all(DISTANCES[name](ends, table) >= CLEAR_RADIUS) for name, table in tables.items())
 
 
 def _clear_cylinders(draw: Callable[[], Rows], count: int) -> Rows:
