@@ -56,14 +56,14 @@ def bench(
         config_flags: The planner's configuration.
     """
     from aero_planner.config.file import config_from_name
-    from aero_viz.evaluation.bench.catalog import BENCHMARKS
-    from aero_viz.evaluation.bench.include import load_included
+    from aero_viz.evaluation.bench.external_results import load_external_results
     from aero_viz.evaluation.bench.report import format_summaries, format_worlds, world_records, write_report
     from aero_viz.evaluation.bench.runner import load_run, run_benchmark
+    from aero_viz.evaluation.bench.suites import BENCHMARKS
 
     benchmark, folder, config = BENCHMARKS[name], output or Path("results") / name, config_flags.load()
     is_changed = config != config_from_name(config_flags.config)
-    included = load_included(include, benchmark)
+    external = load_external_results(include, benchmark)
     try:
         with progress_bar() as update_bar:
             run = run_benchmark(
@@ -83,10 +83,10 @@ def bench(
                 sensor=flight_flags.lidar_changes,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
             )
-        summaries = write_report(run, folder, included=included)
+        summaries = write_report(run, folder, external=external)
     except KeyboardInterrupt:
         run = load_run(folder, benchmark)
-        write_report(run, folder, included=included)
+        write_report(run, folder, external=external)
         print(
             f"{len(run.flights)} of {run.total} flights are kept in {folder}; "
             "run the same command with --resume to continue.",

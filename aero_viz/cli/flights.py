@@ -136,7 +136,7 @@ def score(
         world_flags: The world.
         rules: The rules by which a flight ends.
     """
-    from aero_viz.evaluation.bench.include import append_to_table
+    from aero_viz.evaluation.bench.external_results import append_to_table
     from aero_viz.evaluation.score import load_trajectory
     from aero_viz.evaluation.score import score as score_flight
 

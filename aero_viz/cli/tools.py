@@ -73,7 +73,7 @@ def world(
         seed: Seed of the scene.
         world_flags: The world.
     """
-    from aero_viz.evaluation.bench.surface import export_world
+    from aero_viz.evaluation.bench.world_export import export_world
 
     points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
     print(f"{output}: {points} points" if points else str(output))

@@ -74,7 +74,7 @@ def tune(
         config_flags: The planner's configuration, where the search starts.
     """
     from aero_planner.config.file import save_config
-    from aero_viz.evaluation.tune import parse_spans
+    from aero_viz.evaluation.tune import parse_ranges
     from aero_viz.evaluation.tune import tune as search_parameters
     from aero_viz.scenes import SCENES
 
@@ -85,7 +85,7 @@ def tune(
         _check_output(output, overwrite=overwrite)
     config = config_flags.load()
     config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
-    spans = parse_spans(over, config)
+    ranges = parse_ranges(over, config)
     fixed_world = None if world in SCENES else world_flags.load(world, seed=seed)
     worlds = [fixed_world or world_flags.load(world, seed=seed + i) for i in range(flights + check_flights)]
     options = flight_flags.options(config, lidar=lidar)
@@ -93,7 +93,7 @@ def tune(
         with progress_bar() as update_bar:
             tuning = search_parameters(
                 config,
-                spans,
+                ranges,
                 worlds[:flights],
                 worlds[flights:],
                 rounds=rounds,

@@ -1,81 +1,84 @@
-"""From flights to the lines of a table."""
+"""Statistics of flights: the rows of a table, confidence intervals and tests."""
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["METRICS", "Summary", "summarise", "wilson"]
+__all__ = ["METRICS", "Summary", "sign_test", "summarise", "wilson_interval"]
 
 METRICS = (
     "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance", "min_clearance", "flight_time_s",
 )  # fmt: skip
-"""Fields of `FlightResult` that are averaged, over the flights that arrived, as in the paper's table."""
-
-_Z95 = 1.959963984540054
+"""Fields of `FlightResult` that are averaged over the flights that arrived, as in the paper's table."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """One line of a table: the flights of one planner in one row."""
+    """One row of a table: the flights of one planner under the same conditions."""
 
     row: str
     planner: str
     flights: int
+    """Number of flights."""
     arrived: int
+    """Number of flights that arrived."""
     success_rate: float
     """arrived / flights."""
     success_low: float
+    """Lower end of the 95 % Wilson interval of the success rate."""
     success_high: float
-    """Wilson score interval of the success rate, 95 %."""
+    """Upper end of the 95 % Wilson interval of the success rate."""
     passable: float | None
-    """Fraction of the worlds in which a path exists for the drone's radius; None where that was not looked at."""
+    """Share of the worlds in which there is a path for the drone's radius, None if that was not computed."""
     reasons: dict[str, int]
-    """How many flights ended how; "incomplete" for a recorded one that just stops."""
+    """Number of flights by the reason for which they ended; "incomplete" for a recorded flight that just stops."""
     mean: dict[str, float | None]
+    """Means of `METRICS` over the flights that arrived, None if none did."""
     std: dict[str, float | None]
-    """Of `METRICS` over the flights that arrived; None where none did. The deviation is that of a sample."""
+    """Sample standard deviations of `METRICS` over the flights that arrived, None if fewer than two did."""
     plan_ms_median: float | None
-    """Median over the flights' batches: time of one plan for a whole batch [ms]."""
+    """Median over the batches of the time that a plan for the whole batch takes [ms]."""
     flights_per_minute: float | None
-    """Of wall time, all batches with these flights; None for included flights."""
+    """Flights per minute of wall time, None for flights of other planners."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON can hold them."""
+        """Return the fields as plain values for JSON."""
         return asdict(self)
 
 
-def wilson(successes: int, trials: int, *, z: float = _Z95) -> tuple[float, float]:
-    """Return the Wilson score interval of a rate; 95 % by default. (0, 1) without trials.
-
-    Wilson 1927: (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n) with p = successes / n.
-    """
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Return the 95 % Wilson score interval of a success rate, (0, 1) without trials."""
     if not 0 <= successes <= trials:
         raise ValueError(f"{successes} successes of {trials} trials are not possible.")
     if trials == 0:
         return 0.0, 1.0
-    rate, n = successes / trials, float(trials)
-    centre = rate + z * z / (2.0 * n)
-    half = z * math.sqrt(rate * (1.0 - rate) / n + z * z / (4.0 * n * n))
-    scale = 1.0 + z * z / n
-    # Exact at the ends, where rounding would leave 1e-17 beyond them.
-    low = 0.0 if successes == 0 else (centre - half) / scale
-    high = 1.0 if successes == trials else (centre + half) / scale
-    return low, high
+    from scipy.stats import binomtest  # takes 0.5 s to import
+
+    interval = binomtest(successes, trials).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def sign_test(wins: int, losses: int) -> float:
+    """Return the p-value of the two-sided sign test: the chance of a split at least as uneven if both are as likely."""
+    if wins + losses == 0:
+        return 1.0
+    from scipy.stats import binomtest
+
+    return float(binomtest(wins, wins + losses).pvalue)
 
 
 def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -> Summary:
-    """Return the line of these flights: records of `Run.flights` or of an included table."""
+    """Return the summary of flights, which are records of `Run.flights` or of `ExternalResults.flights`."""
     arrived = [flight for flight in flights if flight["arrived"]]
-    low, high = wilson(len(arrived), len(flights))
+    low, high = wilson_interval(len(arrived), len(flights))
     values = {name: [float(flight[name]) for flight in arrived if flight.get(name) is not None] for name in METRICS}
     passable = [bool(flight["passable"]) for flight in flights if flight.get("passable") is not None]
     batches = {flight["batch"]: flight for flight in flights if "batch" in flight}
-    seconds = sum(batch["run_s"] * _share(batch, flights) for batch in batches.values())
+    seconds = sum(batch["run_s"] * _batch_share(batch, flights) for batch in batches.values())
     plan_ms = [batch["plan_ms_median"] for batch in batches.values() if batch["plan_ms_median"] is not None]
     return Summary(
         row=row,
@@ -94,6 +97,6 @@ def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -
     )
 
 
-def _share(batch: Mapping[str, Any], flights: Sequence[Mapping[str, Any]]) -> float:
-    """Return which part of a batch, shared with other rows, is of these flights."""
+def _batch_share(batch: Mapping[str, Any], flights: Sequence[Mapping[str, Any]]) -> float:
+    """Return the share of a batch, which may have flights of other rows, that these flights make up."""
     return sum(flight.get("batch") == batch["batch"] for flight in flights) / batch["batch_size"]

@@ -27,7 +27,7 @@ def test_the_result_is_printed_written_and_can_be_flown(
     assert found.anchors.lookahead > 2.0 and found.sampling.samples == 16
     assert f"As flags: --anchors.lookahead {found.anchors.lookahead:g}\n{path}\n" in text
     assert "incumbent, fresh worlds  1" in text and "best, fresh worlds       1" in text
-    assert "Warning: the difference is within the noise" in text  # of a single flight
+    assert "Warning: the difference is not significant" in text  # of a single flight
     code, text, _ = run(capsys, "fly", short_poles, "--config", str(path), *SMALL, "--json")
     assert code == 0 and json.loads(text)["flight_time_s"] < 4.0
 
@@ -72,14 +72,14 @@ def test_ctrl_c_writes_the_best_so_far(short_poles: str, tmp_path: Path) -> None
         "tune", short_poles, *CRIPPLED, *few, "--output", str(path), interrupt_at=lambda shown: "fresh worlds" in shown
     )
     assert code == 130 and "Traceback" not in shown
-    assert "Warning: it was interrupted before the check" in printed and printed.endswith(f"{path}\n")
+    assert "Warning: the search was interrupted before the check" in printed and printed.endswith(f"{path}\n")
     assert load_config(path).anchors.lookahead > 1.0
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tune", "forest"], "nothing to tune; give --over"),
+        (["tune", "forest"], "nothing to tune; name a parameter"),
         (["tune", "forest", "--over", "costs.q_trak"], "did you mean 'costs.q_track'?"),
         (["tune", "forest", "--over", "sampling.steps"], "sampling.steps is structural"),
         (["tune", "forrest", "--over", "costs.q_track"], "forest"),

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from aero_viz.evaluation.statistics import METRICS, summarise, wilson
+from aero_viz.evaluation.statistics import METRICS, sign_test, summarise, wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -15,16 +15,24 @@ from aero_viz.evaluation.statistics import METRICS, summarise, wilson
     ],
 )
 def test_wilson_interval(successes, trials, low, high):
-    assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
+    assert wilson_interval(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("wins", "losses", "p_value"),
+    [(6, 0, 2 / 2**6), (0, 5, 2 / 2**5), (7, 1, 2 * (1 + 8) / 2**8), (4, 4, 1.0), (0, 0, 1.0)],
+)
+def test_sign_test(wins, losses, p_value):
+    assert sign_test(wins, losses) == pytest.approx(p_value)
 
 
 def test_wilson_interval_at_the_ends():
-    assert wilson(0, 0) == (0.0, 1.0)
-    assert wilson(50, 50)[1] == 1.0 and wilson(0, 50)[0] == 0.0
-    low, high = wilson(7, 10)
-    assert wilson(3, 10) == pytest.approx((1.0 - high, 1.0 - low))
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    assert wilson_interval(50, 50)[1] == 1.0 and wilson_interval(0, 50)[0] == 0.0
+    low, high = wilson_interval(7, 10)
+    assert wilson_interval(3, 10) == pytest.approx((1.0 - high, 1.0 - low))
     with pytest.raises(ValueError, match="3 successes of 2"):
-        wilson(3, 2)
+        wilson_interval(3, 2)
 
 
 def record(arrived: bool, speed: float, *, batch: int = 0, reason: str | None = None):

@@ -1,8 +1,8 @@
-"""Benchmarks: many flights in many worlds, the statistics of them, and a report."""
+"""Benchmarks: many flights in many worlds, their statistics, and a report."""
 
 from __future__ import annotations
 
-from aero_viz.evaluation.bench.catalog import BENCHMARKS, Benchmark, Row
 from aero_viz.evaluation.bench.runner import Run, run_benchmark
+from aero_viz.evaluation.bench.suites import BENCHMARKS, Benchmark, Row
 
 __all__ = ["BENCHMARKS", "Benchmark", "Row", "Run", "run_benchmark"]

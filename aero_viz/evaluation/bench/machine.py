@@ -1,4 +1,4 @@
-"""What a result depends on besides its seeds: versions and hardware."""
+"""Versions and hardware, which results depend on besides their seeds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def hardware(device: str) -> dict[str, Any]:
     import psutil
     import warp as wp
 
-    found: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "system": platform.platform(),
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -32,10 +32,10 @@ def hardware(device: str) -> dict[str, Any]:
     }
     warp_device = wp.get_device(device)
     if warp_device.is_cuda:
-        found["gpu"] = warp_device.name
-        found["gpu_memory_gib"] = round(warp_device.total_memory / 2**30, 1)
-        found["cuda_driver"] = ".".join(map(str, wp.get_cuda_driver_version() or ()))
-    return found
+        facts["gpu"] = warp_device.name
+        facts["gpu_memory_gib"] = round(warp_device.total_memory / 2**30, 1)
+        facts["cuda_driver"] = ".".join(map(str, wp.get_cuda_driver_version() or ()))
+    return facts
 
 
 def _processor() -> str:

@@ -1,4 +1,4 @@
-"""Figures of a benchmark."""
+"""Plots of a benchmark."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from aero_viz.evaluation.bench.catalog import Benchmark
-from aero_viz.evaluation.bench.published import PUBLISHED
+from aero_viz.evaluation.bench.published_results import PUBLISHED
+from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import Summary
 
 __all__ = ["plot"]
@@ -16,27 +16,27 @@ _SIZE, _DPI = (8.0, 4.5), 150
 
 
 def plot(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, *, subtitle: str, ours: str) -> list[Path]:
-    """Draw the figures of a benchmark and return the PNG files.
+    """Draw the plots of a benchmark and return the PNG files.
 
     Args:
-        benchmark: what was flown.
-        summaries: lines of its table, those of other planners included.
-        folder: where the files go.
-        subtitle: second line of every title.
-        ours: planner's name in the lines of the benchmark's own flights.
+        benchmark: the benchmark.
+        summaries: rows of its table, including those of other planners.
+        folder: folder of the files.
+        subtitle: second line of each title.
+        ours: name of our planner in `summaries`.
     """
     own = [line for line in summaries if line.planner == ours]
-    others = [line for line in summaries if line.planner != ours]
+    external = [line for line in summaries if line.planner != ours]
     if benchmark.metric == "throughput":
         return [_throughput(benchmark, own, folder / "throughput.png", subtitle)]
     if benchmark.x_label:
         return [
-            _curves(benchmark, own, others, folder / "success.png", subtitle, "success rate"),
-            _curves(benchmark, own, others, folder / "speed.png", subtitle, "speed of arrived flights [m/s]"),
+            _curves(benchmark, own, external, folder / "success.png", subtitle, "success rate"),
+            _curves(benchmark, own, external, folder / "speed.png", subtitle, "speed of arrived flights [m/s]"),
         ]
     files = [_bars(summaries, folder / "success.png", f"{benchmark.title}\n{subtitle}", ours)]
     if any(row.published for row in benchmark.rows):
-        files.append(_beside_published(benchmark, own, others, folder / "speed.png", subtitle))
+        files.append(_speed_bars(benchmark, own, external, folder / "speed.png", subtitle))
     return files
 
 
@@ -52,7 +52,7 @@ def _figure(title: str, size: tuple[float, float] = _SIZE) -> tuple[Any, Any]:
 
 
 def _curves(
-    benchmark: Benchmark, own: Sequence[Summary], others: Sequence[Summary], path: Path, subtitle: str, y_label: str
+    benchmark: Benchmark, own: Sequence[Summary], external: Sequence[Summary], path: Path, subtitle: str, y_label: str
 ) -> Path:
     figure, axes = _figure(f"{benchmark.title}\n{subtitle}")
     by_label = {line.row: line for line in own}
@@ -72,7 +72,7 @@ def _curves(
         else:
             colour = axes.plot(x, _means(points, "mean_speed"), marker="o", label=f"{series}, mean")[0].get_color()
             axes.plot(x, _means(points, "max_speed"), marker="^", linestyle=":", color=colour, label=f"{series}, max")
-    for i, line in enumerate(others):
+    for i, line in enumerate(external):
         value = line.success_rate if success else line.mean["mean_speed"]
         if value is not None:
             axes.axhline(value, color=f"C{i + 5}", linestyle="--", label=f"{line.planner}, {line.row}")
@@ -101,23 +101,24 @@ def _bars(summaries: Sequence[Summary], path: Path, title: str, ours: str) -> Pa
     )
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.03)
-    axes.set_xlabel("success rate, with its 95 % interval")
+    axes.set_xlabel("success rate with its 95 % interval")
     return _save(figure, path)
 
 
-def _beside_published(
-    benchmark: Benchmark, own: Sequence[Summary], others: Sequence[Summary], path: Path, subtitle: str
+def _speed_bars(
+    benchmark: Benchmark, own: Sequence[Summary], external: Sequence[Summary], path: Path, subtitle: str
 ) -> Path:
-    """Mean speeds, a group of bars per row: ours, the published ones, those of included planners."""
+    """Draw mean speeds as a group of bars per row: our planner, the published results, the external planners."""
     figure, axes = _figure(f"{benchmark.title}\n{subtitle}")
     rows = {row.label: row for row in benchmark.rows}
     bars: dict[str, dict[int, float]] = {}
     for place, line in enumerate(own):
         row = rows[line.row]
         speeds = [(line.planner, line.mean["mean_speed"])]
-        speeds += [(f"{other.planner}, published", other.mean_speed) for other in PUBLISHED
-                   if other.scene == row.published]  # fmt: skip
-        speeds += [(other.planner, other.mean["mean_speed"]) for other in others if other.row == row.name_prefix]
+        speeds += [(f"{paper.planner}, published", paper.mean_speed) for paper in PUBLISHED
+                   if paper.scene == row.published]  # fmt: skip
+        same_worlds = [summary for summary in external if summary.row == row.world_kind]
+        speeds += [(summary.planner, summary.mean["mean_speed"]) for summary in same_worlds]
         for planner, speed in speeds:
             bars.setdefault(planner, {})[place] = speed or 0.0
     width = 0.8 / max(len(bars), 1)

@@ -1,4 +1,4 @@
-"""Tables and figures of a run: flights.csv, summary.csv, summary.json, PNG plots and report.md."""
+"""The report of a benchmark: flights.csv, worlds.csv, summary.csv, summary.json, PNG plots and report.md."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from pathlib import Path
 from typing import Any
 
 from aero_viz.errors import UserError
-from aero_viz.evaluation.bench.catalog import Benchmark
-from aero_viz.evaluation.bench.include import Included
+from aero_viz.evaluation.bench.external_results import ExternalResults
 from aero_viz.evaluation.bench.plots import plot
-from aero_viz.evaluation.bench.published import PUBLISHED
+from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.evaluation.bench.runner import Run
+from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import METRICS, Summary, summarise
+from aero_viz.text_table import format_table
 
-__all__ = ["OURS", "format_summaries", "format_worlds", "summaries_of", "world_records", "write_report"]
+__all__ = ["OURS", "format_summaries", "format_worlds", "summarise_run", "world_records", "write_report"]
 
 OURS = "AERO-Viz"
-"""Planner's name in the lines of our own flights."""
-
-_PLAIN_TABLE = ("row", "planner", "success", "95 % interval", "passable", "mean speed", "ended by")
+"""Name of our planner in the summaries."""
 
 
-def summaries_of(run: Run, included: Sequence[Included] = ()) -> list[Summary]:
-    """Return one line per row that has flights, then one per planner and kind of world that was included."""
-    lines = []
+def summarise_run(run: Run, external: Sequence[ExternalResults] = ()) -> list[Summary]:
+    """Return a summary of each row that has flights, then of the external flights by planner and kind of world."""
+    summaries = []
     for row in run.benchmark.rows:
         flights = [flight for flight in run.flights if flight["row"] == row.label]
         if flights:
-            lines.append(summarise(flights, row=row.label, planner=OURS))
-    lines += [summarise(other.flights, row=other.kind, planner=other.planner) for other in included]
-    return lines
+            summaries.append(summarise(flights, row=row.label, planner=OURS))
+    for results in external:
+        summaries.append(summarise(results.flights, row=results.world_kind, planner=results.planner))
+    return summaries
 
 
-def write_report(run: Run, folder: str | Path, *, included: Sequence[Included] = ()) -> list[Summary]:
-    """Write all files of a run into `folder` and return the lines of its table.
+def write_report(run: Run, folder: str | Path, *, external: Sequence[ExternalResults] = ()) -> list[Summary]:
+    """Write all files of a report into `folder` and return the summaries in it.
 
     Raises:
         UserError: a file cannot be written.
     """
     folder = Path(folder)
-    summaries = summaries_of(run, included)
+    summaries = summarise_run(run, external)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write_csv(folder / "flights.csv", run.flights)
@@ -58,18 +58,19 @@ def write_report(run: Run, folder: str | Path, *, included: Sequence[Included] =
 
 
 def format_summaries(summaries: Sequence[Summary]) -> str:
-    """Return the table as text for a terminal."""
-    rows: list[list[str]] = [list(_PLAIN_TABLE)]
-    for line in summaries:
-        rows.append([line.row, line.planner, f"{line.arrived}/{line.flights}", _interval(line),
-                     _percent(line.passable), _number(line.mean["mean_speed"]), _reasons(line)])  # fmt: skip
-    widths = [max(len(row[i]) for row in rows) for i in range(len(_PLAIN_TABLE))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+    """Return the summaries as a table for a terminal."""
+    rows = [
+        [line.row, line.planner, f"{line.arrived}/{line.flights}", _interval(line),
+         _percent(line.passable), _number(line.mean["mean_speed"]), _reasons(line)]
+        for line in summaries
+    ]  # fmt: skip
+    header = ["row", "planner", "success", "95 % interval", "passable", "mean speed", "ended by"]
+    return format_table(rows, header=header)
 
 
 def world_records(run: Run) -> list[dict[str, Any]]:
-    """Return what was flown in: one record per world with its kind, seed, and whether a path exists, in order."""
-    kinds = {row.label: row.name_prefix for row in run.benchmark.rows}
+    """Return a record per world in the order of the rows: its kind, its seed, and whether a path exists."""
+    kinds = {row.label: row.world_kind for row in run.benchmark.rows}
     order = list(dict.fromkeys(kinds.values()))
     found = {(kinds[flight["row"]], flight["world_seed"]): flight["passable"] for flight in run.flights}
     ordered = sorted(found.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
@@ -77,7 +78,7 @@ def world_records(run: Run) -> list[dict[str, Any]]:
 
 
 def format_worlds(run: Run) -> list[str]:
-    """Return a line per kind of world that says in which of them a path exists for the drone's radius."""
+    """Return a line per kind of world that says in how many of them a path exists for the drone's radius."""
     kinds: dict[str, dict[int, bool]] = {}
     for record in world_records(run):
         kinds.setdefault(record["kind"], {})[record["seed"]] = record["passable"]
@@ -96,16 +97,17 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
     own = {line.row: line for line in summaries if line.planner == OURS}
     parts = [f"# {benchmark.title}", benchmark.note]
     if not run.is_complete:
-        parts.append(f"**Incomplete: {len(run.flights)} of {run.total} flights.** `--resume` goes on.")
+        parts.append(f"**Incomplete: {len(run.flights)} of {run.total} flights.** Resume the run to fly the rest.")
     parts.append(_success_table(summaries))
     parts += [f"![{path.stem}]({path.name})" for path in plots]
     parts += ["## Arrived flights", _metrics_table(benchmark, summaries)]
     if any(row.published for row in benchmark.rows):
         parts.append(
-            "Published: Chen et al., AERO-MPPI, arXiv 2509.17340, 50 successful flights per line, simulated in MARSIM; "
-            "the other planners flew with lower velocity limits where they failed. Success rates are given there as "
-            "figures: above 80 % for AERO-MPPI at 7 m/s in all three scenes. How smoothness was discretised is not "
-            "said: ours is the sum of squared changes of the mean acceleration per tick over the tick, and much larger."
+            "Published: Chen et al., AERO-MPPI, arXiv 2509.17340, 50 successful flights per row, simulated in MARSIM. "
+            "The other planners flew with lower velocity limits where they failed. The paper shows success rates as "
+            "plots: above 80 % for AERO-MPPI at 7 m/s in all three scenes. It does not say how smoothness was "
+            "discretised. Ours is the sum over the ticks of the squared change of the mean acceleration, divided by "
+            "the duration of a tick, and it is much larger."
         )
     targets = _targets_table(benchmark, own)
     if targets:
@@ -114,7 +116,7 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
         parts += ["## Throughput", _throughput_table(run, own)]
     radius = header["simulation"]["rules"]["radius"]
     parts += [f"## Paths for a radius of {radius:g} m", "\n".join(f"- {line}" for line in format_worlds(run))]
-    parts += ["## How it was measured", _conditions(run), "### Configuration", _config(header)]
+    parts += ["## Conditions", _conditions(run), "### Configuration", _config(header)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -125,7 +127,7 @@ def _success_table(summaries: Sequence[Summary]) -> str:
         for line in summaries
     ]  # fmt: skip
     header = ["row", "planner", "arrived", "success", "95 % interval", "worlds with a path", "ended by"]
-    return _table(header, rows)
+    return _markdown_table(header, rows)
 
 
 def _metrics_table(benchmark: Benchmark, summaries: Sequence[Summary]) -> str:
@@ -136,10 +138,10 @@ def _metrics_table(benchmark: Benchmark, summaries: Sequence[Summary]) -> str:
     for line in summaries:
         values = [_mean_std(line, name) for name in METRICS]
         rows.append([line.row, line.planner, *values, _number(line.plan_ms_median, 2)])
-        for other in PUBLISHED:
-            if line.planner == OURS and other.scene == published.get(line.row):
-                rows.append([line.row, f"{other.planner}, published", *(_number(value) for value in other[2:]), "", ""])
-    return _table(header, rows)
+        for paper in PUBLISHED:
+            if line.planner == OURS and paper.scene == published.get(line.row):
+                rows.append([line.row, f"{paper.planner}, published", *(_number(value) for value in paper[2:]), "", ""])
+    return _markdown_table(header, rows)
 
 
 def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
@@ -151,10 +153,10 @@ def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
         rate, speed = row.target
         reached = line.mean["mean_speed"]
         met = line.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
-        wanted = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
+        target = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
         at = "" if reached is None else f" at {_number(reached)} m/s"
-        rows.append([row.label, wanted, f"{_percent(line.success_rate)}{at}", _yes(met)])
-    return _table(["row", "target", "reached", "met"], rows) if rows else ""
+        rows.append([row.label, target, f"{_percent(line.success_rate)}{at}", _yes(met)])
+    return _markdown_table(["row", "target", "reached", "met"], rows) if rows else ""
 
 
 def _throughput_table(run: Run, own: dict[str, Summary]) -> str:
@@ -166,7 +168,7 @@ def _throughput_table(run: Run, own: dict[str, Summary]) -> str:
         line, first = own[row.label], flights[0]
         rows.append([row.label, _number(line.flights_per_minute, 1), _number(first["run_s"], 1),
                      _number(first["build_s"], 1), _number(line.plan_ms_median, 2)])  # fmt: skip
-    return _table(["row", "flights per minute", "flying [s]", "building [s]", "plan of a batch [ms]"], rows)
+    return _markdown_table(["row", "flights per minute", "flying [s]", "building [s]", "plan of a batch [ms]"], rows)
 
 
 def _conditions(run: Run) -> str:
@@ -191,11 +193,11 @@ def _conditions(run: Run) -> str:
         rows += [[names.get(name, name), text]] if text else []
     limits = ", ".join(f"{speed:g}" for speed in dict.fromkeys(row.speed for row in run.benchmark.rows))
     rows.append(["velocity limit", f"{limits} m/s"])
-    return _table(["what", "value"], rows) + (
-        "\n\nA flight fails when the drone's centre comes closer to a surface than its radius, when it makes no "
-        'progress, leaves the world or takes too long. "Worlds with a path" counts those in which a ball of that '
-        "radius can move from start to goal in the band of heights around them. Means are over the flights that "
-        "arrived, ± one standard deviation."
+    return _markdown_table(["what", "value"], rows) + (
+        "\n\nA flight fails when the centre of the drone comes closer to a surface than its radius, when the drone "
+        "makes no progress, or when it leaves the world or exceeds the time limit. In a world with a path, a ball of "
+        "that radius can move from start to goal at about their height. Means are over the flights that arrived, ± one "
+        "standard deviation."
     )
 
 
@@ -230,7 +232,7 @@ def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
             writer.writerows(rows)
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 

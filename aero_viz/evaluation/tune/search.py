@@ -1,4 +1,4 @@
-"""The search: rounds of flights, after each of which the better half stays."""
+"""The search: rounds of flights, after each of which the better half of the candidates stays."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.runner import Progress, default_batch
-from aero_viz.evaluation.tune.outcome import Check, Score, Tuning
-from aero_viz.evaluation.tune.spans import Span, draw
+from aero_viz.evaluation.tune.search_space import ParameterRange, draw_candidates
+from aero_viz.evaluation.tune.tuning_result import Check, Score, TuningResult
 from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World
@@ -19,14 +19,14 @@ from aero_viz.sensors import LidarModel
 
 __all__ = ["tune"]
 
-_ROUNDS_MAX = 10
+_MAX_ROUNDS = 10
 
 
 def tune(
     config: PlannerConfig,
-    spans: Sequence[Span],
+    ranges: Sequence[ParameterRange],
     worlds: Sequence[World],
-    fresh: Sequence[World],
+    fresh_worlds: Sequence[World],
     *,
     rounds: int = 4,
     seed: int = 0,
@@ -37,48 +37,48 @@ def tune(
     rules: FlightRules | None = None,
     noise: StateNoise | None = None,
     progress: Progress | None = None,
-) -> Tuning:
-    """Find better values by flying; Ctrl-C ends it with what is known so far.
+) -> TuningResult:
+    """Search for better parameter values by flying. Ctrl-C ends the search; the result is the best so far.
 
     Args:
         config: the incumbent.
-        spans: what to try.
-        worlds: of the search, dealt out evenly over the rounds; repeat a World object to fly it several times.
-        fresh: worlds of the check.
-        rounds: the first has 2^rounds candidates beside the incumbent, the last two.
-        seed: of candidates, LiDARs and planners. Each flight has a seed of its own, in the order of flying: batches of
-            any size give the same results.
+        ranges: parameters to tune.
+        worlds: worlds of the search, divided evenly among the rounds. To fly in one several times, repeat the object.
+        fresh_worlds: worlds of the check.
+        rounds: number of rounds. The first one has 2^rounds candidates besides the incumbent, the last one two.
+        seed: seed of candidates, LiDARs and planners. Each flight has a different seed, by the order of flying, so that
+            batches of any size give the same results.
         device: Warp device.
-        batch: flights at once at most; None is `default_batch`.
-        lidar: of all drones; None is the Livox Mid-360.
-        vehicle: of all drones, whatever a candidate believes; None is the one that the incumbent assumes.
+        batch: largest number of simultaneous flights; None uses `default_batch`.
+        lidar: LiDAR model of all drones; None uses the Livox Mid-360.
+        vehicle: vehicle of all flights, whatever a candidate assumes; None uses the one that the incumbent assumes.
         rules: when flights end.
-        noise: of the state estimates; None for the true states.
-        progress: told how it goes.
+        noise: noise of the state estimates; None flies with the true states.
+        progress: called as flights finish.
 
     Raises:
-        UserError: a number is out of range, hardly any values fit each other, or no flight can arrive in a world.
+        UserError: a number is out of range, the ranges contradict each other, or no flight can arrive in a world.
         ValueError: an option does not fit the others.
     """
-    if not 1 <= rounds <= _ROUNDS_MAX:
-        raise UserError(f"The number of rounds is {rounds}; it must be in [1, {_ROUNDS_MAX}].")
+    if not 1 <= rounds <= _MAX_ROUNDS:
+        raise UserError(f"The number of rounds is {rounds}; it must be in [1, {_MAX_ROUNDS}].")
     if len(worlds) < rounds:
-        raise UserError(f"{len(worlds)} flights are fewer than {rounds} rounds; each round needs a world more.")
-    if not fresh or (batch is not None and batch < 1):
-        raise UserError("The numbers of flights in the check and in a batch must be at least 1.")
-    candidates = (config, *draw(config, spans, 2**rounds, seed=seed))
-    fastest = max(one.vehicle.speed_limit for one in candidates)
-    for world in {id(world): world for world in (*worlds, *fresh)}.values():
-        refuse_impossible(world, rules=rules or FlightRules(), speed_limit=fastest)
+        raise UserError(f"{len(worlds)} flights are fewer than {rounds} rounds; each round needs at least one.")
+    if not fresh_worlds or (batch is not None and batch < 1):
+        raise UserError("The number of flights in the check and the batch size must be at least 1.")
+    candidates = (config, *draw_candidates(config, ranges, 2**rounds, seed=seed))
+    highest_limit = max(candidate.vehicle.speed_limit for candidate in candidates)
+    for world in {id(world): world for world in (*worlds, *fresh_worlds)}.values():
+        refuse_impossible(world, rules=rules or FlightRules(), speed_limit=highest_limit)
 
     ends = [len(worlds) * k // rounds for k in range(rounds + 1)]
-    flown = ((end - start) * (2 ** (rounds - k) + 1) for k, (start, end) in enumerate(pairwise(ends)))
-    total = sum(flown) + 2 * len(fresh)
+    per_round = ((end - start) * (2 ** (rounds - k) + 1) for k, (start, end) in enumerate(pairwise(ends)))
+    total = sum(per_round) + 2 * len(fresh_worlds)
     flights = _Flights(
         candidates,
-        (*worlds, *fresh),
+        (*worlds, *fresh_worlds),
         size=batch or default_batch(device),
-        tell=lambda over, text: progress and progress(over, total, text),
+        report=lambda finished, text: progress and progress(finished, total, text),
         seed=seed,
         device=device,
         lidar=lidar,
@@ -86,25 +86,25 @@ def tune(
         rules=rules,
         noise=noise,
     )
-    searched, later = range(len(worlds)), range(len(worlds), len(worlds) + len(fresh))
-    left, check, interrupted = list(range(len(candidates))), None, False
+    search_worlds, check_worlds = range(len(worlds)), range(len(worlds), len(worlds) + len(fresh_worlds))
+    remaining, check, interrupted = list(range(len(candidates))), None, False
     try:
         for start, end in pairwise(ends):
             if start:
-                left = [0, *flights.ranked(left[1:], range(start))[: len(left) // 2]]
-            flights.fly([(c, w) for w in range(start, end) for c in left], f"{len(left) - 1} candidates")
-        best = flights.ranked(left, searched)[0]
+                remaining = [0, *flights.rank(remaining[1:], range(start))[: len(remaining) // 2]]
+            flights.fly([(c, w) for w in range(start, end) for c in remaining], f"{len(remaining) - 1} candidates")
+        best = flights.rank(remaining, search_worlds)[0]
         if best:
-            flights.fly([(c, w) for w in later for c in (0, best)], "fresh worlds")
-            check = Check.of(flights.of(0, later), flights.of(best, later))
+            flights.fly([(c, w) for w in check_worlds for c in (0, best)], "fresh worlds")
+            check = Check.from_results(flights.results_of(0, check_worlds), flights.results_of(best, check_worlds))
     except KeyboardInterrupt:
         interrupted = True
-    compared = [w for w in searched if all((c, w) in flights.over for c in left)]
-    return Tuning(
-        spans=tuple(spans),
+    compared = [w for w in search_worlds if all((c, w) in flights.results for c in remaining)]
+    return TuningResult(
+        ranges=tuple(ranges),
         candidates=candidates,
-        scores=tuple(Score.of(flights.of(c, searched)) for c in range(len(candidates))),
-        best=flights.ranked(left, compared)[0],
+        scores=tuple(Score.from_results(flights.results_of(c, search_worlds)) for c in range(len(candidates))),
+        best=flights.rank(remaining, compared)[0],
         compared=len(compared),
         check=check,
         interrupted=interrupted,
@@ -112,15 +112,15 @@ def tune(
 
 
 class _Flights:
-    """Flies candidates through worlds, and keeps how each flight ended.
+    """Flies candidates through worlds and keeps the results.
 
     Args:
-        candidates: their configurations.
-        worlds: all.
-        size: flights at once at most.
-        tell: takes the number of flights that are over, and what is going on.
-        seed: of the first flight.
-        options: of `FlightBatch`.
+        candidates: configurations of the candidates.
+        worlds: all worlds.
+        size: largest number of simultaneous flights.
+        report: called with the number of finished flights and a description of the current work.
+        seed: seed of the first flight.
+        options: options of `FlightBatch`.
     """
 
     def __init__(
@@ -129,19 +129,24 @@ class _Flights:
         worlds: Sequence[World],
         *,
         size: int,
-        tell: Callable[[int, str], Any],
+        report: Callable[[int, str], Any],
         seed: int,
         **options: Any,
     ) -> None:
-        self.over: dict[tuple[int, int], FlightResult] = {}
+        self.results: dict[tuple[int, int], FlightResult] = {}
+        """Results of the finished flights, by candidate and world."""
         self._candidates, self._worlds, self._options = candidates, worlds, options
-        self._size, self._tell, self._seed = size, tell, seed
+        self._size, self._report, self._seed = size, report, seed
 
     def fly(self, pairs: Sequence[tuple[int, int]], label: str) -> None:
-        """Fly pairs of candidate and world; Ctrl-C raises KeyboardInterrupt, with the flights kept that were over."""
+        """Fly pairs of candidate and world.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C was pressed. The results of the flights that had finished are kept.
+        """
         for first in range(0, len(pairs), self._size):
             part = pairs[first : first + self._size]
-            self._tell(len(self.over), label)
+            self._report(len(self.results), label)
             batch = FlightBatch(
                 [self._worlds[w] for _, w in part],
                 config=[self._candidates[c] for c, _ in part],
@@ -150,19 +155,19 @@ class _Flights:
                 **self._options,
             )
             self._seed += len(part)
-            results = batch.run(progress=partial(self._tell_batch, label, len(self.over)))
+            results = batch.run(progress=partial(self._report_batch, label, len(self.results)))
             batch.planner.close()
-            self.over |= {pair: one for pair, one in zip(part, results, strict=True) if one.reason is not None}
+            self.results |= {pair: result for pair, result in zip(part, results, strict=True) if result.reason}
             if batch.interrupted:
                 raise KeyboardInterrupt
 
-    def of(self, candidate: int, worlds: Iterable[int]) -> list[FlightResult]:
-        """Return how a candidate's flights through these worlds ended, as far as they are over."""
-        return [self.over[candidate, w] for w in worlds if (candidate, w) in self.over]
+    def results_of(self, candidate: int, worlds: Iterable[int]) -> list[FlightResult]:
+        """Return the results of a candidate's finished flights through these worlds."""
+        return [self.results[candidate, w] for w in worlds if (candidate, w) in self.results]
 
-    def ranked(self, candidates: Iterable[int], worlds: Sequence[int]) -> list[int]:
-        """Return candidates, the best in these worlds first; of equals the first, such as the incumbent."""
-        return sorted(candidates, key=lambda c: (Score.of(self.of(c, worlds)).rank, c))
+    def rank(self, candidates: Iterable[int], worlds: Sequence[int]) -> list[int]:
+        """Return candidates, the best in these worlds first. Of equal ones, such as the incumbent, the first wins."""
+        return sorted(candidates, key=lambda c: (Score.from_results(self.results_of(c, worlds)).rank, c))
 
-    def _tell_batch(self, label: str, before: int, finished: int, flights: int, seconds: float) -> None:
-        self._tell(before + finished, f"{label}: {seconds:.1f} s, {finished} of {flights} over")
+    def _report_batch(self, label: str, before: int, finished: int, flights: int, seconds: float) -> None:
+        self._report(before + finished, f"{label}: {seconds:.1f} s, {finished} of {flights} finished")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from aero_viz.errors import UserError
-from aero_viz.evaluation.bench.include import append_to_table, load_included
+from aero_viz.evaluation.bench.external_results import append_to_table, load_external_results
 from aero_viz.evaluation.bench.report import OURS, format_summaries, write_report
 from aero_viz.flight import FlightResult
 from aero_viz.scenes import scene
@@ -43,8 +43,8 @@ def table(tmp_path):
 
 def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     run = fly()
-    included = load_included([f"EGO={table}"], run.benchmark)
-    summaries = write_report(run, tmp_path / "out", included=included)
+    external = load_external_results([f"EGO={table}"], run.benchmark)
+    summaries = write_report(run, tmp_path / "out", external=external)
     assert [(line.row, line.planner, line.flights) for line in summaries] == [
         ("slow", OURS, 2),
         ("few samples", OURS, 2),
@@ -69,7 +69,7 @@ def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     assert "Incomplete" not in report
 
 
-def test_report_of_bars_without_flights_of_others(fly, tmp_path, benchmark_of_three):
+def test_report_with_bars_and_without_external_flights(fly, tmp_path, benchmark_of_three):
     run = fly(benchmark=replace(benchmark_of_three, x_label=""))
     write_report(replace(run, flights=run.flights[:3]), tmp_path / "out")
     assert (tmp_path / "out" / "success.png").read_bytes().startswith(PNG)
@@ -86,19 +86,19 @@ def test_table_for_a_terminal(fly, tmp_path):
     assert "2 timeout" in lines[1] and "100 %" in lines[1] and len(lines) == 4
 
 
-def test_trajectory_is_scored_when_included(tmp_path, benchmark_of_three):
+def test_external_trajectory_is_scored(tmp_path, benchmark_of_three):
     scene("forest", seed=3, count=4).save(tmp_path / "w.json")
     rows = [f"{t / 50},{t / 10},0,2" for t in range(100)]
     (tmp_path / "a.csv").write_text("t,x,y,z\n" + "\n".join(rows), encoding="utf-8")
-    (other,) = load_included([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
-    assert (other.planner, other.kind) == ("IPC", "forest-4")
+    (other,) = load_external_results([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
+    assert (other.planner, other.world_kind) == ("IPC", "forest-4")
     assert other.flights[0]["mean_speed"] == pytest.approx(5.0)
 
 
-def test_include_refuses_what_it_cannot_use(tmp_path, table, benchmark_of_three):
+def test_unusable_external_results_are_refused(tmp_path, table, benchmark_of_three):
     def refusal(spec: str) -> str:
         with pytest.raises(UserError) as caught:
-            load_included([spec], benchmark_of_three)
+            load_external_results([spec], benchmark_of_three)
         return str(caught.value)
 
     assert "NAME=TABLE.csv" in refusal(str(table))
@@ -113,7 +113,7 @@ def test_include_refuses_what_it_cannot_use(tmp_path, table, benchmark_of_three)
     (tmp_path / "empty.csv").write_text(text.splitlines()[0] + "\n", encoding="utf-8")
     assert "holds no flights" in refusal(f"EGO={tmp_path / 'empty.csv'}")
     append_to_table(result("inclines-800-3"), table)
-    assert "'inclines-800-3', which is not of the benchmark small" in refusal(f"EGO={table}")
+    assert "'inclines-800-3', which is not one of the benchmark small" in refusal(f"EGO={table}")
 
 
 def test_table_of_another_kind_is_not_appended_to(tmp_path):
@@ -124,21 +124,21 @@ def test_table_of_another_kind_is_not_appended_to(tmp_path):
         append_to_table(result("w"), tmp_path / "none" / "t.csv")
 
 
-def test_own_flights_of_another_run_can_be_included(fly, tmp_path):
+def test_flights_of_another_run_can_be_external_results(fly, tmp_path):
     run = fly()
     write_report(run, tmp_path / "out")
-    others = load_included([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
-    assert {other.kind: len(other.flights) for other in others} == {"forest-4": 4, "verticals-5": 2}
+    others = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
+    assert {other.world_kind: len(other.flights) for other in others} == {"forest-4": 4, "verticals-5": 2}
 
 
-def test_tables_keep_their_own_columns_when_appended_to(tmp_path, benchmark_of_three):
-    """A table of an earlier version, without explanations and in another order, goes on as it is."""
+def test_table_keeps_its_columns_when_a_flight_is_appended(tmp_path, benchmark_of_three):
+    """A table of an earlier version has no explanations, and its columns are in another order."""
     file = tmp_path / "old.csv"
     append_to_table(result("forest-4-100"), file)
     header, line = (row.split(",") for row in file.read_text(encoding="utf-8").splitlines())
     kept = [i for i in reversed(range(len(header))) if header[i] != "explanation"]
     file.write_text("".join(",".join(row[i] for i in kept) + "\n" for row in (header, line)), encoding="utf-8")
     append_to_table(replace(result("forest-4-101", speed=9.0), explanation="It ends, somewhere."), file)
-    (other,) = load_included([f"EGO={file}"], benchmark_of_three)
+    (other,) = load_external_results([f"EGO={file}"], benchmark_of_three)
     assert [flight["mean_speed"] for flight in other.flights] == [2.0, 9.0]
     assert [flight["scene"] for flight in other.flights] == ["forest-4-100", "forest-4-101"]

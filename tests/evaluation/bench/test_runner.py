@@ -41,7 +41,7 @@ def test_batches_do_not_change_flights(fly):
     assert without_timing(fly("one", batch=1)) == without_timing(fly("all", batch=256))
 
 
-def test_a_flight_is_what_fly_gives(fly):
+def test_flight_equals_that_of_fly(fly):
     run = fly()
     flight = next(flight for flight in run.flights if flight["row"] == "fast" and flight["index"] == 1)
     alone = fly_once(
@@ -79,7 +79,7 @@ def test_disturbances_reach_the_flights(fly):
     assert run.header["simulation"]["drone"] == options["drone"]
 
 
-def test_an_arrival_radius_of_a_row_replaces_that_of_the_rules(fly, benchmark_of_three):
+def test_arrival_radius_of_a_row_overrides_that_of_the_rules(fly, benchmark_of_three):
     rows = (Row("far", "forest", 4), Row("near", "forest", 4, arrival_radius=0.5))
     wide = FlightRules(time_limit=0.2, arrival_radius=50.0)
     run = fly(benchmark=dataclasses.replace(benchmark_of_three, rows=rows), flights=1, rules=wide)
@@ -87,17 +87,17 @@ def test_an_arrival_radius_of_a_row_replaces_that_of_the_rules(fly, benchmark_of
 
 
 def test_interrupted_run_keeps_finished_batches_and_resumes(fly, tmp_path, benchmark_of_three):
-    def interrupt(over, total, text):
-        if over == 2 and "0.1 s, 0 of 1 over" in text:
+    def interrupt(finished, total, text):
+        if finished == 2 and "0.1 s, 0 of 1 finished" in text:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         fly("cut", batch=1, progress=interrupt)
     kept = load_run(tmp_path / "cut", benchmark_of_three)
     assert len(kept.flights) == 2 and kept.total == 6 and not kept.is_complete
-    told = []
-    resumed = fly("cut", batch=2, resume=True, progress=lambda over, total, text: told.append((over, total)))
-    assert told[0] == (2, 6) and told[-1] == (6, 6)
+    calls = []
+    resumed = fly("cut", batch=2, resume=True, progress=lambda finished, total, text: calls.append((finished, total)))
+    assert calls[0] == (2, 6) and calls[-1] == (6, 6)
     assert resumed.flights[:2] == kept.flights and resumed.header["date"] == kept.header["date"]
     assert without_timing(resumed) == without_timing(fly("whole"))
 
@@ -122,7 +122,7 @@ def test_torn_last_line_is_flown_again(fly, tmp_path):
         ({"rules": FlightRules(time_limit=0.3)}, "simulation.rules.time_limit was 0.2 and is 0.3"),
     ],
 )
-def test_resume_refuses_what_differs(fly, options, reason):
+def test_resume_refuses_other_options(fly, options, reason):
     fly()
     with pytest.raises(UserError, match=reason):
         fly(resume=True, **options)
@@ -130,7 +130,7 @@ def test_resume_refuses_what_differs(fly, options, reason):
 
 def test_resume_refuses_other_rows_and_versions(fly, tmp_path, benchmark_of_three):
     fly()
-    with pytest.raises(UserError, match="rows are others"):
+    with pytest.raises(UserError, match="rows differ"):
         fly(benchmark=dataclasses.replace(benchmark_of_three, rows=benchmark_of_three.rows[:2]), resume=True)
     file = tmp_path / "out" / "run.json"
     header = json.loads(file.read_text(encoding="utf-8"))
@@ -142,7 +142,7 @@ def test_resume_refuses_other_rows_and_versions(fly, tmp_path, benchmark_of_thre
 
 def test_results_are_not_overwritten(fly):
     fly()
-    with pytest.raises(UserError, match="add --resume"):
+    with pytest.raises(UserError, match="resume the run or choose another output folder"):
         fly()
 
 

@@ -1,4 +1,4 @@
-"""Every benchmark as data: which worlds, how fast, with what changed."""
+"""The definitions of all benchmarks: their worlds, speeds and configurations."""
 
 from __future__ import annotations
 
@@ -11,41 +11,42 @@ from aero_planner.config import Value
 __all__ = ["BENCHMARKS", "PUBLISHED_SPEED", "Benchmark", "Row"]
 
 PUBLISHED_SPEED = 7.0
-"""Velocity limit at which planners are compared [m/s], the highest of the paper's."""
+"""Highest velocity limit of the paper [m/s], at which planners are compared."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: flights alike but for their worlds."""
+    """One row of a table: flights that differ only in their worlds."""
 
     label: str
     """Unique within its benchmark."""
     scene: str
     count: int | None = None
-    """Number of obstacles; None is the scene's own."""
+    """Number of obstacles; None uses the scene's default."""
     speed: float = PUBLISHED_SPEED
     """vehicle.speed_limit [m/s]."""
     lidar: str = "mid360"
+    """Name of the LiDAR model."""
     preset: str | None = None
-    """Configuration in the place of the one that the user chose."""
+    """Preset to use in place of the configuration that the user chose."""
     changes: Mapping[str, Value] = field(default_factory=dict)
-    """Parameters changed, by path."""
+    """Changed parameters, by path."""
     arrival_radius: float | None = None
-    """Distance to the goal that counts as arrival [m]; None is that of the flight's rules."""
+    """Distance to the goal that counts as arrival [m]; None uses that of the flight's rules."""
     batch: int | None = None
-    """Number of flights, all in one batch; None leaves both to the user."""
+    """Number of flights, all in one batch; None leaves both numbers to the user."""
     series: str = ""
-    """Line of the plot that the row belongs to."""
+    """Curve of the plot that the row belongs to."""
     x: float | None = None
-    """Place on the plot's horizontal axis."""
+    """Position on the horizontal axis of the plot."""
     published: str | None = None
     """Scene of the paper's table that the row is compared with."""
     target: tuple[float, float | None] | None = None
     """Success rate and mean speed [m/s] to reach."""
 
     @property
-    def name_prefix(self) -> str:
-        """What the names of the row's worlds begin with."""
+    def world_kind(self) -> str:
+        """Name of the row's worlds without the seed."""
         return self.scene if self.count is None else f"{self.scene}-{self.count}"
 
 
@@ -56,18 +57,19 @@ class Benchmark:
     name: str
     title: str
     note: str
-    """What the reader should know, in Markdown."""
+    """Introduction of the report, in Markdown."""
     rows: tuple[Row, ...]
     x_label: str = ""
-    """Of the plot; empty draws bars."""
+    """Label of the horizontal axis; if empty, the plot has bars."""
     first_seed: int = 0
     """Added to the user's seed."""
     metric: Literal["success", "throughput"] = "success"
+    """Metric to plot."""
 
 
 _GROUND_KNOWN: dict[str, Value] = {"costs.use_ground": True}
 _GROUND_UNKNOWN: dict[str, Value] = {"costs.use_ground": False}
-"""Without the height of the ground, which a Mid-360 does not see: it looks only 7 degrees down."""
+"""The planner does not know the height of the ground, which a Mid-360 does not see: it looks only 7 degrees down."""
 
 _FIELDS = (("forest", 100), ("verticals", 300), ("inclines", 800))
 
@@ -78,8 +80,8 @@ def _table2() -> Benchmark:
     return Benchmark(
         "table2",
         "Comparison with published planners",
-        "The paper's text gives 1000 verticals with radii of 0.4 to 1.1 m, which leave no path for any drone: scenes "
-        "read these numbers as widths. About 300 of them have the paper's mean clearance; both counts are listed.",
+        "The paper's text gives 1000 verticals with radii of 0.4 to 1.1 m, which leave no path for any drone. The "
+        "scenes use these numbers as widths. About 300 of them give the paper's mean clearance. Both are listed.",
         tuple(
             Row(f"{label}{suffix}", scene, count, changes=changes, published=scene)
             for suffix, changes in (("", _GROUND_UNKNOWN), (", ground known", _GROUND_KNOWN))
@@ -105,8 +107,9 @@ def _success() -> Benchmark:
     return Benchmark(
         "success",
         "Success over the velocity limit",
-        "300 verticals rather than the 1000 of the paper's text: see `table2`. At 1 m/s a flight needs 45 of its 60 s. "
-        "The height of the ground is known to the planner; a Mid-360 does not see it, and slow flights would sink.",
+        "300 verticals instead of the 1000 of the paper's text, as explained in `table2`. At 1 m/s a flight needs 45 "
+        "of its 60 s. The planner knows the height of the ground; the Mid-360 does not see it, and slow flights would "
+        "sink.",
         tuple(rows),
         x_label="velocity limit [m/s]",
     )
@@ -122,8 +125,8 @@ def _density() -> Benchmark:
     return Benchmark(
         "density",
         "Success and speed over the number of obstacles",
-        "Vertical cylinders 0.4 to 1.1 m wide; of one seed, random and fixed heights share places and widths. "
-        "The height of the ground is known to the planner.",
+        "Vertical cylinders 0.4 to 1.1 m wide. For the same seed, those of random and of fixed height have the same "
+        "positions and widths. The planner knows the height of the ground.",
         tuple(rows),
         x_label="obstacles",
     )
@@ -134,8 +137,8 @@ def _rooms() -> Benchmark:
     return Benchmark(
         "rooms",
         "Indoor rooms",
-        "The paper shows the four rooms and gives neither their measures nor the speed; the limit here is 2 m/s, and "
-        "arrival is within 0.5 m of the goal, 3.75 m ahead.",
+        "The paper shows the four rooms but gives neither their dimensions nor the speed. Here the velocity limit is "
+        "2 m/s, and a flight arrives within 0.5 m of the goal, which is 3.75 m away.",
         tuple(
             Row(f"{room}{suffix}", room, speed=2.0, changes=changes, arrival_radius=0.5)
             for suffix, changes in (("", _GROUND_UNKNOWN), (", ground known", _GROUND_KNOWN))
@@ -173,9 +176,9 @@ def _ablation() -> Benchmark:
     rows.insert(1, Row("the paper's preset", "inclines", 800, preset="paper", changes=_GROUND_KNOWN))
     return Benchmark(
         "ablation",
-        "What each mechanism is worth",
-        "800 inclines with the height of the ground known to the planner; every row flies the same worlds. Each "
-        "row changes the first one as its label says.",
+        "Contribution of each mechanism",
+        "800 inclines; the planner knows the height of the ground. All rows fly in the same worlds. Each row changes "
+        "the first one as its label says.",
         tuple(rows),
     )
 
@@ -208,8 +211,8 @@ def _default() -> Benchmark:
     return Benchmark(
         "default",
         "Acceptance of the default configuration",
-        "Seeds from 10 000 on, which no tuning has seen. The targets are for a LiDAR that sees the full sphere; the "
-        "Mid-360 sees no farther than 7 degrees below the horizon.",
+        "Seeds from 10 000 on, which were never used for tuning. The targets are for a LiDAR with a full spherical "
+        "field of view; the Mid-360 sees only down to 7 degrees below the horizon.",
         tuple(rows),
         first_seed=10_000,
     )
@@ -230,8 +233,8 @@ def _scaling() -> Benchmark:
     ]
     return Benchmark(
         "scaling",
-        "Flights per minute over the batch",
-        "Time from the first tick to the end of the slowest flight; building worlds and buffers is listed apart.",
+        "Flights per minute over the batch size",
+        "Time from the first tick to the end of the slowest flight. Building worlds and buffers is listed separately.",
         tuple(rows),
         x_label="flights in a batch",
         metric="throughput",
@@ -242,4 +245,4 @@ BENCHMARKS: dict[str, Benchmark] = {
     benchmark.name: benchmark
     for benchmark in (_table2(), _success(), _density(), _rooms(), _ablation(), _default(), _scaling())
 }
-"""All benchmarks by name."""
+"""All benchmarks, by name."""

@@ -1,4 +1,4 @@
-"""Flights of other planners, scored in the same worlds, for the tables and plots of a benchmark."""
+"""Flights of other planners in the worlds of a benchmark, for its tables and plots."""
 
 from __future__ import annotations
 
@@ -9,65 +9,66 @@ from pathlib import Path
 from typing import Any
 
 from aero_viz.errors import UserError
-from aero_viz.evaluation.bench.catalog import Benchmark
+from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.score import load_trajectory, score
 from aero_viz.flight import FlightResult
 from aero_viz.scenes import World
 
-__all__ = ["Included", "append_to_table", "load_included"]
+__all__ = ["ExternalResults", "append_to_table", "load_external_results"]
 
-_COLUMNS = tuple(f.name for f in fields(FlightResult))
+_COLUMNS = tuple(field.name for field in fields(FlightResult))
 _TEXTS = ("arrived", "reason", "scene", "config", "seed", "explanation")
 _NUMBERS = tuple(name for name in _COLUMNS if name not in _TEXTS)
-_FORM = "give NAME=TABLE.csv with the table that `aero-viz score --table` writes, or NAME=FLIGHT@WORLD.json"
+_FORMATS = "give NAME=TABLE.csv with a table of scored flights, or NAME=FLIGHT@WORLD.json with a flight to score"
 
 
 @dataclass(frozen=True)
-class Included:
+class ExternalResults:
     """Flights of one planner in the worlds of one kind."""
 
     planner: str
-    kind: str
+    world_kind: str
     """Name of the worlds without the seed, such as forest-100."""
     flights: tuple[Mapping[str, Any], ...]
+    """Records with the fields of `FlightResult`."""
 
 
 def append_to_table(result: FlightResult, path: str | Path) -> None:
-    """Append a flight to a CSV table, with a header where the file is new or empty.
+    """Append a flight to a CSV table. A new or empty file gets a header.
 
     Raises:
-        UserError: the file cannot be written, or is another kind of table.
+        UserError: the file cannot be written or is another kind of table.
     """
     path = Path(path)
     try:
-        new = not path.exists() or path.stat().st_size == 0
-        columns = list(_COLUMNS) if new else _read(path)[0]
-        _check_header(path, columns)
+        is_new = not path.exists() or path.stat().st_size == 0
+        columns = list(_COLUMNS) if is_new else _read_csv(path)[0]
+        _check_columns(path, columns)
         with path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, columns, extrasaction="ignore")
-            if new:
+            if is_new:
                 writer.writeheader()
             writer.writerow(result.to_dict())
     except OSError as error:
         raise UserError(f"Cannot write the table {path}: {error.strerror or error}.") from error
 
 
-def load_included(specs: Sequence[str], benchmark: Benchmark) -> list[Included]:
+def load_external_results(specs: Sequence[str], benchmark: Benchmark) -> list[ExternalResults]:
     """Return the flights that the specifications name, grouped by planner and kind of world.
 
     Args:
-        specs: each "NAME=TABLE.csv", the table of `append_to_table` or the benchmark's own flights.csv, or
-            "NAME=FLIGHT@WORLD.json", a trajectory to score.
+        specs: each "NAME=TABLE.csv" for a table of `append_to_table` or the flights.csv of a benchmark, or
+            "NAME=FLIGHT@WORLD.json" for a trajectory to score.
         benchmark: flights in worlds that none of its rows has are refused.
 
     Raises:
-        UserError: a specification, file or world does not fit; says what to give instead.
+        UserError: a specification, file or world does not fit. The text says what to give instead.
     """
     grouped: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for spec in specs:
         name, separator, file = spec.partition("=")
         if not (separator and name and file):
-            raise UserError(f"--include {spec!r} has no name and file; {_FORM}.")
+            raise UserError(f"{spec!r} does not name a planner and a file; {_FORMATS}.")
         trajectory, at, world = file.rpartition("@")
         if at:
             result = score(load_trajectory(trajectory), World.load(world), planner=name)
@@ -75,24 +76,25 @@ def load_included(specs: Sequence[str], benchmark: Benchmark) -> list[Included]:
         else:
             flights = _load_table(Path(file))
         for flight in flights:
-            grouped.setdefault((name, _kind(flight["scene"], benchmark, file)), []).append(flight)
-    return [Included(planner, kind, tuple(flights)) for (planner, kind), flights in grouped.items()]
+            world_kind = _find_world_kind(flight["scene"], benchmark, file)
+            grouped.setdefault((name, world_kind), []).append(flight)
+    return [ExternalResults(planner, kind, tuple(flights)) for (planner, kind), flights in grouped.items()]
 
 
-def _kind(world: str, benchmark: Benchmark, file: str) -> str:
-    kinds = {row.name_prefix: None for row in benchmark.rows}
+def _find_world_kind(world: str, benchmark: Benchmark, file: str) -> str:
+    kinds = {row.world_kind: None for row in benchmark.rows}
     found = next((kind for kind in kinds if world == kind or world.startswith(f"{kind}-")), None)
     if found is None:
         raise UserError(
-            f"{file} has a flight in the world {world!r}, which is not of the benchmark {benchmark.name}; "
+            f"{file} has a flight in the world {world!r}, which is not one of the benchmark {benchmark.name}; "
             f"its worlds are named {', '.join(f'{kind}-<seed>' for kind in kinds)}."
         )
     return found
 
 
 def _load_table(path: Path) -> list[Mapping[str, Any]]:
-    header, rows = _read(path)
-    _check_header(path, header)
+    columns, rows = _read_csv(path)
+    _check_columns(path, columns)
     flights = []
     for number, row in enumerate(rows, start=2):
         try:
@@ -100,25 +102,26 @@ def _load_table(path: Path) -> list[Mapping[str, Any]]:
             flight |= {name: float(row[name]) if row[name] else None for name in _NUMBERS}
             flight |= {"arrived": {"True": True, "False": False}[row["arrived"]], "reason": row["reason"] or None}
         except (KeyError, TypeError, ValueError) as error:
-            raise UserError(f"{path}, line {number}: {error} is no value of its column.") from error
+            raise UserError(f"{path}, line {number}: {error} is not a value of its column.") from error
         flights.append(flight)
     if not flights:
-        raise UserError(f"{path} holds no flights below its first line.")
+        raise UserError(f"{path} holds no flights below its header.")
     return flights
 
 
-def _check_header(path: Path, header: Sequence[str]) -> None:
-    missing = [name for name in _COLUMNS if name not in header and name != "explanation"]
+def _check_columns(path: Path, columns: Sequence[str]) -> None:
+    missing = [name for name in _COLUMNS if name not in columns and name != "explanation"]
     if missing:
-        what = "is a trajectory" if {"t", "x"} <= set(header) else f"lacks the column {missing[0]!r}"
-        raise UserError(f"{path} {what}; {_FORM}.")
+        problem = "is a trajectory" if {"t", "x"} <= set(columns) else f"lacks the column {missing[0]!r}"
+        raise UserError(f"{path} {problem}; {_FORMATS}.")
 
 
-def _read(path: Path) -> tuple[list[str], list[dict[str, Any]]]:
+def _read_csv(path: Path) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the names of the columns and the rows."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             return list(reader.fieldnames or ()), list(reader)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no CSV text"
-        raise UserError(f"Cannot read {path}: {reason or error}; {_FORM}.") from error
+        reason = error.strerror if isinstance(error, OSError) else "it is not CSV text"
+        raise UserError(f"Cannot read {path}: {reason or error}; {_FORMATS}.") from error

@@ -1,4 +1,4 @@
-"""The surface of a world as points, for planners that read maps."""
+"""Export of worlds for other programs: the surface as points, or the world as JSON."""
 
 from __future__ import annotations
 
@@ -15,23 +15,28 @@ from aero_viz.scenes.primitives import primitive_bounds
 __all__ = ["FORMATS", "export_world", "surface_points"]
 
 FORMATS = (".pcd", ".npy", ".ply", ".json")
-_BURIED = 1e-6  # [m]
-_POINTS = 100_000_000
+_BURIED_DEPTH = 1e-6
+"""Points that lie deeper than this in another primitive [m] are left out."""
+_MAX_POINTS = 100_000_000
 
 Points = NDArray[np.float64]
 
 
 def surface_points(world: World, *, spacing: float = 0.1) -> Points:
-    """Return points on all surfaces [m], shape [n, 3], world frame: evenly `spacing` [m] apart, the same every time.
+    """Return points on the surfaces of a world [n, 3] [m], world frame, evenly spaced and the same in every call.
 
-    Left out are points inside other primitives, and all of the ground but its top.
+    Points inside other primitives are left out; of the ground there is only the top.
+
+    Args:
+        world: the world.
+        spacing: distance between neighbouring points [m].
 
     Raises:
-        UserError: the spacing is not positive, or gives more than 100 million points.
+        UserError: the spacing is not positive or gives more than 100 million points.
     """
     if not 0.0 < spacing < math.inf:
         raise UserError(f"The spacing is {spacing!r} m; it must be positive.")
-    _check_number(world, spacing)
+    _check_point_count(world, spacing)
     parts = [_cylinder(row, spacing) for row in world.cylinders]
     parts += [_box(row, spacing, only_top=ground) for row, ground in zip(world.boxes, world.ground, strict=True)]
     parts += [_sphere(row, spacing) for row in world.spheres]
@@ -43,16 +48,16 @@ def surface_points(world: World, *, spacing: float = 0.1) -> Points:
 
 
 def export_world(world: World, path: str | Path, *, spacing: float = 0.1) -> int:
-    """Write a world and return how many points were written, 0 for JSON.
+    """Write a world to a file and return the number of points written, 0 for JSON.
 
     Args:
-        world: what to write.
-        path: .pcd (binary), .ply (binary, little endian) or .npy with `surface_points` as float32, shape [n, 3];
-            .json, the world itself.
-        spacing: of the points [m].
+        world: the world.
+        path: file whose suffix gives the format: .pcd (binary), .ply (binary, little endian) or .npy for
+            `surface_points` [n, 3] as float32, or .json for the world itself.
+        spacing: distance between neighbouring points [m].
 
     Raises:
-        UserError: the format is unknown, the spacing wrong, or the file cannot be written.
+        UserError: the format is unknown, the spacing is out of range, or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -86,22 +91,22 @@ def _ply_header(count: int) -> str:
     return f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
 
 
-def _check_number(world: World, spacing: float) -> None:
+def _check_point_count(world: World, spacing: float) -> None:
     radius, height = world.cylinders[:, 6], world.cylinders[:, 7]
     sx, sy, sz = world.boxes[:, 3:6].T
     area = 2.0 * np.pi * np.sum(radius * (radius + height)) + 4.0 * np.pi * np.sum(world.spheres[:, 3] ** 2)
     area += np.sum(np.where(world.ground, sx * sy, 2.0 * (sx * sy + sy * sz + sz * sx)))
     a, b, c = np.split(world.triangles, 3, axis=1)
     area += 0.5 * np.sum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    if area / spacing**2 > _POINTS:
+    if area / spacing**2 > _MAX_POINTS:
         raise UserError(
             f"A spacing of {spacing:g} m gives {area / spacing**2:.2g} points; "
-            f"use at least {math.sqrt(area / _POINTS):.2g} m."
+            f"use at least {math.sqrt(area / _MAX_POINTS):.2g} m."
         )
 
 
 def _centres(length: float, spacing: float) -> Points:
-    """Return the middles of equal parts of [0, length] that are at most `spacing` long."""
+    """Return the centres of equal parts of [0, length] that are at most `spacing` long."""
     count = max(1, math.ceil(length / spacing - 1e-9))
     return (np.arange(count) + 0.5) * length / count
 
@@ -142,7 +147,7 @@ def _box(row: Points, spacing: float, *, only_top: bool) -> Points:
 
 
 def _sphere(row: Points, spacing: float) -> Points:
-    """A Fibonacci lattice: point k on a spiral from pole to pole, each with an equal share of the area."""
+    """Return a Fibonacci lattice: points on a spiral from pole to pole, each with an equal share of the area."""
     count = max(4, math.ceil(4.0 * math.pi * row[3] ** 2 / spacing**2))
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count
@@ -152,18 +157,18 @@ def _sphere(row: Points, spacing: float) -> Points:
 
 
 def _triangle(row: Points, spacing: float) -> Points:
-    """The middles of n^2 equal triangles, n so that they are at most `spacing` apart along the longest side."""
+    """Return the centres of n^2 equal triangles, which are at most `spacing` apart along the longest side."""
     a, b, c = row.reshape(3, 3)
     count = max(1, math.ceil(max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c)) / spacing - 1e-9))
     i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
     upright = np.stack([i, j], axis=-1)[i + j < count] + 1.0 / 3.0
-    turned = np.stack([i, j], axis=-1)[i + j < count - 1] + 2.0 / 3.0
-    u, v = (np.concatenate([upright, turned]) / count).T
+    inverted = np.stack([i, j], axis=-1)[i + j < count - 1] + 2.0 / 3.0
+    u, v = (np.concatenate([upright, inverted]) / count).T
     return a + u[:, None] * (b - a) + v[:, None] * (c - a)
 
 
 def _is_buried(points: Points, world: World) -> NDArray[np.bool_]:
-    """Return which points lie inside a primitive, shape [n]; only those in a primitive's box are looked at."""
+    """Return for each point [n] whether it lies inside a primitive. Only points in its bounding box are checked."""
     buried = np.zeros(len(points), dtype=bool)
     order = np.argsort(points[:, 0], kind="stable")
     x = points[order, 0]
@@ -175,5 +180,5 @@ def _is_buried(points: Points, world: World) -> NDArray[np.bool_]:
         near = near[((points[near, 1:] >= low[1:]) & (points[near, 1:] <= high[1:])).all(axis=1)]
         if len(near):
             single = World("", world.start, world.goal, **{key: row[None]})
-            buried[near] |= single.distance(points[near]) < -_BURIED
+            buried[near] |= single.distance(points[near]) < -_BURIED_DEPTH
     return buried

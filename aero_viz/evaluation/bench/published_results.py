@@ -1,8 +1,8 @@
-"""Published results: AERO-MPPI, arXiv 2509.17340, the table of 50 successful flights per planner and scene.
+"""Published results of AERO-MPPI, arXiv 2509.17340: means over 50 successful flights per planner and scene.
 
-The paper gives success rates as figures; in words, AERO-MPPI stays above 80 % in all scenes up to 7 m/s, and the other
-planners "had to reduce their maximum speed limits to achieve 50 successful runs". Flights were simulated in MARSIM.
-How smoothness was discretised is not said, so it is not comparable with ours.
+The paper shows success rates only as plots. According to its text AERO-MPPI stays above 80 % in all scenes up to 7 m/s,
+and the other planners "had to reduce their maximum speed limits to achieve 50 successful runs". The flights were
+simulated in MARSIM. The paper does not say how smoothness was discretised, so it cannot be compared with ours.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.bench import BENCHMARKS
-from aero_viz.evaluation.bench.published import PUBLISHED
+from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.scenes import scene
 from aero_viz.sensors import lidar_model
 
@@ -23,7 +23,7 @@ def test_rows_can_be_flown(benchmark):
 @pytest.mark.parametrize("name", ["rooms", "density"])
 def test_worlds_are_named_as_their_rows_say(name):
     for row in BENCHMARKS[name].rows[:4]:
-        assert scene(row.scene, count=row.count, seed=7).name.startswith(f"{row.name_prefix}-")
+        assert scene(row.scene, count=row.count, seed=7).name.startswith(f"{row.world_kind}-")
 
 
 def test_every_ablation_changes_the_first_row():
@@ -38,7 +38,7 @@ def test_every_ablation_changes_the_first_row():
 
 def test_acceptance_targets_are_for_the_full_sphere_on_fresh_seeds():
     benchmark = BENCHMARKS["default"]
-    targets = {row.name_prefix: row.target for row in benchmark.rows if row.target}
+    targets = {row.world_kind: row.target for row in benchmark.rows if row.target}
     assert targets == {
         "forest-100": (0.98, 5.6),
         "verticals-300": (0.95, None),

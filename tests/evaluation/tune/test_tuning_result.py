@@ -1,4 +1,4 @@
-"""What is thought of flights."""
+"""Scores, the check and the conclusions."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import json
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_viz.evaluation.statistics import wilson
-from aero_viz.evaluation.tune import Check, Score, Span, Tuning
+from aero_viz.evaluation.statistics import wilson_interval
+from aero_viz.evaluation.tune import Check, ParameterRange, Score, TuningResult
 from aero_viz.flight import FlightResult
 
 
 def flight(time: float | None) -> FlightResult:
-    """A flight that arrives after this time, or collides."""
+    """Return a flight that arrives after `time` [s], or collides if it is None."""
     return FlightResult(
         arrived=time is not None, reason="collision" if time is None else "arrived", flight_time_s=time or 1.0,
         mean_speed=1.0, max_speed=1.0, smoothness=1.0, length_m=1.0, mean_clearance=None, min_clearance=None,
@@ -23,15 +23,19 @@ def flight(time: float | None) -> FlightResult:
 
 
 def check(incumbent: list[float | None], best: list[float | None]) -> Check:
-    return Check.of([flight(time) for time in incumbent], [flight(time) for time in best])
+    return Check.from_results([flight(time) for time in incumbent], [flight(time) for time in best])
 
 
-def test_arriving_counts_before_time() -> None:
-    safe, fast, none = Score.of(map(flight, [9.0, 9.0])), Score.of(map(flight, [2.0, None])), Score.of([flight(None)])
+def test_arrivals_count_before_time() -> None:
+    safe, fast, none = (
+        Score.from_results(map(flight, [9.0, 9.0])),
+        Score.from_results(map(flight, [2.0, None])),
+        Score.from_results([flight(None)]),
+    )
     assert sorted([none, fast, safe], key=lambda score: score.rank) == [safe, fast, none]
-    assert Score.of(map(flight, [8.0, 9.0])).rank < safe.rank
+    assert Score.from_results(map(flight, [8.0, 9.0])).rank < safe.rank
     assert (fast.flights, fast.arrived, fast.flight_time_s) == (2, 1, 2.0) and none.flight_time_s is None
-    assert (fast.to_dict()["success_low"], fast.to_dict()["success_high"]) == wilson(1, 2)
+    assert (fast.to_dict()["success_low"], fast.to_dict()["success_high"]) == wilson_interval(1, 2)
 
 
 @pytest.mark.parametrize(
@@ -49,30 +53,28 @@ def test_arriving_counts_before_time() -> None:
         ([5.0] * 9 + [None], [4.0] * 9 + [None], "better"),
     ],
 )
-def test_the_verdict_is_that_of_a_sign_test(
-    incumbent: list[float | None], best: list[float | None], verdict: str
-) -> None:
+def test_verdict_is_that_of_a_sign_test(incumbent: list[float | None], best: list[float | None], verdict: str) -> None:
     assert check(incumbent, best).verdict == verdict
 
 
-def tuning(held: Check | None, **changes: object) -> Tuning:
+def tuning(check: Check | None, **changes: object) -> TuningResult:
     configs = tuple(PlannerConfig().replace({"costs.q_track": value}) for value in (5.0, 7.5))
     scores = (Score(4, 2, 8.0), Score(4, 4, 6.5))
-    whole = Tuning((Span("costs.q_track", 1.0, 20.0),), configs, scores, 1, 4, held, False)
-    return dataclasses.replace(whole, **changes)  # type: ignore[arg-type]
+    result = TuningResult((ParameterRange("costs.q_track", 1.0, 20.0),), configs, scores, 1, 4, check, False)
+    return dataclasses.replace(result, **changes)  # type: ignore[arg-type]
 
 
-def test_what_is_worse_in_fresh_worlds_is_not_chosen() -> None:
-    for held, value in (
+def test_candidate_that_is_worse_in_fresh_worlds_is_not_chosen() -> None:
+    for outcome, value in (
         (check([5.0] * 6, [None] * 6), 5.0),
         (check([None] * 6, [5.0] * 6), 7.5),
         (check([None], [5.0]), 7.5),
         (None, 7.5),
     ):
-        assert tuning(held).chosen.costs.q_track == value
+        assert tuning(outcome).chosen.costs.q_track == value
 
 
-def test_the_table_shows_both_with_their_intervals_and_warns() -> None:
+def test_table_shows_incumbent_and_best_and_warns() -> None:
     text = tuning(check([None, 8.0, 8.0], [7.0, 7.0, None])).format_table()
     assert [" ".join(line.split()) for line in text.splitlines()[1:5]] == [
         "incumbent 4 2 15 to 85 % 8.00 s 5",
@@ -80,16 +82,16 @@ def test_the_table_shows_both_with_their_intervals_and_warns() -> None:
         "incumbent, fresh worlds 3 2 21 to 94 % 8.00 s 5",
         "best, fresh worlds 3 2 21 to 94 % 7.00 s 7.5",
     ]
-    assert "the best alone arrives in 1, the incumbent alone in 1; where both do, the best is faster in 1 and" in text
-    assert "Warning: the difference is within the noise" in text
-    assert "Warning: the best is worse" in tuning(check([5.0] * 6, [None] * 6)).format_table()
+    assert "only the best candidate arrives in 1, only the incumbent in 1; where both arrive, the best is" in text
+    assert "Warning: the difference is not significant" in text
+    assert "Warning: the best candidate is significantly worse" in tuning(check([5.0] * 6, [None] * 6)).format_table()
     assert "Warning" not in tuning(check([None] * 6, [5.0] * 6)).format_table()
     assert "No candidate was better" in tuning(None, best=0).format_table()
     assert "before the check" in tuning(None, interrupted=True).format_table()
-    assert "nothing is known" in tuning(None, best=0, compared=0, interrupted=True).format_table()
+    assert "No conclusion" in tuning(None, best=0, compared=0, interrupted=True).format_table()
 
 
-def test_it_is_json() -> None:
+def test_result_is_plain_json() -> None:
     content = tuning(check([None], [5.0])).to_dict()
     assert json.loads(json.dumps(content)) == content
     assert content["chosen"] == {"costs.q_track": 7.5} and content["check"]["verdict"] == "noise"

@@ -1,0 +1,103 @@
+"""The files in which the flights of a benchmark are kept while it runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from aero_viz.errors import UserError
+
+__all__ = ["append_flights", "open_folder", "read_folder"]
+
+_HEADER, _FLIGHTS = "run.json", "flights.jsonl"
+_FIXED_KEYS = (
+    "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "config", "rows",
+)  # fmt: skip
+"""Keys of the header that must be equal for a run to be resumed."""
+
+Header = dict[str, Any]
+Flights = list[dict[str, Any]]
+
+
+def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, Flights]:
+    """Create a folder of results, or continue with the results in it.
+
+    Args:
+        folder: created if it does not exist.
+        header: header of the run.
+        resume: continue with the results in the folder, if there are any.
+
+    Returns:
+        The header in the folder and the finished flights.
+
+    Raises:
+        UserError: the folder holds results and `resume` is False, the results are those of another run, or the folder
+            cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        previous, flights = read_folder(folder)
+        if previous is None:
+            (folder / _FLIGHTS).unlink(missing_ok=True)
+            (folder / _HEADER).write_text(json.dumps(header, indent=1) + "\n", encoding="utf-8")
+            return header, []
+        if not resume:
+            raise UserError(f"{folder} holds results already; resume the run or choose another output folder.")
+        for key in _FIXED_KEYS:
+            if previous.get(key) != header[key]:
+                raise UserError(
+                    f"The run in {folder} cannot be resumed: {_difference(key, previous.get(key), header[key])}; "
+                    "choose another output folder or the same options and versions."
+                )
+        # Drops the incomplete last line that a crash may have left.
+        text = "".join(json.dumps(flight) + "\n" for flight in flights)
+        (folder / _FLIGHTS).write_text(text, encoding="utf-8")
+        return previous, flights
+    except OSError as error:
+        raise UserError(f"Cannot write the results to {folder}: {error.strerror or error}.") from error
+
+
+def read_folder(folder: Path) -> tuple[Header | None, Flights]:
+    """Return the header, None if the folder holds no results, and the finished flights.
+
+    Raises:
+        UserError: the files cannot be read.
+    """
+    try:
+        header = json.loads((folder / _HEADER).read_text(encoding="utf-8"))
+        lines = (folder / _FLIGHTS).read_text(encoding="utf-8").splitlines() if (folder / _FLIGHTS).exists() else []
+    except FileNotFoundError:
+        return None, []
+    except (OSError, ValueError) as error:
+        raise UserError(f"{folder / _HEADER} cannot be read ({error}); choose another output folder.") from error
+    flights = []
+    for line in lines:
+        try:
+            flights.append(json.loads(line))
+        except ValueError:  # a crash interrupted the writing of this line
+            break
+    return header, flights
+
+
+def append_flights(folder: Path, flights: Flights) -> None:
+    """Append finished flights to those in the folder.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    try:
+        with (folder / _FLIGHTS).open("a", encoding="utf-8") as file:
+            file.write("".join(json.dumps(flight) + "\n" for flight in flights))
+    except OSError as error:
+        raise UserError(f"Cannot write {folder / _FLIGHTS}: {error.strerror or error}.") from error
+
+
+def _difference(key: str, previous: Any, current: Any) -> str:
+    """Return a description of the first difference between two values of the header."""
+    if isinstance(previous, dict) and isinstance(current, dict):
+        name = next(name for name in {**previous, **current} if previous.get(name) != current.get(name))
+        return _difference(f"{key}.{name}", previous.get(name), current.get(name))
+    if isinstance(previous, list) or isinstance(current, list):
+        return f"{key} differ"
+    return f"{key} was {previous!r} and is {current!r}"
