@@ -12,7 +12,7 @@ import pytest
 from aero_viz.cli import main
 from aero_viz.evaluation.bench import BENCHMARKS
 from aero_viz.flight import FlightResult, FlightRules, StateNoise, VehicleModel
-from aero_viz.flight.simulator import OUTCOMES
+from aero_viz.flight.rules import OUTCOMES
 from aero_viz.scenes import SCENES, World
 from aero_viz.sensors import LIDARS, LidarModel, coverage, lidar_model
 

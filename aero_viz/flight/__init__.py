@@ -7,7 +7,8 @@ from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.interrupt import FlightInterrupted
 from aero_viz.flight.memory import memory_per_flight
 from aero_viz.flight.metrics import FlightResult
-from aero_viz.flight.simulator import FlightRules, Simulator
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.source import FlightSource
 from aero_viz.flight.vehicle import VehicleModel
 

@@ -15,10 +15,12 @@ from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import explain, refuse_impossible
+from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.progress import distance_share
-from aero_viz.flight.simulator import FlightRules, Record, Simulator
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
@@ -40,7 +42,7 @@ _CHECK_TICKS = 25  # on CUDA the host waits for the device only this often
 @wp.kernel
 def observe_kernel(
     time: wp.float64,
-    records: wp.array(dtype=Record),
+    records: wp.array(dtype=FlightRecord),
     positions: wp.array(dtype=wp.vec3),
     velocities: wp.array(dtype=wp.vec3),
     accelerations: wp.array(dtype=wp.vec3),
@@ -136,7 +138,7 @@ class FlightBatch:
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
         self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
         for sweep in range(-SWEEPS, 0):
-            self.simulator.look(sweep)
+            self.simulator.measure_sweep(sweep)
             self._publish(sweep)
 
     def step(self) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.errors import UserError
-from aero_viz.flight.simulator import FlightRules
+from aero_viz.flight.rules import FlightRules
 from aero_viz.scenes.world import World
 
 __all__ = ["explain", "goal_problem", "refuse_impossible"]

@@ -1,4 +1,4 @@
-"""What is known of a flight when it is over."""
+"""Results and metrics of flights, simulated or recorded."""
 
 from __future__ import annotations
 
@@ -8,18 +8,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
-__all__ = ["FlightResult", "flight_results"]
+from aero_planner.warp_init import quieten
+from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_trajectory_kernel
+from aero_viz.flight.rules import OUTCOMES, FlightRules
+from aero_viz.scenes.world import World
+
+__all__ = ["FlightResult", "flight_results", "initial_records", "judge_trajectory", "pack_rules"]
 
 
 @dataclass(frozen=True)
 class FlightResult:
-    """Outcome and metrics of one flight, SI units; `simulator.Record` says how each is measured."""
+    """Outcome and metrics of one flight, in SI units; `flight_end.FlightRecord` defines how each is measured."""
 
     arrived: bool
     reason: str | None
-    """"arrived", "collision", "stall", "out_of_bounds" or "timeout"; None while flying."""
+    """"arrived", "collision", "stall", "out_of_bounds" or "timeout"; None for a flight that has not ended."""
     flight_time_s: float
     mean_speed: float
     """Length over time [m/s]."""
@@ -32,15 +39,15 @@ class FlightResult:
     min_clearance: float | None
     """Smallest distance to a surface, ground included [m]; None in an empty world."""
     plan_ms_median: float | None
-    """Median time of a plan, of the whole batch where flights share it [ms]; None when nothing was planned."""
+    """Median time of a plan, or of a plan of the whole batch [ms]; None if nothing was planned."""
     seed: int
     scene: str
     config: str
     explanation: str | None = None
-    """In one sentence what ended the flight; None for an arrival."""
+    """One sentence on how the flight ended; None for an arrival."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON can hold them."""
+        """Return the fields in a form that JSON can represent."""
         return dataclasses.asdict(self)
 
     def format_table(self) -> str:
@@ -61,13 +68,20 @@ def flight_results(
     scenes: Sequence[str],
     configs: Sequence[str],
     plan_ms: float | None,
-    explanations: Sequence[str | None] | None = None,
+    explanations: Sequence[str | None],
 ) -> list[FlightResult]:
-    """Return one result per flight from the simulator's records and outcomes; `period` is that of a tick [s]."""
+    """Return one result per flight.
+
+    Args:
+        records: `FlightRecord` of each flight, structured array [B].
+        outcomes: [B].
+        period: duration of a tick [s].
+        seeds, scenes, configs, explanations: fields of the results, [B].
+        plan_ms: field `plan_ms_median` of all results.
+    """
     results = []
-    told = explanations or [None] * len(outcomes)
     for record, outcome, seed, scene, config, explanation in zip(
-        records, outcomes, seeds, scenes, configs, told, strict=True
+        records, outcomes, seeds, scenes, configs, explanations, strict=True
     ):
         time, length = round(int(record["ticks"]) * period, 9), float(record["length"])
         results.append(
@@ -89,6 +103,59 @@ def flight_results(
             )
         )
     return results
+
+
+def initial_records(starts: NDArray[np.float64], goals: NDArray[np.float64]) -> NDArray[Any]:
+    """Return the `FlightRecord` of flights that have not begun, structured array [B].
+
+    Args:
+        starts: first positions [m], [B, 3].
+        goals: [m], [B, 3].
+    """
+    struct: Any = FlightRecord
+    records = np.zeros(len(starts), dtype=np.dtype(struct.numpy_dtype()))
+    records["goal"] = goals
+    records["clearance_min"] = np.inf
+    records["nearest_goal"] = np.linalg.norm(goals - starts, axis=1)
+    return records
+
+
+def pack_rules(rules: FlightRules) -> Any:
+    """Return the `RuleParameters` of rules."""
+    parameters: Any = RuleParameters()
+    for name in ("period", "radius", "arrival_radius", "stall_distance", "stall_time", "time_limit"):
+        setattr(parameters, name, getattr(rules, name))
+    return parameters
+
+
+def judge_trajectory(
+    world: World,
+    positions: NDArray[np.float64],
+    velocities: NDArray[np.float64],
+    clearance: NDArray[np.float64],
+    *,
+    rules: FlightRules,
+) -> tuple[NDArray[Any], str | None]:
+    """Return the `FlightRecord`, structured array [1], and the outcome of a recorded flight.
+
+    It ends at the first tick that ends a simulated flight. The outcome is None if there is no such tick.
+
+    Args:
+        world: goal and bounds.
+        positions: positions at the ticks [m], [n, 3], n >= 1.
+        velocities: velocities at the ticks [m/s], [n, 3].
+        clearance: distances to the nearest surface at the S integration steps of each tick [m], [n, S].
+        rules: when the flight ends.
+    """
+    quieten()
+    with wp.ScopedDevice("cpu"):
+        record = wp.array(initial_records(positions[:1], world.goal[None]), dtype=FlightRecord)
+        outcome = wp.zeros(1, dtype=int)
+        inputs = [pack_rules(rules), wp.vec3(*world.bounds[0]), wp.vec3(*world.bounds[1])]
+        inputs += [wp.array(table, dtype=wp.vec3) for table in (positions, velocities)]
+        inputs += [wp.array(clearance, dtype=float)]
+        wp.launch(judge_trajectory_kernel, 1, inputs=inputs, outputs=[record, outcome])
+    return record.numpy(), OUTCOMES[int(outcome.numpy()[0])]
 
 
 def _finite(value: Any) -> float | None:

@@ -17,7 +17,8 @@ from aero_viz.flight.batch import SWEEPS
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import explain, goal_problem
 from aero_viz.flight.metrics import FlightResult, flight_results
-from aero_viz.flight.simulator import FlightRules, Simulator
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel, livox_mid360
@@ -288,8 +289,8 @@ class FlightSource:
             poses=after,
             poses_before=before,
             finished=self._looking,
-            believed=believed,
-            believed_before=believed_before,
+            estimated_poses=believed,
+            estimated_poses_before=believed_before,
         )
         return self._new_points(scan.first, scan.end)
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_viz.flight.simulator import FlightRules
+from aero_viz.flight.rules import FlightRules
 from aero_viz.rig.autopilot import PERIOD, Mode, SimulatedAutopilot
 from aero_viz.rig.faults import NETWORK_FAULTS, Fault
 from aero_viz.rig.process import NodeProcess

@@ -68,7 +68,7 @@ class SimulatedMid360:
         self._model, self._data_type = model, data_type
         self._lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[seed])
         self._finished = wp.zeros(1, dtype=int, device="cpu")
-        # With an identity pose as the believed one, the LiDAR returns points in the body frame.
+        # With an identity pose as the estimated one, the LiDAR returns points in the body frame.
         identity = wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4, device="cpu")
         self._identity_pose = wp.zeros(1, dtype=wp.vec3, device="cpu"), identity
         self._to_sensor = conjugate(quaternion_from_angles(*model.mount_angles))
@@ -98,8 +98,8 @@ class SimulatedMid360:
             poses=(vehicle.position, vehicle.quaternion),
             poses_before=(vehicle.position_before, vehicle.quaternion_before),
             finished=self._finished,
-            believed=self._identity_pose,
-            believed_before=self._identity_pose,
+            estimated_poses=self._identity_pose,
+            estimated_poses_before=self._identity_pose,
         )
         measured = self._to_sensor_frame(self._lidar.points.numpy()[0, first:end])  # type: ignore[index]
         points = np.concatenate([self._unsent, measured])

@@ -38,7 +38,7 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "forest", "--lidar.range-max", "0.1"], "lidar.range_min is 0.1; it must be less than lidar.range_max"),
         (["fly", "forest", "--lidar.dropout", "2"], "lidar.dropout is 2.0; it must be a number in [0, 1]"),
         (["fly", "forest", "--rules.ticks-per-plan", "0"], "rules.ticks_per_plan is 0"),
-        (["fly", "forest", "--rules.period", "0.03"], "no multiple of the tick"),
+        (["fly", "forest", "--rules.period", "0.03"], "not a multiple of the tick"),
         (["demo", "forest", "--noise.attitude", "999"], "noise.attitude is 999.0"),
         (["bench", "rooms", "--drone.latency", "-1"], "drone.latency is -1.0"),
         (["fly", "forest", "--goal", "30", "0", "-0.2"], "goal (30, 0, -0.2) lies inside an obstacle"),

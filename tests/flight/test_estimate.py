@@ -99,7 +99,7 @@ def test_sweeps_are_placed_in_the_estimated_frame():
     noise = StateNoise(position=0.5, correlation_time=1e6)  # one constant offset
     simulator, exact = (simulate(one, [2]) for one in (noise, None))
     for one in (simulator, exact):
-        one.look(-1)
+        one.measure_sweep(-1)
     offset = simulator.estimate.position.numpy()[0] - simulator.vehicle.position.numpy()[0]
     assert np.linalg.norm(offset) > 0.1
     np.testing.assert_allclose(simulator.lidar.points.numpy() - exact.lidar.points.numpy(), [[offset] * 100], atol=1e-5)

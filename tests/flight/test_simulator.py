@@ -140,7 +140,7 @@ def test_sweeps_are_complete_every_fifth_tick():
 
 
 def test_tick_must_divide_the_sweep():
-    with pytest.raises(ValueError, match="no multiple of the tick"):
+    with pytest.raises(ValueError, match="not a multiple of the tick"):
         simulate(world(), period=0.03)
 
 

@@ -239,5 +239,5 @@ def test_flights_have_no_time_line(source):
 
 
 def test_tick_that_does_not_divide_the_sweep_is_a_users_error():
-    with pytest.raises(UserError, match="no multiple of the tick"):
+    with pytest.raises(UserError, match="not a multiple of the tick"):
         FlightSource(scene("forest", seed=0, count=1), rules=FlightRules(period=0.03))

@@ -183,15 +183,15 @@ def test_mounting_position_moves_with_the_body(shell):
     np.testing.assert_allclose(mounted, expected, atol=1e-4)
 
 
-def test_points_are_placed_by_the_believed_pose(shell):
+def test_points_are_placed_by_the_estimated_pose(shell):
     # The drone believes to be 1 m off and turned by 90 degrees: the cloud is the true one, moved and turned.
     model, half = exact(full_sphere()), np.sqrt(0.5)
     worlds = DeviceWorlds([shell])
     lidar = Lidar(model, worlds, seeds=[0])
     true = wp.array([(0.0, 0.0, 0.0)], dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
-    believed = wp.array([(0.0, 1.0, 0.0)], dtype=wp.vec3), wp.array([(half, 0.0, 0.0, half)], dtype=wp.vec4)
+    estimated = wp.array([(0.0, 1.0, 0.0)], dtype=wp.vec3), wp.array([(half, 0.0, 0.0, half)], dtype=wp.vec4)
     options = {"poses": true, "poses_before": true, "finished": wp.zeros(1, dtype=int)}
-    lidar.scan(0, 0, 20_000, believed=believed, believed_before=believed, **options)
+    lidar.scan(0, 0, 20_000, estimated_poses=estimated, estimated_poses_before=estimated, **options)
     points = sweep(model, shell)[0]
     expected = np.column_stack([-points[:, 1], points[:, 0] + 1.0, points[:, 2]])
     np.testing.assert_allclose(lidar.points.numpy()[0], expected, atol=1e-4)

@@ -1,0 +1,134 @@
+"""Warp kernels of the simulated LiDAR: beam directions over time, and scans with noise and dropout."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from aero_viz.scenes.geometry import Geometry
+from aero_viz.sensors.raycast import ray_range
+
+__all__ = ["Beams", "beam_direction", "scan_kernel"]
+
+wp.set_module_options({"enable_backward": False})
+
+# Steps of the two-dimensional low-discrepancy sequence R2 (Roberts 2018), 1 / rho and 1 / rho^2 with rho the plastic
+# number, in units of 2^-32: integer overflow yields the fractional part, exactly for every index.
+STEP_AZIMUTH = wp.constant(wp.uint32(3242174889))
+STEP_ELEVATION = wp.constant(wp.uint32(2447445414))
+INVERSE_2_24 = wp.constant(2.0**-24)
+
+
+@wp.struct
+class Beams:
+    """`LidarModel` for kernels."""
+
+    elevation_min: float
+    """[rad]"""
+    elevation_max: float
+    height_min: float
+    """Sine of elevation_min; equal steps of the sine are equal steps of solid angle."""
+    height_max: float
+    points_per_sweep: int
+    range_min: float
+    range_max: float
+    range_noise: float
+    dropout: float
+    rings: int
+    """Number of rings; 0 for another pattern."""
+    tilt: float
+    """Tilt of the outer beams of a Livox [rad]; 0 for another pattern."""
+    turn_step: wp.uint32
+    """Rotation of a Livox from one shot of its four beams to the next, in units of 2^-32 turns."""
+    swing_step: wp.uint32
+    """Advance of its swing over the field of view per shot, in units of 2^-32 periods."""
+    mount_position: wp.vec3
+    mount_attitude: wp.quat
+    """Rotation from sensor to body."""
+
+
+@wp.func
+def fraction(index: wp.uint32, step: wp.uint32):
+    """Return the fractional part of index * step / 2^32."""
+    return float((index * step) >> wp.uint32(8)) * INVERSE_2_24
+
+
+@wp.func
+def beam_direction(beams: Beams, index: int, phase: wp.uint32):
+    """Return the unit direction of a ray in the sensor frame; `index` counts rays over all sweeps."""
+    azimuth = float(0.0)
+    height = float(0.0)
+    if beams.rings > 0:
+        i = (index % beams.points_per_sweep + beams.points_per_sweep) % beams.points_per_sweep
+        ring = i % beams.rings
+        azimuth = float(i - ring) / float(beams.points_per_sweep)
+        share = float(ring) / float(wp.max(beams.rings - 1, 1))
+        height = wp.sin(beams.elevation_min + share * (beams.elevation_max - beams.elevation_min))
+    elif beams.tilt > 0.0:
+        k = wp.uint32(index) + phase
+        shot = k / wp.uint32(4)
+        weight = 1.0 - float(k % wp.uint32(4)) / 1.5
+        azimuth = fraction(shot, beams.turn_step)
+        middle = 0.5 * (beams.elevation_min + beams.elevation_max)
+        reach = beams.elevation_max - middle - beams.tilt
+        swing = reach * wp.cos(2.0 * wp.pi * fraction(shot, beams.swing_step))
+        height = wp.sin(middle + swing + weight * beams.tilt * wp.cos(2.0 * wp.pi * azimuth))
+    else:
+        k = wp.uint32(index) + phase
+        azimuth = fraction(k, STEP_AZIMUTH)
+        height = beams.height_min + fraction(k, STEP_ELEVATION) * (beams.height_max - beams.height_min)
+    flat = wp.sqrt(wp.max(1.0 - height * height, 0.0))
+    angle = 2.0 * wp.pi * azimuth
+    return wp.vec3(flat * wp.cos(angle), flat * wp.sin(angle), height)
+
+
+@wp.func
+def attitude_between(before: wp.vec4, after: wp.vec4, share: float):
+    """Interpolate between two similar attitudes w, x, y, z; return a Warp quaternion x, y, z, w."""
+    sign = wp.where(wp.dot(before, after) < 0.0, -1.0, 1.0)
+    q = wp.normalize((1.0 - share) * before + (share * sign) * after)
+    return wp.quat(q[1], q[2], q[3], q[0])
+
+
+@wp.kernel
+def scan_kernel(
+    # problem
+    geometry: Geometry,
+    world: wp.array(dtype=int),  # [B]
+    beams: Beams,
+    seeds: wp.array(dtype=int),  # [B]
+    sweep: int,
+    first: int,
+    count: int,
+    # in
+    finished: wp.array(dtype=int),  # [B]
+    position_before: wp.array(dtype=wp.vec3),  # [B]
+    position: wp.array(dtype=wp.vec3),  # [B]
+    quaternion_before: wp.array(dtype=wp.vec4),  # [B]
+    quaternion: wp.array(dtype=wp.vec4),  # [B]
+    estimated_position_before: wp.array(dtype=wp.vec3),  # [B]
+    estimated_position: wp.array(dtype=wp.vec3),  # [B]
+    estimated_quaternion_before: wp.array(dtype=wp.vec4),  # [B]
+    estimated_quaternion: wp.array(dtype=wp.vec4),  # [B]
+    # out
+    points: wp.array2d(dtype=wp.vec3),  # [B, points_per_sweep]
+):
+    """Measure `count` points of a sweep from the true poses, and place them by the estimated poses."""
+    b, i = wp.tid()
+    if finished[b] != 0:
+        return
+    index = sweep * beams.points_per_sweep + first + i
+    share = (float(i) + 0.5) / float(count)
+    beam = wp.quat_rotate(beams.mount_attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
+    attitude = attitude_between(quaternion_before[b], quaternion[b], share)
+    origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
+    direction = wp.quat_rotate(attitude, beam)
+    distance = ray_range(geometry, world[b], origin, direction, beams.range_max)
+    point = wp.vec3(wp.nan, wp.nan, wp.nan)
+    if distance <= beams.range_max and distance >= beams.range_min:
+        random = wp.rand_init(seeds[b], index)
+        if wp.randf(random) >= beams.dropout:
+            in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
+            estimated_attitude = attitude_between(estimated_quaternion_before[b], estimated_quaternion[b], share)
+            estimated_origin = wp.lerp(estimated_position_before[b], estimated_position[b], share)
+            point = estimated_origin + wp.quat_rotate(estimated_attitude, in_body)
+    points[b, first + i] = point
