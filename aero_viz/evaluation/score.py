@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.explanation import explain
+from aero_viz.flight.metrics import flight_results, judge_trajectory
 from aero_viz.scenes import World
 
 __all__ = ["Trajectory", "load_trajectory", "score"]
@@ -89,87 +90,48 @@ def score(
 ) -> FlightResult:
     """Return the metrics of `trajectory` in `world`, as if the simulator had flown it.
 
-    The trajectory is sampled at the ticks of `rules`, whatever rate it was recorded at, since smoothness depends on it,
-    and at the simulator's integration steps for the clearance. It is over at the first tick that ends a flight, or
-    with its last sample: then `reason` is None, "incomplete". A trajectory that the simulator wrote to a CSV file
-    gives the numbers of its own flight to 1e-4 relative: the file has six decimals. Without measured velocities the
-    smoothness comes out too small, since differences of positions smooth them.
+    The trajectory is resampled at the ticks of `rules`, since smoothness depends on the rate, and at the integration
+    steps of the simulator for the clearance. Then the simulator's own rules judge it. It ends at the first tick that
+    ends a flight, or with its last sample; `reason` is None then. A CSV file of the simulator yields the metrics of its
+    flight to 1e-4 relative, since the file has six decimals. Without measured velocities the smoothness is too small,
+    because differences of positions smooth them.
 
     Args:
         trajectory: its first sample is the start of the flight.
         world: obstacles, goal and bounds.
         rules: when the flight ends.
-        planner: who flew; `config` of the result.
+        planner: name of the planner; `config` of the result.
     """
     rules = rules or FlightRules()
     start, period = trajectory.times[0], rules.period
-    count = min(math.floor((trajectory.times[-1] - start) / period + 1e-6), math.ceil(rules.time_limit / period - 1e-6))
-    ticks = np.arange(count + 1)
-    positions, velocities = trajectory.at(start + period * ticks)
-    substeps = math.ceil(period / VehicleModel().step - 1e-6)
-    fine = start + period * (np.arange(count * substeps) + 1) / substeps
-    # The simulator looks at the start as often as at any other tick.
-    trail = np.concatenate([np.repeat(positions[:1], substeps, axis=0), trajectory.at(fine)[0]])
-    clearance = world.distance(trail).reshape(count + 1, substeps)
-    reasons = _reasons(positions, clearance.min(axis=1), world, rules)
-    last = next((k for k, reason in enumerate(reasons) if reason is not None), count)
-
-    time = round(last * period, 9)
-    positions, velocities, clearance = positions[: last + 1], velocities[: last + 1], clearance[: last + 1]
-    length = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    accelerations = np.diff(velocities, axis=0, prepend=velocities[:1]) / period  # a_(-1) = 0, then one per tick
+    count = min(math.floor((trajectory.times[-1] - start) / period + 1e-6), math.ceil(rules.time_limit / period) + 1)
+    positions, velocities = trajectory.at(start + period * np.arange(count + 1))
+    steps = math.ceil(period / VehicleModel().step - 1e-6)
+    step_times = start + period * (np.arange(count * steps) + 1) / steps
+    # At the start, the simulator measures the clearance as often as at any other tick.
+    step_positions = np.concatenate([np.repeat(positions[:1], steps, axis=0), trajectory.at(step_times)[0]])
+    clearance = world.distance(step_positions).reshape(count + 1, steps)
+    record, outcome = judge_trajectory(world, positions, velocities, clearance, rules=rules)
+    ticks = int(record["ticks"][0])
     explanation = explain(
-        reasons[last],
+        outcome,
         world,
-        positions[-1],
-        time=time,
-        clearance=float(clearance.min()),
+        positions[ticks],
+        time=round(ticks * period, 9),
+        clearance=float(record["clearance_min"][0]),
         goal=world.goal,
         rules=rules,
     )
-    return FlightResult(
-        arrived=reasons[last] == "arrived",
-        reason=reasons[last],
-        flight_time_s=time,
-        mean_speed=length / time if time > 0.0 else 0.0,
-        max_speed=float(np.linalg.norm(velocities, axis=1).max()),
-        smoothness=float(np.sum(np.diff(accelerations, axis=0) ** 2) / period),
-        length_m=length,
-        mean_clearance=_finite(clearance.mean()),
-        min_clearance=_finite(clearance.min()),
-        plan_ms_median=None,
-        seed=0,
-        scene=world.name,
-        config=planner,
-        explanation=explanation,
-    )
-
-
-def _reasons(
-    positions: NDArray[np.float64], nearest: NDArray[np.float64], world: World, rules: FlightRules
-) -> list[str | None]:
-    """Return what ends the flight at each tick, in the simulator's order of precedence."""
-    remaining = np.linalg.norm(world.goal - positions, axis=1)
-    inside = ((positions >= world.bounds[0]) & (positions <= world.bounds[1])).all(axis=1)
-    reasons: list[str | None] = []
-    best, progress = remaining[0], 0.0
-    for k in range(len(positions)):
-        elapsed = k * rules.period
-        if remaining[k] <= best - rules.stall_distance:
-            best, progress = remaining[k], elapsed
-        if nearest[k] < rules.radius:
-            reasons.append("collision")
-        elif remaining[k] <= rules.arrival_radius:
-            reasons.append("arrived")
-        elif not inside[k]:
-            reasons.append("out_of_bounds")
-        elif elapsed - progress >= rules.stall_time - 1e-6:
-            reasons.append("stall")
-        elif elapsed >= rules.time_limit - 1e-6:
-            reasons.append("timeout")
-        else:
-            reasons.append(None)
-    return reasons
+    return flight_results(
+        record,
+        [outcome],
+        period=period,
+        seeds=[0],
+        scenes=[world.name],
+        configs=[planner],
+        plan_ms=None,
+        explanations=[explanation],
+    )[0]
 
 
 def _read_csv(path: Path) -> Trajectory:
@@ -227,7 +189,3 @@ def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
     times, rows = chosen.poses.times(stamped=True), chosen.poses.rows()
     poses = RecordedPoses((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
     return Trajectory(path.name, poses.times, poses.positions + poses.offset, poses.velocities)
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

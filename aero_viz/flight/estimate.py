@@ -81,6 +81,6 @@ class StateEstimate:
         outputs = [self._errors, *self._arrays]
         wp.launch(estimate_kernel, len(self._seeds), inputs=inputs, outputs=outputs, device=v.position.device)
 
-    def state(self) -> list[wp.array]:
+    def state(self) -> list[Any]:
         """Return the arrays that a checkpoint holds."""
         return [] if self._noise is None else [self._errors, *self._arrays]

@@ -77,7 +77,7 @@ class Simulator:
         self.ticks_per_sweep = round(ratio)
         if self.ticks_per_sweep < 1 or abs(ratio - self.ticks_per_sweep) > 1e-6:
             raise ValueError(
-                f"a sweep takes {1.0 / lidar.sweep_rate:g} s, which is not a multiple of the tick of {rules.period:g} s; "
+                f"a sweep takes {1.0 / lidar.sweep_rate:g} s, not a multiple of the tick of {rules.period:g} s; "
                 f"set rules.period to a fraction of it, such as {0.2 / lidar.sweep_rate:g}."
             )
         self.rules, self.noise, self.seeds = rules, noise, tuple(seeds)

@@ -42,10 +42,8 @@ class VehicleModel(ParameterSection, section="drone"):
     thrust_max: float = _planned("thrust_max")
     rate_xy_max: float = _planned("rate_xy_max")
     rate_z_max: float = _planned("rate_z_max")
-    thrust_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the thrust's first-order response; 0 is immediate.")
-    rate_lag: float = live(
-        0.0, "s", 0.0, 10.0, "Time constant of the body rates' first-order response; 0 is immediate."
-    )
+    thrust_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the thrust's first-order response; 0 for none.")
+    rate_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the body rates' first-order response; 0 for none.")
     drag: float = live(0.0, "1/s", 0.0, 100.0, "Linear drag in dv = .. - k (v - w), with w the wind.", symbol="k")
     latency: float = live(0.0, "s", 0.0, 10.0, "Time from a command to its effect, rounded to whole integration steps.")
     gust_speed: float = live(

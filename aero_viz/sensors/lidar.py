@@ -46,9 +46,7 @@ class LidarModel(ParameterSection, section="lidar"):
     """
 
     name: str
-    elevation_min: float = live(
-        -7.0, "deg", -90.0, 90.0, "Lower edge of the field of view, which spans 360 deg in azimuth."
-    )
+    elevation_min: float = live(-7.0, "deg", -90.0, 90.0, "Lower edge of the field of view (360 deg in azimuth).")
     elevation_max: float = live(52.0, "deg", -90.0, 90.0, "Upper edge of the field of view.")
     points_per_sweep: int = structural(20_000, 1, 1_000_000, "Rays per sweep.")
     sweep_rate: float = live(10.0, "Hz", 0.1, 1000.0, "Sweeps per second.")
