@@ -1,4 +1,4 @@
-"""Small bags of every format, written by rosbags' and mcap's own writers."""
+"""Small bags of every format, written by the writers of rosbags, mcap and mcap-ros2-support."""
 
 # ruff: noqa: F401
 
@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from mcap_ros2.writer import Writer as McapRos2Writer
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 START = 1_700_000_000_000_000_000
 """Time of the first message of every bag [ns]."""
@@ -55,16 +57,19 @@ STORES = {True: _store(True), False: _store(False)}
 
 @dataclass
 class Item:
-    """One message to write: topic, full type, time of recording [ns], and its fields, built for either ROS version."""
+    """A message to write."""
 
     topic: str
-    kind: str
+    type_name: str
     time: int
-    build: Callable[[Any, bool], Any]
+    """Time of recording [ns]."""
+    build: Callable[[Typestore, bool], Any]
+    """Returns the message. The second argument is True for ROS 1."""
 
 
-def make(store, kind: str, **fields):
-    return store.types[kind](**fields)
+def make(store: Typestore, type_name: str, **fields):
+    """Return a message of a type."""
+    return store.types[type_name](**fields)
 
 
 def header(store, ros1: bool, stamp: int, frame: str):
@@ -73,8 +78,8 @@ def header(store, ros1: bool, stamp: int, frame: str):
     return make(store, "std_msgs/msg/Header", stamp=time, frame_id=frame, **extra)
 
 
-def vector(store, values, kind="geometry_msgs/msg/Vector3"):
-    return make(store, kind, **dict(zip("xyz", map(float, values), strict=True)))
+def vector(store, values, type_name="geometry_msgs/msg/Vector3"):
+    return make(store, type_name, **dict(zip("xyz", map(float, values), strict=True)))
 
 
 def quaternion(store, wxyz):
@@ -83,7 +88,20 @@ def quaternion(store, wxyz):
 
 def cloud(seconds: float, columns: dict[str, np.ndarray], *, topic="/points", frame="lidar", big_endian=False,
           point_step: int | None = None, height=1, row_padding=0, late=0.0, stamped=True) -> Item:  # fmt: skip
-    """A PointCloud2 whose fields are the columns, in their order and of their types."""
+    """Return a PointCloud2.
+
+    Args:
+        seconds: stamp after `START` [s].
+        columns: fields of the points, in their order and of their types.
+        topic: its topic.
+        frame: frame in its header.
+        big_endian: byte order of the points.
+        point_step: bytes from one point to the next; None packs them.
+        height: number of rows.
+        row_padding: bytes between rows.
+        late: time of recording after the stamp [s].
+        stamped: False leaves the stamp unset.
+    """
     order = ">" if big_endian else "<"
     dtypes = [(name, order + values.dtype.str[1:]) for name, values in columns.items()]
     packed = np.dtype(dtypes)
@@ -101,18 +119,19 @@ def cloud(seconds: float, columns: dict[str, np.ndarray], *, topic="/points", fr
     stamp = START + round(seconds * 1e9)
 
     def build(store, ros1):
-        fields = [
+        point_fields = [
             make(store, "sensor_msgs/msg/PointField", name=name, offset=offset, datatype=_CODES[code[1:]], count=1)
             for (name, code), offset in zip(dtypes, offsets, strict=True)
         ]
         return make(store, "sensor_msgs/msg/PointCloud2", header=header(store, ros1, stamp if stamped else 0, frame),
-                    height=height, width=width, fields=fields, is_bigendian=big_endian, point_step=step,
+                    height=height, width=width, fields=point_fields, is_bigendian=big_endian, point_step=step,
                     row_step=width * step + row_padding, data=raw.reshape(-1), is_dense=True)  # fmt: skip
 
     return Item(topic, "sensor_msgs/msg/PointCloud2", stamp + round(late * 1e9), build)
 
 
 def livox(seconds: float, points: np.ndarray, offsets: np.ndarray) -> Item:
+    """Return a CustomMsg of points [n, 3] measured `offsets` [n] [ns] after its stamp."""
     stamp = START + round(seconds * 1e9)
 
     def build(store, ros1):
@@ -130,6 +149,7 @@ def livox(seconds: float, points: np.ndarray, offsets: np.ndarray) -> Item:
 
 def odometry(seconds: float, position, wxyz=(1, 0, 0, 0), twist=(0, 0, 0), *, topic="/odom", child="lidar",
              late=0.0) -> Item:  # fmt: skip
+    """Return an Odometry message with the linear velocity `twist` in the child frame."""
     stamp = START + round(seconds * 1e9)
 
     def build(store, ros1):
@@ -170,7 +190,7 @@ def transform(seconds: float, parent: str, child: str, position, wxyz=(1, 0, 0, 
 
 
 def text(seconds: float, topic="/note") -> Item:
-    """A message that no reader needs."""
+    """Return a message that no reader needs."""
     return Item(topic, "std_msgs/msg/String", START + round(seconds * 1e9),
                 lambda store, ros1: make(store, "std_msgs/msg/String", data="hello"))  # fmt: skip
 
@@ -180,13 +200,13 @@ def xyz(points: np.ndarray, code: str = "f4") -> dict[str, np.ndarray]:
 
 
 def wall(count: int = 200, seed: int = 0) -> np.ndarray:
-    """Points on a wall 5 m ahead."""
+    """Return points on a wall at x = 5 m."""
     random = np.random.default_rng(seed)
     return np.column_stack([np.full(count, 5.0), random.uniform(-3, 3, count), random.uniform(-1, 2, count)])
 
 
 def drive(sweeps: int = 10, speed: float = 2.0, poses_per_sweep: int = 4, **options) -> list[Item]:
-    """A straight flight along x at 10 sweeps per second past a wall that stands 5 m ahead of the start."""
+    """Return the messages of a straight flight along x, with 10 sweeps per second of a wall at x = 5 m."""
     start = np.array([100.0, 50.0, 2.0])
     items: list[Item] = []
     for k in range((sweeps - 1) * poses_per_sweep + 1):
@@ -200,11 +220,11 @@ def drive(sweeps: int = 10, speed: float = 2.0, poses_per_sweep: int = 4, **opti
 def _write_ros(writer, ros1: bool, items: Iterable[Item]) -> None:
     store, connections = STORES[ros1], {}
     for item in items:
-        key = (item.topic, item.kind)
+        key = (item.topic, item.type_name)
         if key not in connections:
-            connections[key] = writer.add_connection(item.topic, item.kind, typestore=store)
+            connections[key] = writer.add_connection(item.topic, item.type_name, typestore=store)
         message = item.build(store, ros1)
-        raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.kind)
+        raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.type_name)
         writer.write(connections[key], item.time, raw)
 
 
@@ -234,14 +254,37 @@ def write_mcap(path: Path, items: Iterable[Item], *, compression=CompressionType
         writer.start(profile="ros1" if ros1 else "ros2")
         for item in items:
             if item.topic not in channels:
-                name = item.kind.replace("/msg/", "/") if ros1 else item.kind
-                definition = store.generate_msgdef(item.kind, ros_version=1 if ros1 else 2)[0].encode()
+                name = item.type_name.replace("/msg/", "/") if ros1 else item.type_name
+                definition = store.generate_msgdef(item.type_name, ros_version=1 if ros1 else 2)[0].encode()
                 schema = writer.register_schema(name, "ros1msg" if ros1 else "ros2msg", definition)
                 channels[item.topic] = writer.register_channel(item.topic, "ros1" if ros1 else "cdr", schema)
             message = item.build(store, ros1)
-            raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.kind)
+            raw = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.type_name)
             writer.add_message(channels[item.topic], item.time, bytes(raw), item.time)
         writer.finish()
+    return path
+
+
+def _as_dict(value: Any) -> Any:
+    """Return a message of rosbags as dicts and lists."""
+    if is_dataclass(value):
+        return {field.name: _as_dict(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, list):
+        return [_as_dict(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def write_mcap_ros2(path: Path, items: Iterable[Item]) -> Path:
+    """Write an MCAP file whose messages are encoded by mcap-ros2-support instead of rosbags."""
+    store, schemas = STORES[False], {}
+    writer = McapRos2Writer(str(path), chunk_size=20_000)
+    for item in items:
+        if item.type_name not in schemas:
+            definition = store.generate_msgdef(item.type_name, ros_version=2)[0]
+            schemas[item.type_name] = writer.register_msgdef(item.type_name, definition)
+        message = _as_dict(item.build(store, False))
+        writer.write_message(item.topic, schemas[item.type_name], message, item.time, item.time)
+    writer.finish()
     return path
 
 
@@ -250,6 +293,7 @@ FORMATS: dict[str, Callable[[Path, list[Item]], Path]] = {
     "mcap-lz4": lambda folder, items: write_mcap(folder / "a.mcap", items, compression=CompressionType.LZ4),
     "mcap-plain": lambda folder, items: write_mcap(folder / "a.mcap", items, compression=CompressionType.NONE),
     "mcap-unchunked": lambda folder, items: write_mcap(folder / "a.mcap", items, chunked=False),
+    "mcap-ros2-support": lambda folder, items: write_mcap_ros2(folder / "a.mcap", items),
     "mcap-ros1": lambda folder, items: write_mcap(folder / "a.mcap", items, ros1=True),
     "rosbag2-mcap": lambda folder, items: write_ros2(folder / "bag", items, "mcap"),
     "rosbag2-sqlite3": lambda folder, items: write_ros2(folder / "bag", items, "sqlite3"),
@@ -271,11 +315,11 @@ def mcap_of(tmp_path) -> Callable[[list[Item]], Path]:
 
 @pytest.fixture
 def bags() -> Any:
-    """Return the functions of this module: test modules cannot import one another."""
+    """Return this module: test modules cannot import one another."""
     return sys.modules[__name__]
 
 
 @pytest.fixture(params=sorted(FORMATS))
 def written(request, tmp_path) -> Callable[[list[Item]], Path]:
-    """Return a function that writes messages in the format of this run of the test."""
+    """Return a function that writes messages in one of the formats."""
     return lambda items: FORMATS[request.param](tmp_path, items)

@@ -1,4 +1,4 @@
-"""Layouts of clouds."""
+"""Decoding of PointCloud2 and Livox messages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def read(path, index=0):
         return recording.sweep(index)
 
 
-def times_of(sweep):
+def point_times(sweep):
     assert sweep.point_times is not None
     return sweep.point_times
 
@@ -40,7 +40,7 @@ def test_invalid_points_are_dropped_and_counted(bags, mcap_of):
     keep = np.setdiff1d(np.arange(200), [3, 7, 9, 11])
     assert sweep.dropped == 4
     np.testing.assert_array_equal(sweep.points, points[keep].astype(np.float32))
-    np.testing.assert_allclose(times_of(sweep), keep * 5e-4, rtol=1e-6)
+    np.testing.assert_allclose(point_times(sweep), keep * 5e-4, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -58,16 +58,16 @@ def test_invalid_points_are_dropped_and_counted(bags, mcap_of):
 def test_point_times_in_every_unit(bags, mcap_of, name, values):
     seconds = np.linspace(0, 0.1, 200)
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), name: values(seconds, bags.START)})]))
-    np.testing.assert_allclose(times_of(sweep), seconds, atol=2e-6)
+    np.testing.assert_allclose(point_times(sweep), seconds, atol=2e-6)
 
 
 def test_times_before_the_stamp(bags, mcap_of):
     seconds = np.linspace(-0.1, 0, 200)
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "time": seconds.astype("f4")})]))
-    np.testing.assert_allclose(times_of(sweep), seconds, atol=1e-7)
+    np.testing.assert_allclose(point_times(sweep), seconds, atol=1e-7)
 
 
-def test_constant_time_field_is_no_time(bags, mcap_of):
+def test_constant_time_field_is_ignored(bags, mcap_of):
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "t": np.zeros(200, "u4")})]))
     assert sweep.point_times is None
 
@@ -76,7 +76,7 @@ def test_livox_custom_messages(written, bags):
     offsets = np.arange(50) * 2_000_000
     sweep = read(written([bags.livox(0, bags.wall(50), offsets)]))
     np.testing.assert_array_equal(sweep.points, bags.wall(50).astype(np.float32))
-    np.testing.assert_allclose(times_of(sweep), offsets * 1e-9, rtol=1e-6)
+    np.testing.assert_allclose(point_times(sweep), offsets * 1e-9, rtol=1e-6)
 
 
 def test_unset_stamps_fall_back_to_the_time_of_recording(bags, mcap_of):
@@ -92,7 +92,7 @@ def test_missing_coordinate_is_named(bags, mcap_of):
         open_recording(mcap_of([bags.cloud(0, columns)]))
 
 
-def test_clouds_without_points_are_an_error_only_everywhere(bags, mcap_of):
+def test_empty_clouds_are_an_error_only_if_all_are_empty(bags, mcap_of):
     empty = [bags.cloud(0.1 * k, bags.xyz(np.empty((0, 3)))) for k in range(3)]
     with pytest.raises(UserError, match=r"no sweep on /points .* has a point: check that"):
         open_recording(mcap_of(empty))

@@ -1,4 +1,4 @@
-"""Real recordings, where the folder of shared datasets lies beside the checkout."""
+"""Real recordings, if the folder of shared datasets is beside the checkout."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_ouster(shared_datasets, inner):
 
 
 def test_sweeps_agree_in_the_world(shared_datasets):
-    """Walls seen from two places 3 s apart coincide when the poses are applied, and do not otherwise."""
+    """Walls seen from two positions, 3 s apart, coincide in the world frame but not in the sensor's frame."""
     source = RecordingSource(open_recording(shared_datasets / "hilti_os0_A_mcap"), sweeps=1)
     clouds = []
     for k in (10, 16):
@@ -43,5 +43,5 @@ def test_sweeps_agree_in_the_world(shared_datasets):
 
 
 def median_distance(cloud, other):
-    """Median distance [m] from points of one cloud to the nearest of the other."""
+    """Return the median distance [m] from points of one cloud to the nearest point of the other one."""
     return np.median([np.sqrt(((cloud - point) ** 2).sum(axis=1).min()) for point in other[::100]])

@@ -1,4 +1,4 @@
-"""Whatever is wrong with a file comes out as one sentence."""
+"""Every problem with a file is reported in one sentence."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_missing_file_suggests_its_neighbours(bags, tmp_path):
         inspect(tmp_path / "no" / "such.bag")
 
 
-def test_folders_that_are_no_recording(bags, tmp_path):
+def test_folders_without_a_recording(bags, tmp_path):
     with pytest.raises(UserError, match=r"folder without a recording.*MCAP"):
         inspect(tmp_path)
     bags.write_mcap(tmp_path / "one.mcap", bags.drive(2))
@@ -28,8 +28,8 @@ def test_folders_that_are_no_recording(bags, tmp_path):
         inspect(tmp_path)
 
 
-def test_unknown_formats_are_told_what_is_read(tmp_path):
-    (tmp_path / "a.txt").write_text("hello, I am no bag at all")
+def test_unknown_formats_list_the_supported_ones(tmp_path):
+    (tmp_path / "a.txt").write_text("not a bag")
     with pytest.raises(UserError, match=r"MCAP files, rosbag2 folders .* ROS 1 .bag"):
         inspect(tmp_path / "a.txt")
     (tmp_path / "b.bag").write_bytes(b"")
@@ -70,7 +70,7 @@ def test_named_topics(bags, mcap_of):
         open_recording(path, pose_topic="/points")
 
 
-def test_a_topic_that_is_named_wrongly_is_a_mistake_and_only_fitting_ones_are_offered(bags, mcap_of):
+def test_only_suitable_topics_are_suggested(bags, mcap_of):
     path = mcap_of([*bags.drive(2), bags.text(0.5)])
     with pytest.raises(UserError, match=r"no points topic /lidar; choose /points$"):
         inspect(path, points_topic="/lidar")
@@ -85,7 +85,7 @@ def test_a_topic_that_is_named_wrongly_is_a_mistake_and_only_fitting_ones_are_of
 
 @pytest.mark.parametrize("harm", ["cut", "flip"])
 @pytest.mark.parametrize("name", ["mcap-zstd", "mcap-plain", "mcap-unchunked", "db3", "rosbag1", "rosbag1-lz4"])
-def test_damaged_files_play_or_say_why_not(bags, tmp_path, name, harm):
+def test_damaged_files_play_or_are_refused(bags, tmp_path, name, harm):
     path = bags.FORMATS[name](tmp_path, bags.drive(4))
     whole, random = path.read_bytes(), np.random.default_rng(len(name))
     outcomes = set()
@@ -106,5 +106,5 @@ def test_damaged_files_play_or_say_why_not(bags, tmp_path, name, harm):
         except UserError as error:
             assert "\n" not in str(error)
             outcomes.add("refused")
-    # A compressed bag as small as this one is a single block: any damage may cost it all.
+    # A small compressed bag is a single chunk, of which damage may destroy everything.
     assert "played" in outcomes or name in ("mcap-zstd", "rosbag1-lz4")

@@ -17,7 +17,7 @@ def test_same_recording_from_every_format(written, bags):
         assert recording.points_topic == "/points" and recording.pose_topic == "/odom"
         assert recording.problems == []
         np.testing.assert_allclose(recording.sweep_times, 0.1 * np.arange(10), atol=1e-9)
-        # Backwards, so that nothing relies on the order of the file.
+        # Backwards, which is not the order of the file.
         for k in reversed(range(10)):
             sweep = recording.sweep(k)
             np.testing.assert_array_equal(sweep.points, (bags.wall(seed=k) - [0.2 * k, 0, 0]).astype(np.float32))
@@ -50,7 +50,7 @@ def test_report_of_every_format(written, bags):
         ("rosbag1-lz4", "rosbag1"),
     ],
 )
-def test_name_of_the_format(bags, tmp_path, name, expected):
+def test_format_name(bags, tmp_path, name, expected):
     assert inspect(bags.FORMATS[name](tmp_path, bags.drive())).format == expected
 
 
@@ -60,38 +60,38 @@ def test_content_decides_the_format_and_not_the_suffix(bags, tmp_path):
 
 
 @pytest.mark.parametrize("compression", ["NONE", "ZSTD", "LZ4"])
-def test_truncated_mcap_plays_what_is_whole(bags, tmp_path, compression):
+def test_truncated_mcap_plays_up_to_the_cut(bags, tmp_path, compression):
     whole = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=bags.CompressionType[compression])
     whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     info = inspect(whole)
     assert 2 <= info.sweeps < 10
-    said = f"a.mcap is truncated: {sum(topic.count for topic in info.topics)} messages precede the cut"
-    assert said in info.problems
+    problem = f"a.mcap is truncated: {sum(topic.count for topic in info.topics)} messages precede the cut"
+    assert problem in info.problems
     with open_recording(whole) as recording:
         assert all(len(recording.sweep(k).points) == 200 for k in range(info.sweeps))
 
 
 @pytest.mark.parametrize("compression", [None, "lz4"])
-def test_truncated_ros1_bag_plays_what_is_whole(bags, tmp_path, compression):
-    # rosbags starts a chunk per MiB: enough sweeps for several.
+def test_truncated_ros1_bag_plays_up_to_the_cut(bags, tmp_path, compression):
+    # Enough sweeps for several of the chunks of 1 MiB that rosbags writes.
     points = np.tile(bags.wall(20_000), (1, 1))
     items = [bags.cloud(0.1 * k, bags.xyz(points)) for k in range(20)]
     path = bags.write_ros1(tmp_path / "a.bag", items, compression)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     info = inspect(path)
     assert 4 <= info.sweeps < 20
-    said = f"a.bag is truncated: {info.topics[0].count} messages precede the cut"
-    assert said in info.problems
+    problem = f"a.bag is truncated: {info.topics[0].count} messages precede the cut"
+    assert problem in info.problems
 
 
-def test_a_file_cut_before_its_first_message_says_what_to_do(bags, tmp_path):
+def test_file_cut_before_its_first_message_is_refused(bags, tmp_path):
     path = bags.write_mcap(tmp_path / "a.mcap", bags.drive())
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(UserError, match=r"a.mcap is truncated: no messages precede the cut; record or copy"):
         inspect(path)
 
 
-def test_unindexed_ros1_bag_plays_and_says_how_to_repair_it(bags, tmp_path):
+def test_unindexed_ros1_bag_plays_and_suggests_a_repair(bags, tmp_path):
     path = bags.write_ros1(tmp_path / "a.bag", bags.drive())
     raw = bytearray(path.read_bytes())
     at = raw.index(b"index_pos=") + len(b"index_pos=")
@@ -103,7 +103,7 @@ def test_unindexed_ros1_bag_plays_and_says_how_to_repair_it(bags, tmp_path):
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_damaged_chunk_costs_its_messages_only(bags, tmp_path, which):
+def test_damaged_chunk_loses_only_its_messages(bags, tmp_path, which):
     path = bags.write_mcap(tmp_path / "a.mcap", bags.drive())
     raw = bytearray(path.read_bytes())
     at = [match.end() for match in re.finditer(b"zstd", raw)][which] + 100
@@ -115,12 +115,12 @@ def test_damaged_chunk_costs_its_messages_only(bags, tmp_path, which):
 
 
 @pytest.mark.parametrize(("compression", "sweeps"), [("NONE", {10}), ("ZSTD", {5, 6, 7, 8, 9})])
-def test_wrong_length_of_a_chunk_costs_at_most_that_chunk(bags, tmp_path, compression, sweeps):
+def test_wrong_length_of_a_chunk_loses_at_most_that_chunk(bags, tmp_path, compression, sweeps):
     path = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=bags.CompressionType[compression])
     with path.open("rb") as file:
         chunks = bags.make_reader(file).get_summary().chunk_indexes
     raw = bytearray(path.read_bytes())
-    raw[chunks[0].chunk_start_offset + 8] = 255  # the length's most significant byte
+    raw[chunks[0].chunk_start_offset + 8] = 255  # the most significant byte of the length
     path.write_bytes(raw)
     info = inspect(path)
     assert len(chunks) > 1 and info.sweeps in sweeps
@@ -160,7 +160,7 @@ def test_folder_of_several_files_is_one_recording(bags, tmp_path):
     assert inspect(folder).sweeps == 10
 
 
-def test_topics_are_reported_where_nothing_can_be_decoded(bags, tmp_path):
+def test_topics_are_reported_even_if_none_can_be_decoded(bags, tmp_path):
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
         writer = bags.McapWriter(file)

@@ -1,15 +1,17 @@
-"""A recording in a session: what frames count, and what the user is told of damage."""
+"""A recording in a session: indices of frames, skipped ticks, and notices about damage."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
-import numpy as np
 import pytest
 from small_source import small_config
 
 from aero_viz.recordings import RecordingSource, open_recording
 from aero_viz.session import Session
+from aero_viz.session.config_history import ConfigHistory
+from aero_viz.session.engine import Engine
 
 
 @pytest.fixture
@@ -29,33 +31,49 @@ def session(source: RecordingSource) -> Iterator[Session]:
     session.close()
 
 
-def test_a_frames_index_is_its_row_in_the_recording_however_it_was_reached(session: Session) -> None:
-    times = session.source.times
+@pytest.fixture
+def engine(source: RecordingSource) -> Iterator[Engine]:
+    configs = ConfigHistory(small_config())
+    engine = Engine(source, configs=configs, device="cpu", seed=0, publish=lambda frame: None)
+    yield engine
+    engine.close()
+
+
+def test_index_of_a_frame_is_its_row_in_the_recording(session: Session, source: RecordingSource) -> None:
+    times = source.info.times
     assert times is not None
     assert [session.tick().index for _ in range(5)] == [0, 1, 2, 3, 4]
-    for wanted in (20, 4, 4):
-        session.seek(float(times[wanted])).result()
-        assert session.frame is not None and session.frame.index == wanted and len(session.frame.trail) == 1
+    for index in (20, 4, 4):
+        session.seek(float(times[index])).result()
+        assert session.frame is not None and session.frame.index == index and len(session.frame.trail) == 1
     session.step(-3).result()
     assert session.frame.index == 1
-    session._engine.skip_to(float(times[9]))
-    assert session.tick().index == 9
-    np.testing.assert_allclose(session.frame.time, times[9])
 
 
-def test_lost_ticks_are_counted_until_another_source_comes(session: Session, path) -> None:
-    session.tick()
-    session._engine.skip_to(float(session.source.times[6]))  # type: ignore[index]
-    assert session.tick().dropped_ticks == 5
-    session.seek(0.0).result()
-    assert session.frame is not None and session.frame.dropped_ticks == 5
-    session.set_source(RecordingSource(open_recording(path))).result()
-    assert session.frame.dropped_ticks == 0
+def test_index_and_time_after_skipped_ticks_are_those_of_the_row(engine: Engine) -> None:
+    times = engine.source.info.times
+    assert times is not None
+    engine.tick()
+    engine.skip_to(float(times[9]))
+    frame = engine.tick()
+    assert frame.index == 9 and frame.time == times[9]
 
 
-def test_sweeps_that_turn_out_to_be_damaged_are_told(session: Session, source: RecordingSource, path) -> None:
-    told: list[str] = []
-    sink = session.subscribe_notices(lambda notice: told.append(notice.text))
+def test_skipped_ticks_are_counted_until_the_source_changes(engine: Engine, path: Path) -> None:
+    times = engine.source.info.times
+    assert times is not None
+    engine.tick()
+    engine.skip_to(float(times[6]))
+    assert engine.tick().dropped_ticks == 5
+    engine.seek(0.0)
+    assert engine.frame is not None and engine.frame.dropped_ticks == 5
+    engine.set_source(RecordingSource(open_recording(path)))
+    assert engine.frame.dropped_ticks == 0
+
+
+def test_sweeps_damaged_during_playback_are_reported(session: Session, source: RecordingSource, path: Path) -> None:
+    notices: list[str] = []
+    sink = session.subscribe_notices(lambda notice: notices.append(notice.text))
     assert session.tick().explanation is None
     with path.open("r+b") as file:  # the disk fails while the recording plays
         file.seek(path.stat().st_size // 2)
@@ -66,4 +84,4 @@ def test_sweeps_that_turn_out_to_be_damaged_are_told(session: Session, source: R
     count = len(source.recording.damaged_sweeps)
     assert 0 < count < 14 and frame.explanation is not None
     assert frame.explanation.startswith(f"{count} of 14 sweeps could not be read and played without points: ")
-    assert told == [f"{source.info.name}: end of the recording. {frame.explanation}"]
+    assert notices == [f"{source.info.name}: end of the recording. {frame.explanation}"]

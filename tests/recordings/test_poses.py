@@ -1,4 +1,4 @@
-"""Pose tracks, TF chains and the choice between pose topics."""
+"""Recorded poses, TF chains, and the choice of the pose topic."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def test_interpolation_between_two_poses():
     two = poses([0.0, 1.0], [[10, 0, 0], [12, 4, 0]], [LEVEL, YAW_90])
     pose = two.interpolate([0.0, 0.25, 1.0])
     np.testing.assert_allclose(pose.position, [[0, 0, 0], [0.5, 1, 0], [2, 4, 0]])
-    quarter = np.pi / 16  # half of a quarter of 90 degrees
-    np.testing.assert_allclose(pose.quaternion[1], [np.cos(quarter * 1.0), 0, 0, np.sin(quarter)], atol=1e-12)
+    half_angle = np.pi / 16  # of a quarter of 90 degrees
+    np.testing.assert_allclose(pose.quaternion[1], [np.cos(half_angle), 0, 0, np.sin(half_angle)], atol=1e-12)
 
 
-def test_slerp_takes_the_short_way():
+def test_attitude_follows_the_shortest_arc():
     two = poses([0.0, 1.0], np.zeros((2, 3)), [LEVEL, -YAW_90])
     half = two.interpolate(0.5).quaternion
     np.testing.assert_allclose(np.abs(half), [np.cos(np.pi / 8), 0, 0, np.sin(np.pi / 8)], atol=1e-12)
 
 
-def test_positions_are_rebased_and_keep_millimetres_in_float32():
+def test_positions_relative_to_the_first_keep_millimetres_in_float32():
     far = poses([0.0, 1.0], [[4.5e6, 5e5, 0], [4.5e6 + 0.001, 5e5, 0]])
     assert far.positions.astype(np.float32)[1, 0] == pytest.approx(0.001, rel=1e-3)
     np.testing.assert_array_equal(far.offset, [4.5e6, 5e5, 0])
@@ -51,7 +51,7 @@ def test_velocity_from_positions_without_a_twist(twist):
     np.testing.assert_allclose(derived.velocities[1:-1], np.stack([2 * t, 3 + 0 * t, 0 * t], 1)[1:-1], atol=1e-9)
 
 
-def test_order_and_repetition_of_poses_do_not_matter():
+def test_poses_are_sorted_and_the_last_of_equal_times_is_used():
     shuffled = poses([0.2, 0.0, 0.1, 0.1], [[2, 0, 0], [0, 0, 0], [9, 9, 9], [1, 0, 0]])
     np.testing.assert_array_equal(shuffled.times, [0.0, 0.1, 0.2])
     np.testing.assert_array_equal(shuffled.positions[:, 0], [0, 1, 2])
@@ -65,7 +65,7 @@ def test_extrapolation_ends_at_the_tolerance():
         two.interpolate(0.61)
 
 
-def test_long_gaps_are_not_bridged():
+def test_long_gaps_are_not_interpolated():
     gap = poses([0.0, 0.1, 0.2, 5.0, 5.1], np.zeros((5, 3)))
     np.testing.assert_array_equal(gap.covers([0.15, 0.25, 2.0, 4.95, 5.05]), [True, True, False, True, True])
 
@@ -88,7 +88,7 @@ def test_tf_chain_with_a_static_extrinsic(written, bags):
     ]
     with open_recording(written(sorted(items, key=lambda item: item.time))) as recording:
         assert recording.pose_topic == "/tf" and recording.poses is not None and recording.problems == []
-        # The lidar looks to the left of the body; the cloud comes back in the body's frame.
+        # The LiDAR faces the left of the body, and the cloud is in the body's frame.
         np.testing.assert_allclose(recording.sweep(0).points, [[0.1, 1.0, 0.2]], atol=1e-6)
         np.testing.assert_allclose(recording.poses.offset, [10, 0, 0], atol=1e-9)
         pose = recording.poses.interpolate(0.5)
@@ -108,30 +108,30 @@ def test_odometry_of_another_frame_uses_the_static_transform(bags, mcap_of):
         assert recording.problems == []
 
 
-def test_unknown_extrinsic_is_said(bags, mcap_of):
+def test_unknown_extrinsic_is_reported(bags, mcap_of):
     problems = inspect(mcap_of(bags.drive(child="base_link"))).problems
     assert any("'base_link'" in problem and "'lidar'" in problem for problem in problems)
 
 
-def test_odometry_comes_before_pose_stamped_and_can_be_overruled(bags, mcap_of):
+def test_odometry_is_preferred_unless_a_topic_is_named(bags, mcap_of):
     path = mcap_of([*bags.drive(), *(bags.pose_stamped(0.01 * k, [0, k, 0]) for k in range(100))])
     assert inspect(path).pose_topic == "/odom"
     info = inspect(path, pose_topic="/pose")
     assert info.pose_topic == "/pose" and info.poses == 100
 
 
-def test_a_topic_of_goals_is_not_taken_for_the_poses(bags, mcap_of):
+def test_topic_of_other_times_is_not_used_for_the_poses(bags, mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
     items += [bags.odometry(60.0, [0, 0, 0], topic="/odom_of_another_day")]
     items += [bags.pose_stamped(0.1 * k, [k, 0, 0]) for k in range(10)]
     assert inspect(mcap_of(items)).pose_topic == "/pose"
 
 
-def test_uncovered_sweeps_are_left_out_and_named(bags, mcap_of):
+def test_uncovered_sweeps_are_left_out_and_reported(bags, mcap_of):
     items = [item for item in bags.drive() if item.topic == "/points" or item.time >= bags.START + 0.4e9]
     path = mcap_of(items)
     info = inspect(path)
-    # The first pose comes at 0.4 s and answers from 0.3 s on.
+    # The first pose is at 0.4 s and is extrapolated back to 0.3 s.
     assert info.sweeps == 7 and "no pose covers sweeps 0..2 of 10" in info.problems
     with open_recording(path) as recording:
         assert recording.sweep_times[0] == 0.0 and recording.poses is not None

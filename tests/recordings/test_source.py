@@ -42,13 +42,13 @@ def test_one_tick_per_pose_until_the_end(bags, source_of):
         assert o.state.time == o.time
 
 
-def test_sweeps_pile_up_on_the_same_wall(bags, source_of):
+def test_sweeps_from_all_positions_coincide_in_the_world(bags, source_of):
     for o in play(source_of(bags.drive(sweeps=14))):
         count = min(int(o.time / 0.1 + 1e-6) + 1, 10)
         newest = 0.1 * min(int(o.time / 0.1 + 1e-6), 13)
         assert o.cloud_age == pytest.approx(o.time - newest, abs=1e-6)
         assert o.sweep_count == count and o.points.shape == (200 * count, 3) and o.points.dtype == np.float32
-        # The wall stands 5 m ahead of the start, wherever the drone was when it saw it.
+        # The wall is at x = 5 m, wherever the drone was when it measured it.
         np.testing.assert_allclose(o.points[:, 0], 5.0, atol=1e-5)
 
 
@@ -58,7 +58,7 @@ def test_number_of_sweeps_can_be_chosen(bags, source_of):
         source_of(bags.drive(), sweeps=0)
 
 
-def test_cloud_is_capped_by_whole_sweeps_the_newest_first(bags, source_of):
+def test_cloud_has_the_newest_sweeps_that_fit_whole(bags, source_of):
     big = np.tile(bags.wall(1000), (70, 1))
     items = [bags.cloud(0.1 * k, bags.xyz(np.add(big, [k, 0, 0]))) for k in range(5)]
     items += [bags.pose_stamped(0.1 * k, [0, 0, 0]) for k in range(5)]
@@ -67,19 +67,19 @@ def test_cloud_is_capped_by_whole_sweeps_the_newest_first(bags, source_of):
     assert set(np.unique(o.points[:, 0])) == {8.0, 9.0}
 
 
-def test_sweep_larger_than_the_cap_is_used_whole(bags, source_of):
+def test_newest_sweep_is_used_even_if_it_exceeds_the_limit(bags, source_of):
     big = np.tile(bags.wall(1000), (220, 1))
     o = play(source_of([bags.cloud(0, bags.xyz(big)), bags.pose_stamped(0, [0, 0, 0])]))[0]
     assert o.sweep_count == 1 and len(o.points) == 220_000
 
 
 def fast_turn(bags, pose_period: float):
-    """A sensor turning at 2 rad/s and moving at 3 m/s sees one column of a post at (4, 1) at each of 200 times."""
+    """Return a sweep of a sensor that turns at 2 rad/s, moves at 3 m/s, and measures a post at (4, 1) 200 times."""
     seconds = np.arange(200) * 5e-4
     yaw, x = 2.0 * seconds, 3.0 * seconds
-    ahead = np.stack([4.0 - x, np.full(200, 1.0)], axis=1)
+    post = np.stack([4.0 - x, np.full(200, 1.0)], axis=1)
     seen = np.stack(
-        [np.cos(yaw) * ahead[:, 0] + np.sin(yaw) * ahead[:, 1], np.cos(yaw) * ahead[:, 1] - np.sin(yaw) * ahead[:, 0],
+        [np.cos(yaw) * post[:, 0] + np.sin(yaw) * post[:, 1], np.cos(yaw) * post[:, 1] - np.sin(yaw) * post[:, 0],
          np.linspace(-1, 1, 200)], axis=1)  # fmt: skip
     items = [bags.cloud(0, {**bags.xyz(seen), "t": (seconds * 1e9).astype("u4")})]
     for t in np.arange(0, 1.0, pose_period):
@@ -98,7 +98,7 @@ def test_sparse_poses_move_a_sweep_as_a_whole(bags, source_of):
     assert np.abs(points[-1, :2] - [4, 1]).max() > 0.2
 
 
-def test_goal_runs_ahead_on_the_recorded_path(bags, source_of):
+def test_goal_moves_along_the_recorded_path(bags, source_of):
     corner = [[k * 0.5, 0, 0] for k in range(21)] + [[10, k * 0.5, 0] for k in range(1, 21)]
     items = [bags.pose_stamped(0.1 * k, p) for k, p in enumerate(corner)]
     items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(41)]
@@ -116,18 +116,18 @@ def test_goal_runs_ahead_on_the_recorded_path(bags, source_of):
         source.goal_ahead = 0.0
 
 
-def test_standing_drone_looks_along_its_heading(bags, source_of):
+def test_goal_of_a_standing_drone_is_along_its_heading(bags, source_of):
     jitter = np.random.default_rng(1).normal(0, 0.01, (200, 3))
     yaw = np.array([np.cos(0.3), 0, 0, np.sin(0.3)])
     items = [bags.pose_stamped(0.01 * k, jitter[k], yaw) for k in range(200)]
     source = source_of([*items, *(bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(20))])
     source.seek(1.0)
     o = source.observe()
-    ahead = np.asarray(o.goal.position) - np.asarray(o.state.position)
-    np.testing.assert_allclose(ahead, [15 * np.cos(0.6), 15 * np.sin(0.6), 0], atol=1e-6)
+    offset = np.asarray(o.goal.position) - np.asarray(o.state.position)
+    np.testing.assert_allclose(offset, [15 * np.cos(0.6), 15 * np.sin(0.6), 0], atol=1e-6)
 
 
-def test_fixed_goal_stays_until_it_is_released(bags, source_of):
+def test_fixed_goal_stays_until_it_is_reset(bags, source_of):
     source = source_of(bags.drive())
     automatic = np.array(source.observe().goal.position)
     source.set_goal([1, 2, 3])
@@ -140,7 +140,7 @@ def test_fixed_goal_stays_until_it_is_released(bags, source_of):
         source.set_goal([1, np.nan, 2])
 
 
-def test_checkpoint_brings_back_tick_goal_and_outcome(bags, source_of):
+def test_checkpoint_restores_tick_goal_and_outcome(bags, source_of):
     source = source_of(bags.drive())
     source.seek(0.5)
     saved, before = source.checkpoint(), source.observe()
@@ -156,8 +156,8 @@ def test_checkpoint_brings_back_tick_goal_and_outcome(bags, source_of):
 
 def test_seek_goes_to_the_tick_at_or_before(bags, source_of):
     source = source_of(bags.drive())
-    for wanted, expected in [(0.26, 0.25), (-5.0, 0.0), (100.0, 0.9)]:
-        source.seek(wanted)
+    for time, expected in [(0.26, 0.25), (-5.0, 0.0), (100.0, 0.9)]:
+        source.seek(time)
         assert source.observe().time == pytest.approx(expected)
     play(source)
     source.seek(0.1)
