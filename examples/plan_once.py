@@ -1,0 +1,22 @@
+"""Plan once from a point cloud and a state. Needs only the package aero-planner."""
+
+import numpy as np
+
+from aero_planner import Goal, Planner, PlannerConfig, VehicleState
+
+# A pole of radius 0.2 m that stands 4 m ahead, as points in the world frame (x forward, y left, z up) [m].
+angle, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40), np.linspace(0.0, 4.0, 40))
+pole = np.stack((4.0 + 0.2 * np.cos(angle), 0.2 * np.sin(angle), height), axis=-1).reshape(-1, 3)
+
+planner = Planner(PlannerConfig(), device="cpu", seed=0)
+state = VehicleState(
+    position=[0.0, 0.0, 2.0],
+    velocity=[3.0, 0.0, 0.0],
+    quaternion=[1.0, 0.0, 0.0, 0.0],  # w x y z, body to world
+)
+plan = planner.plan(state, Goal([20.0, 0.0, 2.0]), pole.astype(np.float32), ground_height=0.0)
+
+thrust, *rates = plan.command[0]
+print(f"{plan.status.name}: best is instance {plan.best} of {len(plan.kinds)}, of the kind {plan.kinds[plan.best]!r}")
+print(f"first command: {thrust:.2f} N, {np.round(rates, 2)} rad/s")
+print(f"closest to the pole: {plan.clearance[plan.best].min():.2f} m")

@@ -1,0 +1,38 @@
+"""Run the planner on a recording, open loop: python examples/replay_recording.py [RECORDING].
+
+Without an argument, a short flight is recorded first. A recording is an MCAP file, a ROS 2 bag or a ROS 1 bag with
+point clouds and poses, see datasets/README.md.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from aero_viz.flight import FlightRules
+from aero_viz.logs import fly_and_log
+from aero_viz.recordings import RecordingSource, inspect, open_recording
+from aero_viz.scenes import scene
+from aero_viz.session import Session
+
+
+def record_flight() -> Path:
+    path = Path(tempfile.mkdtemp()) / "flight.mcap"
+    fly_and_log(scene("forest", seed=1), path, rules=FlightRules(time_limit=2.0))
+    return path
+
+
+path = Path(sys.argv[1]) if len(sys.argv) > 1 else record_flight()
+info = inspect(path)
+print(f"{path.name}: {info.format}, {info.duration_s:.1f} s, {info.sweeps} sweeps, {info.poses} poses")
+
+session = Session(RecordingSource(open_recording(path), goal_ahead=8.0))
+frame = session.tick()
+while frame.outcome is None:
+    if frame.index % 10 == 0:
+        planned = frame.plan.positions[frame.plan.best, -1]
+        position = np.asarray(frame.observation.state.position)
+        print(f"{frame.time:5.2f} s  {frame.plan.status.name:17}  plans {np.linalg.norm(planned - position):.1f} m ahead")
+    frame = session.tick()
+session.close()
