@@ -7,7 +7,7 @@ from aero_viz.flight import FlightBatch
 from aero_viz.scenes import scene
 
 WEIGHTS = (5.0, 15.0)
-SEEDS = (1, 2, 3)
+SEEDS = (1, 2)
 
 pairs = [(weight, seed) for weight in WEIGHTS for seed in SEEDS]
 batch = FlightBatch(

@@ -1,4 +1,4 @@
-"""Fly a heavier drone with lags, drag and wind, once with a planner that knows its mass and once with one that does not."""
+"""Fly a heavier drone with lags, drag and wind, with a planner that does not know its mass and one that does."""
 
 from aero_planner import PlannerConfig
 from aero_viz.flight import StateNoise, VehicleModel, fly
@@ -24,4 +24,6 @@ configs = {
 }
 for name, config in configs.items():
     result = fly(world, config=config, vehicle=drone, noise=noise, seed=3)
-    print(f"{name}: {result.reason} after {result.flight_time_s:.1f} s, at least {result.min_clearance:.2f} m clearance")
+    print(
+        f"{name}: {result.reason} after {result.flight_time_s:.1f} s, clearance at least {result.min_clearance:.2f} m"
+    )

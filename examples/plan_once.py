@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from aero_planner import Goal, Planner, PlannerConfig, VehicleState
+from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
 
 # A pole of radius 0.2 m that stands 4 m ahead, as points in the world frame (x forward, y left, z up) [m].
 angle, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40), np.linspace(0.0, 4.0, 40))
@@ -17,6 +17,6 @@ state = VehicleState(
 plan = planner.plan(state, Goal([20.0, 0.0, 2.0]), pole.astype(np.float32), ground_height=0.0)
 
 thrust, *rates = plan.command[0]
-print(f"{plan.status.name}: best is instance {plan.best} of {len(plan.kinds)}, of the kind {plan.kinds[plan.best]!r}")
+print(f"{PlanStatus(plan.status).name}: instance {plan.best} of {len(plan.kinds)} is best ({plan.kinds[plan.best]})")
 print(f"first command: {thrust:.2f} N, {np.round(rates, 2)} rad/s")
 print(f"closest to the pole: {plan.clearance[plan.best].min():.2f} m")

@@ -5,11 +5,11 @@ point clouds and poses, see datasets/README.md.
 """
 
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from aero_planner import PlanStatus
 from aero_viz.flight import FlightRules
 from aero_viz.logs import fly_and_log
 from aero_viz.recordings import RecordingSource, inspect, open_recording
@@ -18,7 +18,7 @@ from aero_viz.session import Session
 
 
 def record_flight() -> Path:
-    path = Path(tempfile.mkdtemp()) / "flight.mcap"
+    path = Path("flight.mcap")
     fly_and_log(scene("forest", seed=1), path, rules=FlightRules(time_limit=2.0))
     return path
 
@@ -31,8 +31,8 @@ session = Session(RecordingSource(open_recording(path), goal_ahead=8.0))
 frame = session.tick()
 while frame.outcome is None:
     if frame.index % 10 == 0:
-        planned = frame.plan.positions[frame.plan.best, -1]
         position = np.asarray(frame.observation.state.position)
-        print(f"{frame.time:5.2f} s  {frame.plan.status.name:17}  plans {np.linalg.norm(planned - position):.1f} m ahead")
+        distance = np.linalg.norm(frame.plan.positions[frame.plan.best, -1] - position)
+        print(f"{frame.time:5.2f} s  {PlanStatus(frame.plan.status).name:17}  plans {distance:.1f} m ahead")
     frame = session.tick()
 session.close()

@@ -38,6 +38,7 @@ class Dashboard:
         open_source: opens a source by path or scene name and seed; None hides the choice of the source.
         choices: sources on offer, each a label and the argument of `open_source`.
         seed: first value of the seed that the page passes to `open_source`.
+        layers: layers to draw, in the order of the page; to add one, pass (*LAYERS, MyLayer).
 
     Raises:
         UserError: the port is taken, or the host is not an address of this machine.
@@ -52,10 +53,11 @@ class Dashboard:
         open_source: Opener | None = None,
         choices: Sequence[tuple[str, str]] = (),
         seed: int = 0,
+        layers: Sequence[type[Layer]] = LAYERS,
     ) -> None:
         self.server = LocalServer(host=host, port=port)
         """The web server."""
-        kinds = [kind for kind in LAYERS if session.controls is not None or not kind.needs_samples]
+        kinds = [kind for kind in layers if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer] = {kind.name: kind(self.server) for kind in kinds}
         """The layers by name."""
         self.panels: list[Panel]

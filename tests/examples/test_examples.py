@@ -1,0 +1,59 @@
+"""The examples run as they are, in processes of their own, and the README lists all of them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
+OUTPUT = {
+    "plan_once": r"OK: instance \d+ of 17 is best .*closest to the pole: 0\.[3-9]\d m",
+    "fly": r"forest.*: arrived after .*log: flight\.mcap, ",
+    "fly_batch": r"q_track +5: \d of 2 arrived, .*q_track +15: \d of 2 arrived, ",
+    "replay_recording": r"flight\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
+    "own_source": r"crossing ball: arrived after ",
+    "own_layer": r"http://127\.0\.0\.1:\d+",
+    "own_cost_term": r"weight +0: arrived, .*weight +200: arrived, ",
+    "own_vehicle": r"default: \w+ after .*matched: arrived after ",
+}
+
+
+def test_each_example_has_an_expected_output() -> None:
+    assert sorted(EXAMPLES) == sorted(OUTPUT)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_prints_its_results_only(name: str, tmp_path: Path) -> None:
+    command = [sys.executable, str(EXAMPLES[name])]
+    result = subprocess.run(command, input="\n", capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert re.search(OUTPUT[name], result.stdout, flags=re.DOTALL), result.stdout
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_short_and_explains_itself(name: str) -> None:
+    text = EXAMPLES[name].read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 60
+    assert text.startswith('"""')
+
+
+def test_the_page_of_an_example_is_served_until_enter(tmp_path: Path) -> None:
+    command = [sys.executable, "-u", str(EXAMPLES["own_layer"])]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        with urllib.request.urlopen(address, timeout=20) as page:
+            assert page.status == 200
+        process.communicate("\n", timeout=60)
+    assert process.returncode == 0
+
+
+def test_the_readme_lists_every_example() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert all(f"(examples/{name}.py)" in readme for name in EXAMPLES)
