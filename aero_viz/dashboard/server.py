@@ -16,11 +16,23 @@ from aero_viz.errors import UserError
 
 __all__ = ["LocalServer", "notify", "sky"]
 
-_STYLE = ":root{" + ";".join(
-    f"--mantine-color-dark-{shade}:{palette.css(color)}" for shade, color in palette.PANEL.items()
-) + ";--mantine-color-body:var(--mantine-color-dark-7)!important}"  # fmt: skip
-# Room for the number 100000 beside a slider.
-_STYLE += '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}'
+_INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
+_STYLE = "".join(
+    (
+        ":root{",
+        *(f"--mantine-color-dark-{shade}:{palette.css(color)};" for shade, color in palette.PANEL.items()),
+        "--mantine-color-body:var(--mantine-color-dark-7)!important}",
+        # Room for the number 100000 beside a slider.
+        '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
+        # A number or a checkbox needs little room, its label much.
+        f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
+        # A slider without a label belongs to the number field above it: it takes the whole row and has no number.
+        "div:has(>.mantine-Text-root>label:empty){display:none}",
+        "div:has(>.mantine-Flex-root>div>.mantine-Text-root>label:empty){padding-bottom:1.1em!important}",
+        "div:has(>.mantine-Text-root>label:empty)+div .mantine-NumberInput-root{display:none}",
+    )
+)
+"""Style sheet of the page, for the elements of Mantine that viser builds its controls from."""
 _log = logging.getLogger(__name__)
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from playwright.sync_api import Browser, Locator, Page
 
 from aero_planner import PlannerConfig
+from aero_planner.config import find_parameter
 from aero_viz.catalog import open_source, source_choices
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
@@ -53,8 +54,23 @@ class Desk:
         exact = self.page.locator("label", has_text=re.compile(f"^{re.escape(label)}$"))
         return exact.locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
 
+    def parameter(self, path: str) -> Locator:
+        """The row of the panel with a parameter's number field, checkbox or dropdown."""
+        return self.control(find_parameter(path).title)
+
+    def slider(self, path: str) -> Locator:
+        """The slider below a parameter's number field."""
+        return self.parameter(path).locator("xpath=../following-sibling::*[1]")
+
     def open_tab(self, name: str) -> None:
         self.page.get_by_role("tab", name=name).click()
+
+    def open_folder(self, name: str, content: str) -> None:
+        """Open a folder of the panel unless `content`, the text of one of its controls, is visible."""
+        control = self.page.get_by_text(content, exact=True).first
+        if not control.is_visible():
+            self.page.get_by_text(name, exact=True).first.click()
+            control.wait_for()
 
     def checkbox(self, label: str) -> Locator:
         return self.control(label).get_by_role("checkbox")

@@ -14,16 +14,8 @@ from tests.browser.desk import Desk
 DEFAULT = PlannerConfig()
 
 
-def open_folder(desk: Desk, name: str, inside: str) -> None:
-    """Open a folder of the panel unless `inside`, one of its controls, can be seen."""
-    control = desk.page.get_by_text(inside, exact=True).first
-    if not control.is_visible():
-        desk.page.get_by_text(name, exact=True).first.click()
-        control.wait_for(timeout=5_000)
-
-
 def upload(desk: Desk, path: Path) -> None:
-    open_folder(desk, "File", "Upload YAML")
+    desk.open_folder("File", "Upload YAML")
     with desk.page.expect_file_chooser() as chooser:
         desk.click("Upload YAML")
     chooser.value.set_files(path)
@@ -33,7 +25,7 @@ def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_
     desk = fresh_desk
     saved = desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
     desk.open_tab("Tune")
-    open_folder(desk, "File", "Download YAML")
+    desk.open_folder("File", "Download YAML")
     with desk.page.expect_download() as download:
         desk.click("Download YAML")
     path = tmp_path / download.value.suggested_filename
@@ -46,7 +38,7 @@ def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_
     desk.wait_for(lambda: desk.session.config == DEFAULT, "the defaults")
     upload(desk, path)
     desk.wait_for(lambda: desk.session.frame.config == saved, "a plan with the configuration of the file")
-    field = desk.control("q_track").locator("input.mantine-NumberInput-input")
+    field = desk.parameter("costs.q_track").locator("input")
     desk.wait_for(lambda: float(field.input_value()) == 7.5, "the slider to show it")
     assert desk.console == []
 
@@ -75,8 +67,8 @@ def test_presets_and_resets_keep_the_ground_of_the_world(fresh_desk):
 
     desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
     desk.wait_for(lambda: preset.input_value() == "(changed)", "the changes to be seen")
-    desk.click("Reset costs")
-    desk.wait_for(lambda: desk.session.config == DEFAULT.replace({"candidates.brake": False}), "the default's costs")
+    desk.click("Reset tracking and effort")
+    desk.wait_for(lambda: desk.session.config == DEFAULT.replace({"candidates.brake": False}), "the default weights")
     desk.click("reset all")
     desk.wait_for(lambda: desk.session.config == DEFAULT, "the default")
 
@@ -118,8 +110,8 @@ def test_a_structure_applied_in_the_form_rebuilds_the_planner(fresh_desk):
     desk = fresh_desk
     assert desk.session.frame.plan.stage1_cost.shape[1] == 128
     desk.open_tab("Tune")
-    open_folder(desk, "Structure", "samples")
-    number = desk.control("samples").locator("input")
+    desk.open_folder("Structure", "Samples K")
+    number = desk.parameter("sampling.samples").locator("input")
     number.fill("64")
     number.press("Enter")
     desk.page.wait_for_timeout(300)

@@ -24,8 +24,7 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     before = desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
     value, version = desk.session.config.costs.q_track, desk.session.frame.config_version
     desk.open_tab("Tune")
-    row = desk.control("q_track")
-    track = row.locator(".mantine-Slider-trackContainer")
+    track = desk.slider("costs.q_track").locator(".mantine-Slider-trackContainer")
     track.scroll_into_view_if_needed()
     box = track.bounding_box()
     desk.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
@@ -44,13 +43,46 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
 def test_a_value_that_contradicts_another_is_refused_with_a_reason(desk):
     desk.open_tab("Tune")
     before = desk.session.config
-    field = desk.control("distance_min")
-    number = field.locator("input.mantine-NumberInput-input")
+    number = desk.parameter("costs.distance_min").locator("input")
     number.fill("1.5")
     number.press("Enter")
     desk.page.get_by_text("must be less than costs.distance_max").first.wait_for(timeout=10_000)
     assert desk.session.config == before
     desk.wait_for(lambda: float(number.input_value()) == before.costs.distance_min, "the slider to return")
+
+
+def test_a_typed_value_beyond_the_end_of_the_slider_is_taken_as_it_is(desk):
+    desk.open_tab("Tune")
+    before = desk.session.config.costs.q_position
+    number = desk.parameter("costs.q_position").locator("input")
+    for value in ("30", "3.75"):
+        number.fill(value)
+        number.blur()
+        desk.wait_for(lambda: desk.session.config.costs.q_position == float(value), f"a weight of {value}")  # noqa: B023
+        desk.page.wait_for_timeout(300)
+        assert number.input_value() == value and desk.session.config.costs.q_position == float(value)
+    number.fill("2000")
+    number.blur()
+    desk.refusal("must be a number in [0, 1000]").first.wait_for(timeout=10_000)
+    desk.wait_for(lambda: 0.0 < float(number.input_value()) <= 1000.0, "a valid weight")
+    assert desk.session.config.costs.q_position == float(number.input_value())
+    desk.session.configure({"costs.q_position": before})
+    desk.wait_for(lambda: float(number.input_value()) == before, "the weight before")
+
+
+def test_a_logarithmic_slider_shows_values_and_sets_them(desk):
+    desk.open_tab("Tune")
+    desk.open_folder("Noise and weights", "Temperature lambda")
+    slider = desk.slider("sampling.temperature")
+    labels = slider.locator(".mantine-Slider-markLabel").all_inner_texts()
+    assert labels == ["0.001", "0.01", "0.1", "1", "10", "100", "1000"]
+    box = slider.locator(".mantine-Slider-trackContainer").bounding_box()
+    desk.page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + box["height"] / 2)
+    desk.wait_for(lambda: desk.session.config.sampling.temperature == pytest.approx(1.0, rel=0.1), "a temperature of 1")
+    number = desk.parameter("sampling.temperature").locator("input")
+    desk.wait_for(lambda: float(number.input_value()) == desk.session.config.sampling.temperature, "the same number")
+    desk.click("undo")
+    desk.wait_for(lambda: float(number.input_value()) == 0.1, "the temperature before")
 
 
 def test_step_pause_and_seek_do_what_they_say(fresh_desk):

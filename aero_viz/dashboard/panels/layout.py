@@ -12,7 +12,7 @@ from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.configuration import ConfigurationPanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
-from aero_viz.dashboard.panels.parameters import LiveParameterPanel, StructureParameterPanel
+from aero_viz.dashboard.panels.parameters import LiveParameterPanel, ParameterTablePanel, StructureParameterPanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
@@ -48,6 +48,9 @@ def build(
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
             panels.append(ConfigurationPanel(page, controls))
             panels += [LiveParameterPanel(page, controls), StructureParameterPanel(page, controls)]
+    else:
+        with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
+            panels.append(ParameterTablePanel(page))
     status = gui.add_panel()
     with status.add_tab("Planner", viser.Icon.GAUGE):
         panels.append(StatusPanel(page))

@@ -9,7 +9,21 @@ from typing import NamedTuple
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.palette import Rgb, css
 
-__all__ = ["Bar", "bars", "block", "heading", "key", "metrics", "muted", "note", "pill", "scale", "stacked", "text"]
+__all__ = [
+    "Bar",
+    "bars",
+    "block",
+    "heading",
+    "key",
+    "metrics",
+    "muted",
+    "note",
+    "pill",
+    "scale",
+    "stacked",
+    "table",
+    "text",
+]
 
 
 class Bar(NamedTuple):
@@ -96,6 +110,15 @@ def bars(values: Sequence[Bar]) -> str:
         for bar in values
     )
     return f'<div style="display:flex;align-items:flex-end;gap:2px;height:42px;margin-top:4px">{columns}</div>'
+
+
+def table(rows: Iterable[tuple[str, str, str]]) -> str:
+    """Return a table with a row for each label, value and tooltip."""
+    cells = "".join(
+        f'<div title="{text(tooltip)}">{muted(label)}</div><div style="text-align:right">{text(value)}</div>'
+        for label, value, tooltip in rows
+    )
+    return f'<div style="display:grid;grid-template-columns:1fr auto;gap:3px 8px">{cells}</div>'
 
 
 def dot(color: Rgb) -> str:
