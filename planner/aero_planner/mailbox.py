@@ -1,4 +1,4 @@
-"""A thread of its own for whoever looks at what the node does, so that nobody who looks can delay it."""
+"""A bounded mailbox that keeps the newest items and delivers them on its own thread."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NICENESS = 10
 
 
 def lower_thread_priority() -> None:
-    """Let the calling thread run when the node's others need no processor, where the system has it (Linux)."""
+    """Let the calling thread run only when more urgent threads are idle, where the system supports it (Linux)."""
     with contextlib.suppress(AttributeError, OSError):
         thread = threading.get_native_id()
         nice = os.getpriority(os.PRIO_PROCESS, thread)
@@ -28,72 +28,110 @@ def lower_thread_priority() -> None:
 
 
 class Mailbox(Generic[T]):
-    """Calls a function with each item, from a thread of its own.
+    """Calls a function with each item, on a thread that the sender never waits for.
+
+    When the mailbox is full, the oldest item is dropped: a capacity of 1 delivers the newest.
 
     Args:
-        callback: called with one item at a time; what it raises is logged and counted.
-        capacity: items that may wait; when full the oldest goes.
-        name: of the thread.
-        at_end: called from the thread after the last item.
+        callback: Called with one item at a time. The first exception is logged, all are counted, and the next item is
+            still delivered.
+        capacity: Largest number of items that wait.
+        name: Name of the thread, which also appears in the log.
+        low_priority: Run the callback at a lower priority than the process's other threads.
+        at_end: Called on the thread after the last item.
 
     Attributes:
-        dropped: items that went because the box was full or closed.
-        failures: items at which the callback raised.
+        dropped: Number of items that were never delivered.
+        failures: Number of items for which the callback raised an exception.
     """
 
     def __init__(
-        self, callback: Callable[[T], None], *, capacity: int, name: str, at_end: Callable[[], None] = lambda: None
+        self,
+        callback: Callable[[T], None],
+        *,
+        capacity: int = 1,
+        name: str,
+        low_priority: bool = False,
+        at_end: Callable[[], None] | None = None,
     ) -> None:
         self.dropped = 0
         self.failures = 0
         self._callback = callback
+        self._low_priority = low_priority
         self._at_end = at_end
         self._items: deque[T] = deque()
         self._capacity = capacity
         self._changed = threading.Condition()
+        self._busy = False
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def put(self, item: T) -> None:
-        """Hand over an item without waiting for anyone who works on one."""
+        """Hand over an item without waiting. A closed mailbox ignores it."""
         with self._changed:
             if self._closed:
-                self.dropped += 1
                 return
             if len(self._items) == self._capacity:
                 self._items.popleft()
                 self.dropped += 1
             self._items.append(item)
-            self._changed.notify()
+            self._changed.notify_all()
 
-    def _run(self) -> None:
-        lower_thread_priority()
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._items or self._closed)
-                if not self._items:
-                    break
-                item = self._items.popleft()
-            try:
-                self._callback(item)
-            except Exception:
-                self.failures += 1
-                if self.failures == 1:
-                    _log.exception("%s failed; it goes on, and further failures are only counted", self._thread.name)
-        self._at_end()
+    def drain(self, timeout: float = 10.0) -> bool:
+        """Wait up to `timeout` [s] until every item is delivered; return False if that takes longer."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._closed or not (self._items or self._busy), timeout)
 
-    def close(self, timeout: float = 5.0) -> bool:
-        """Deliver what waits, for `timeout` [s] at most, and end the thread; return whether it has ended.
+    def finish(self, timeout: float = 5.0) -> bool:
+        """Deliver the waiting items for up to `timeout` [s], then close; return True if the thread has ended."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._join(timeout)
+        return self.close(0.0)
 
-        What waits still when the time is over is dropped.
+    def close(self, timeout: float | None = 2.0) -> bool:
+        """Drop the waiting items and end the thread.
+
+        Args:
+            timeout: Longest time to wait for an item that is being delivered [s]; None waits until it is.
+
+        Returns:
+            True if the thread has ended.
         """
         with self._changed:
             self._closed = True
-            self._changed.notify()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(timeout)
-        with self._changed:
             self.dropped += len(self._items)
             self._items.clear()
+            self._changed.notify_all()
+        self._join(timeout)
         return not self._thread.is_alive()
+
+    def _join(self, timeout: float | None) -> None:
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout)
+
+    def _run(self) -> None:
+        if self._low_priority:
+            lower_thread_priority()
+        while (item := self._next()) is not None:
+            try:
+                self._callback(item[0])
+            except Exception:
+                self.failures += 1
+                if self.failures == 1:
+                    _log.exception("%s failed; it continues, and further failures are only counted", self._thread.name)
+        if self._at_end is not None:
+            self._at_end()
+
+    def _next(self) -> tuple[T] | None:
+        """Wait for the next item; return None when the mailbox is closed and empty."""
+        with self._changed:
+            self._busy = False
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._items or self._closed)
+            if not self._items:
+                return None
+            self._busy = True
+            return (self._items.popleft(),)

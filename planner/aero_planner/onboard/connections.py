@@ -1,4 +1,4 @@
-"""The node's connections, made from its settings."""
+"""Builds the node's connections from its settings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Any
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
-from aero_planner.onboard.mavlink import MavlinkLink, MavlinkSender
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_sender import MavlinkSender
 from aero_planner.onboard.settings import OnboardConfig
 
 __all__ = ["make_sender", "open_lidar", "open_link"]
@@ -16,33 +17,36 @@ def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
     """Connect to the autopilot.
 
     Raises:
-        ImportError: pymavlink is missing; names the extra.
-        ValueError: the URL is not understood.
-        OSError: the port is taken or the device is not there; says what to do.
+        ImportError: pymavlink is not installed; names the extra to install.
+        ValueError: The URL is not understood.
+        OSError: The port is in use or the device does not exist; says what to do.
     """
     settings = config.mavlink
     try:
         return MavlinkLink(
-            settings.url, baud=settings.baud, state_rate=settings.state_rate, **_identity(config, vehicle)
+            settings.url,
+            baud=settings.baud,
+            state_rate=settings.state_rate,
+            **_sender_options(config, vehicle),
         )
     except OSError as error:
         raise OSError(
-            f"the autopilot's connection {settings.url} (mavlink.url) can't be opened: {error.strerror or error}; "
-            "stop what else uses it, or correct it."
+            f"can't open the connection to the autopilot, {settings.url} (mavlink.url): {error.strerror or error}; "
+            "stop the program that uses it, or correct the URL."
         ) from error
 
 
 def make_sender(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkSender:
-    """Return what commands as `open_link` does, and has no port yet.
+    """Return a sender of the same commands as those of `open_link`, without a transport yet.
 
     Raises:
-        ImportError: pymavlink is missing; names the extra.
+        ImportError: pymavlink is not installed; names the extra to install.
     """
-    return MavlinkSender(None, **_identity(config, vehicle))
+    return MavlinkSender(None, **_sender_options(config, vehicle))
 
 
-def _identity(config: OnboardConfig, vehicle: VehicleConfig) -> dict[str, Any]:
-    """Return as whom, and for which vehicle, commands are sent."""
+def _sender_options(config: OnboardConfig, vehicle: VehicleConfig) -> dict[str, Any]:
+    """Return the MAVLink identity and the thrust model with which commands are sent."""
     return dict(
         system=config.mavlink.system,
         component=config.mavlink.component,
@@ -57,7 +61,7 @@ def open_lidar(config: OnboardConfig) -> LivoxSource:
     """Listen to the LiDAR.
 
     Raises:
-        OSError: the port is taken; says what to do.
+        OSError: The port is in use; says what to do.
     """
     settings = config.lidar
     sensor = None if settings.sensor == "any" else settings.sensor
@@ -65,6 +69,6 @@ def open_lidar(config: OnboardConfig) -> LivoxSource:
         return LivoxSource(settings.port, host=settings.host, sensor=sensor, keep_uncertain=settings.keep_uncertain)
     except OSError as error:
         raise OSError(
-            f"the LiDAR's UDP port {settings.host}:{settings.port} (lidar.host, lidar.port) can't be listened on: "
-            f"{error.strerror or error}; stop what else uses it, or correct it."
+            f"can't listen on the LiDAR's UDP port {settings.host}:{settings.port} (lidar.host, lidar.port): "
+            f"{error.strerror or error}; stop the program that uses it, or correct the settings."
         ) from error

@@ -1,4 +1,4 @@
-"""Jumps of an autopilot's estimate that come without a reset counter."""
+"""Detection of resets of an autopilot's estimator that are not reported by a reset counter."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ __all__ = ["EstimatorState", "is_estimator_reset"]
 
 Array = NDArray[np.float64]
 
-_OFFSET, _ACCELERATION = 0.5, 30.0  # [m], [m/s^2]
-_TURN, _ANGULAR_ACCELERATION = 0.15, 200.0  # [rad], [rad/s^2]
+_MAX_OFFSET, _MAX_ACCELERATION = 0.5, 30.0  # [m], [m/s^2]
+_MAX_ANGLE, _MAX_ANGULAR_ACCELERATION = 0.15, 200.0  # [rad], [rad/s^2]
 
 
 class EstimatorState(NamedTuple):
-    """A state by the autopilot's own clock, in any frames as long as they stay the same."""
+    """The autopilot's estimate at one time by its own clock, in any frame as long as it stays the same."""
 
     time: float
     """[s]"""
@@ -34,18 +34,20 @@ class EstimatorState(NamedTuple):
 
 
 def is_estimator_reset(before: EstimatorState, after: EstimatorState) -> bool:
-    """Return whether no flight leads from one state to the other.
+    """Return True if no flight leads from one state to the other.
 
-    That is: time goes back; or the position lies more than 0.5 m off where the mean of both velocities leads, or the
-    attitude more than 0.15 rad off where the mean of both rates does, beyond what speeding up by 30 m/s^2 (200 rad/s^2)
-    and slowing down again can do in the time between, a dt^2 / 4.
+    That is the case if time goes back, if the position is more than 0.5 m from where the mean of both velocities leads,
+    or if the attitude is more than 0.15 rad from where the mean of both body rates leads. To both limits a dt^2 / 4 is
+    added, the most that accelerating at a = 30 m/s^2 (200 rad/s^2) and slowing down again can do in the time dt.
     """
     dt = after.time - before.time
     if dt <= 0.0:
         return True
-    change = 0.25 * dt * dt
-    led = before.position + 0.5 * dt * (before.velocity + after.velocity)
-    turned = integrate_rates(before.attitude, 0.5 * (before.rates + after.rates), dt)
-    offset = float(np.linalg.norm(after.position - led))
-    turn = 2.0 * math.acos(min(abs(float(turned @ after.attitude)), 1.0))
-    return offset > _OFFSET + _ACCELERATION * change or turn > _TURN + _ANGULAR_ACCELERATION * change
+    growth = 0.25 * dt * dt
+    expected_position = before.position + 0.5 * dt * (before.velocity + after.velocity)
+    expected_attitude = integrate_rates(before.attitude, 0.5 * (before.rates + after.rates), dt)
+    offset = float(np.linalg.norm(after.position - expected_position))
+    angle = 2.0 * math.acos(min(abs(float(expected_attitude @ after.attitude)), 1.0))
+    return (
+        offset > _MAX_OFFSET + _MAX_ACCELERATION * growth or angle > _MAX_ANGLE + _MAX_ANGULAR_ACCELERATION * growth
+    )

@@ -1,6 +1,6 @@
 """The drone's flight log: an MCAP file that `aero-viz play`, Foxglove and RViz open.
 
-Written in chunks of at most a second, each forced to the disk: a crash or a loss of power costs the last second.
+Written in chunks of at most one second, each synchronised to the disk: a crash or a power failure costs the last second.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import numpy as np
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
-from aero_planner.onboard import ros_messages as messages
+from aero_planner.onboard import ros_messages
 from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.point_source import PointPacket
-from aero_planner.onboard.safety_machine import Change
+from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import quaternion_from_angles, rotate
@@ -34,33 +34,38 @@ _CHUNK_BYTES = 4 << 20
 _FLUSH_PERIOD = 1.0
 """Wall time between two chunks [s]."""
 _WAITING = 1000
-"""Items that may wait for the disk; some ten seconds' worth."""
+"""Largest number of items that wait for the disk, those of about ten seconds."""
 _POSE_SPACING = 0.018
-"""Least time between two poses [s]; `play` makes a tick of each."""
+"""Smallest time between two poses [s]; in `aero-viz play` each pose is a tick."""
 _LINES_SPACING = 0.098
-"""Least time between two plans that are logged with guides and rollouts [s], some 30 kB each time."""
+"""Smallest time between two plans that are logged with guides and rollouts [s], about 30 kB each."""
 
 
 class FlightLog(Observer):
-    """Writes what the node saw and did; a thread of its own does the work.
+    """Writes what the node saw and did, on its own thread.
 
-    Topics: /odometry and /tf, every state up to 50 per second; /sweep, raw points in the body frame with a time each,
-    not yet moved by the flight; /plan and /plan/best of every plan, /plan/guides and /plan/rollouts up to ten times per
-    second; /safety, every transition. Attachments hold both configurations. Times are wall time, taken from the clock
-    at opening.
+    Topics:
+        /odometry, /tf: Vehicle states, at most 50 per second.
+        /sweep: Raw points in the body frame with a time each, not deskewed.
+        /plan, /plan/best: Every plan.
+        /plan/guides, /plan/rollouts: Guides and rollouts, at most ten times per second.
+        /safety: Every transition of the safety state.
+
+    Attachments hold both configurations. Times are wall time, derived from the clock when the file is opened.
 
     Args:
-        path: file to write; where the name is taken, one with a number: no flight replaces another.
-        planner, onboard: configurations that the node flies with.
-        clock: host time [s].
+        path: File to write. If it exists, a number is appended to the name, so that no flight replaces another.
+        planner: Configuration of the planner.
+        onboard: Configuration of the node.
+        clock: Host time [s].
 
     Raises:
-        ImportError: the `mcap` package is missing; names the extra.
-        OSError: the file can't be written.
+        ImportError: The `mcap` package is not installed; names the extra to install.
+        OSError: The file can't be written.
 
     Attributes:
-        path: of the file.
-        failed: whether the disk took no more; the file ends there.
+        path: Path of the file.
+        failed: True if writing has failed; the file ends there.
     """
 
     def __init__(
@@ -82,7 +87,7 @@ class FlightLog(Observer):
         self._period = onboard.lidar.sweep_period
         lidar = onboard.lidar
         self._mount = quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw)
-        self._place = np.array([lidar.mount_x, lidar.mount_y, lidar.mount_z])
+        self._mount_position = np.array([lidar.mount_x, lidar.mount_y, lidar.mount_z])
         self._channels: dict[str, int] = {}
         self._packets: list[PointPacket] = []
         self._pose_time = self._lines_time = -np.inf
@@ -94,59 +99,61 @@ class FlightLog(Observer):
         for name, text in (("config_0.yaml", format_config(planner)), ("onboard.yaml", format_onboard(onboard))):
             self._writer.add_attachment(stamp, stamp, name, "application/yaml", text.encode())
         self._flush()
-        self._box: Mailbox[Any] = Mailbox(self._write, capacity=_WAITING, name="aero-planner-log", at_end=self._finish)
+        self._mailbox: Mailbox[Any] = Mailbox(
+            self._write, capacity=_WAITING, name="aero-planner-log", low_priority=True, at_end=self._finish
+        )
 
     @property
     def dropped(self) -> int:
-        """States, packets and plans that the disk was too slow for."""
-        return self._box.dropped
+        """Number of states, packets and plans that were dropped because the disk was too slow."""
+        return self._mailbox.dropped
 
     # --- called by the node -----------------------------------------------------------------------------------------
 
     def plan(self, record: PlanRecord) -> None:
         """Log a plan."""
-        self._box.put(record)
+        self._mailbox.put(record)
 
-    def change(self, change: Change) -> None:
+    def change(self, change: StateChange) -> None:
         """Log a transition."""
-        self._box.put(change)
+        self._mailbox.put(change)
 
     def sample(self, sample: VehicleSample) -> None:
         """Log a state."""
-        self._box.put(sample)
+        self._mailbox.put(sample)
 
     def points(self, packet: PointPacket) -> None:
         """Log points."""
-        self._box.put(packet)
+        self._mailbox.put(packet)
 
     def close(self) -> None:
-        """Finish the file; with a disk that is too slow that is left to the log's thread, as far as it gets."""
-        if not self._box.close():
+        """Finish the file. If the disk is too slow, the log's thread continues as long as the process lives."""
+        if not self._mailbox.finish():
             _log.error(
-                "the flight log %s may lack its end: the disk is too slow; %d items are dropped",
+                "the end of the flight log %s may be missing: the disk is too slow; %d items were dropped",
                 self.path, self.dropped,
             )  # fmt: skip
 
     # --- the thread -------------------------------------------------------------------------------------------------
 
-    def _write(self, item: PlanRecord | Change | VehicleSample | PointPacket) -> None:
+    def _write(self, item: PlanRecord | StateChange | VehicleSample | PointPacket) -> None:
         if self.failed:
             return
         try:
             if isinstance(item, PlanRecord):
                 self._write_plan(item)
-            elif isinstance(item, Change):
+            elif isinstance(item, StateChange):
                 stamp = self._stamp(item.time)
-                self._add(messages.safety_change(item, stamp), stamp)
+                self._add(ros_messages.safety_change(item, stamp), stamp)
             elif isinstance(item, VehicleSample):
                 self._write_pose(item)
             else:
-                self._take(item)
+                self._add_packet(item)
             if time.monotonic() - self._flushed > _FLUSH_PERIOD:
                 self._flush()
         except OSError as error:
             self.failed = True
-            _log.error("the flight log %s ends here: %s", self.path, error.strerror or error)
+            _log.error("the flight log %s ends early: %s", self.path, error.strerror or error)
 
     def _finish(self) -> None:
         try:
@@ -155,7 +162,7 @@ class FlightLog(Observer):
                 self._writer.add_metadata("flight_log", {"dropped": str(self.dropped)})
                 self._writer.finish()
         except OSError as error:
-            _log.error("the flight log %s has no proper end: %s", self.path, error.strerror or error)
+            _log.error("the flight log %s could not be finished: %s", self.path, error.strerror or error)
         finally:
             self._file.close()
 
@@ -164,7 +171,7 @@ class FlightLog(Observer):
         if lines:
             self._lines_time = record.time
         stamp = self._stamp(record.time)
-        for message in messages.plan_messages(record.plan, stamp, plan_ms=record.plan_ms, lines=lines):
+        for message in ros_messages.plan_messages(record.plan, stamp, plan_ms=record.plan_ms, lines=lines):
             self._add(message, stamp)
 
     def _write_pose(self, sample: VehicleSample) -> None:
@@ -172,11 +179,11 @@ class FlightLog(Observer):
             return
         self._pose_time = sample.time
         stamp = self._stamp(sample.time)
-        for message in messages.pose_messages(sample.state, stamp):
+        for message in ros_messages.pose_messages(sample.state, stamp):
             self._add(message, stamp)
 
-    def _take(self, packet: PointPacket) -> None:
-        """Gather points until they make up a sweep."""
+    def _add_packet(self, packet: PointPacket) -> None:
+        """Collect points until they fill a sweep."""
         if self._packets and packet.times.max() - self._packets[0].times.min() > self._period:
             self._write_sweep()
         self._packets.append(packet)
@@ -188,15 +195,15 @@ class FlightLog(Observer):
         times = np.concatenate([packet.times for packet in self._packets])
         self._packets = []
         first = float(times.min())
-        body = (rotate(self._mount, points) + self._place).astype(np.float32)
+        body = (rotate(self._mount, points) + self._mount_position).astype(np.float32)
         stamp = self._stamp(first)
-        after = np.rint(1e9 * (times - first)).clip(0, 2**32 - 1).astype(np.uint32)
-        self._add(messages.sweep(body, stamp, times=after), stamp)
+        offsets = np.rint(1e9 * (times - first)).clip(0, 2**32 - 1).astype(np.uint32)
+        self._add(ros_messages.sweep(body, stamp, times=offsets), stamp)
 
-    def _add(self, message: messages.Encoded, stamp: int) -> None:
+    def _add(self, message: ros_messages.Encoded, stamp: int) -> None:
         topic, kind, data = message
         if topic not in self._channels:
-            schema = self._writer.register_schema(kind, "ros2msg", messages.DEFINITIONS[kind].encode())
+            schema = self._writer.register_schema(kind, "ros2msg", ros_messages.DEFINITIONS[kind].encode())
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
         self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
@@ -211,11 +218,11 @@ class FlightLog(Observer):
 
 
 def _create(path: Path) -> BufferedWriter:
-    """Open a new file; where the name is taken, the first one that is free with a number behind it."""
-    place, number = path, 0
+    """Open a new file. If `path` exists, append the first number for which no file exists."""
+    candidate, number = path, 0
     while True:
         try:
-            return place.open("xb")
+            return candidate.open("xb")
         except FileExistsError:
             number += 1
-            place = path.with_stem(f"{path.stem}_{number}")
+            candidate = path.with_stem(f"{path.stem}_{number}")

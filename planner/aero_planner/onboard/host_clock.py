@@ -1,4 +1,4 @@
-"""Another device's clock in host time, from nothing but its stamps and when they arrive."""
+"""Conversion of another device's time stamps to host time."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ __all__ = ["HostClock"]
 
 
 class HostClock:
-    """Maps stamps of a device to host time.
+    """Maps time stamps of a device to host time, from the stamps and their arrival times alone.
 
-    A message arrives some delay after its stamp, and the delay is never negative: the offset between the clocks is the
-    minimum of arrival - stamp, taken over the last 5 to 10 s so that it follows a drift. No stamp is mapped later than
-    its arrival. A stamp that goes back, or runs ahead, by more than `jump` does not fit; when 20 in a row do not, the
-    device's clock was set anew, and so is the offset. A stamp that is merely late fits: it is late.
+    A message arrives some time after its stamp, and this delay is never negative. The offset between the clocks is
+    therefore the minimum of arrival - stamp, taken over the last 5 to 10 s so that it follows a drift. No stamp is
+    mapped later than its arrival.
+
+    A stamp that goes back, or runs ahead, by more than `jump` is rejected. After 20 such stamps in a row, the device's
+    clock is considered to have been set, and the offset is estimated anew. A stamp that is merely late is accepted.
 
     Args:
-        jump: [s].
-        window: half of the longest time over which the minimum is taken [s].
+        jump: Largest inconsistency that is accepted [s].
+        window: Half of the longest time over which the minimum is taken [s].
 
     Attributes:
-        rejected: number of stamps that did not fit.
+        rejected: Number of rejected stamps.
     """
 
     PATIENCE = 20
-    """Stamps in a row that have to misfit before they are believed."""
+    """Number of inconsistent stamps in a row after which they are believed."""
 
     def __init__(self, *, jump: float = 1.0, window: float = 5.0) -> None:
         self.rejected = 0
@@ -33,11 +35,11 @@ class HostClock:
         self._misfits = 0
 
     def to_host(self, stamp: float, arrival: float) -> float | None:
-        """Return the host time of a stamp [s]; None when it does not fit.
+        """Return the host time of a stamp [s]; None if the stamp is rejected.
 
         Args:
-            stamp: by the device's clock [s].
-            arrival: when the message was received, host time [s].
+            stamp: Time by the device's clock [s].
+            arrival: When the message was received, host time [s].
         """
         if not (math.isfinite(stamp) and math.isfinite(arrival)):
             self.rejected += 1
@@ -54,7 +56,7 @@ class HostClock:
         self._misfits = 0
         self._newest = max(self._newest, stamp)
         if arrival - self._began > 2.0 * self._window:
-            self._restart(delta, stamp, arrival)  # nothing came for so long that the old minimum says little
+            self._restart(delta, stamp, arrival)  # after such a pause the old minimum is of little use
         elif arrival - self._began > self._window:
             self._previous, self._current, self._began = self._current, delta, arrival
         self._current = min(self._current, delta)

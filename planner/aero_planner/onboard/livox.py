@@ -1,10 +1,10 @@
-"""The Livox Mid-360 over UDP: its point packets in both Cartesian formats, parsed and, for simulations, made.
+"""The Livox Mid-360 over UDP: parsing of its point packets in both Cartesian formats, and encoding for simulations.
 
-Little-endian, from the vendor's "Livox LiDAR Communication Protocol - Mid360" and Livox-SDK2: a header of 36 bytes,
-then `dot_num` points. `timestamp` is the time of the first point, `time_interval` spans from the first to the last.
-The checksum is CRC-32 (zlib's) over timestamp and points. The documentation sets `udp_cnt` to 0 at each frame, while
-shipped firmware counts on through all 16 bits; both are understood. The sensor sends by itself to the host it was told
-with Livox Viewer; nothing is ever sent to it.
+Little-endian, after the vendor's "Livox LiDAR Communication Protocol - Mid360" and Livox-SDK2: a header of 36 bytes
+followed by `dot_num` points. `timestamp` is the time of the first point, and `time_interval` the time from the first to
+the last point. The checksum is CRC-32 (as in zlib) over timestamp and points. According to the documentation `udp_cnt`
+restarts at 0 with each frame, but shipped firmware counts through all 16 bits; both are supported. The sensor sends to
+the host address set with Livox Viewer; nothing is ever sent to it.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ CARTESIAN_CM = 2
 """Data type of points in 16-bit centimetres."""
 
 _HEADER = struct.Struct("<BHHHHBBB12xIQ")
-_CHECKED = 28  # the checksum covers everything from the timestamp on
+_CHECKED = 28  # offset of the timestamp, where the checksummed part begins
 _MAX_POINTS = 1000  # per packet; a real one has 96
 _POINT = {
     CARTESIAN_MM: (np.dtype([("xyz", "<i4", 3), ("reflectivity", "u1"), ("tag", "u1")]), np.float32(1e-3)),
     CARTESIAN_CM: (np.dtype([("xyz", "<i2", 3), ("reflectivity", "u1"), ("tag", "u1")]), np.float32(1e-2)),
 }
-# Bits 0-1, 2-3 and 4-5 of a tag say how likely the point is glue between two objects, rain or dust, or another artefact
-# near the sensor: 0 not, 1 perhaps, 2 likely.
+# Bits 0-1, 2-3 and 4-5 of a tag rate how likely the point is a mixture of two objects, rain or dust, or another artefact
+# near the sensor: 0 unlikely, 1 possible, 2 likely.
 _LIKELY_NOISE = 0b101010
-_PERHAPS_NOISE = 0b111111
-_RECEIVE_BUFFER = 4_000_000  # asked for; the kernel may give less
-_PACKETS_PER_POLL = 1024  # half a second of them: a flood cannot hold the caller
+_POSSIBLE_NOISE = 0b111111
+_RECEIVE_BUFFER = 4_000_000  # requested size [bytes]; the kernel may give less
+_PACKETS_PER_POLL = 1024  # half a second of packets, which bounds the time of a poll during a flood
 
 
 class Reject(enum.Enum):
-    """Why a datagram is no point packet."""
+    """Why a datagram is not a point packet."""
 
     SHORT = "shorter than a header"
     VERSION = "unknown protocol version"
     TYPE = "not points in Cartesian coordinates"
-    LENGTH = "length and number of points do not fit the datagram"
+    LENGTH = "length or number of points does not match the datagram"
     CHECKSUM = "wrong checksum"
 
 
 @dataclass(frozen=True)
 class LivoxPacket:
-    """A checked packet."""
+    """A packet whose header and checksum are valid."""
 
     stamp_ns: int
     """Time of the first point by the sensor's clock [ns]."""
@@ -68,16 +68,16 @@ class LivoxPacket:
     count: int
     """Number of points."""
     sequence: int
-    """udp_cnt."""
+    """Counter of the packets, udp_cnt."""
     data_type: int
     time_type: int
-    """0: since power-on; 1: PTP; 2: GPS."""
+    """Source of the time stamp. 0: time since power-on; 1: PTP; 2: GPS."""
     payload: bytes
-    """The points as they came."""
+    """The encoded points."""
 
 
 def parse_packet(data: bytes) -> LivoxPacket | Reject:
-    """Check a datagram and take its header apart; never raises."""
+    """Check a datagram and decode its header. Never raises."""
     if len(data) < _HEADER.size:
         return Reject.SHORT
     version, length, interval, count, sequence, _, data_type, time_type, checksum, stamp = _HEADER.unpack_from(data)
@@ -94,7 +94,7 @@ def parse_packet(data: bytes) -> LivoxPacket | Reject:
 
 
 def decode_points(data_type: int, payload: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return points [m], shape [n, 3], sensor frame, and their tags [n], from the payload of one or more packets."""
+    """Return points in the sensor frame [m], shape [n, 3], and their tags [n] from the payload of one or more packets."""
     kind, unit = _POINT[data_type]
     records = np.frombuffer(payload, dtype=kind)
     return records["xyz"].astype(np.float32) * unit, records["tag"]
@@ -113,13 +113,13 @@ def encode_packet(
     """Return the datagram that a sensor would send.
 
     Args:
-        points: [m], shape [n, 3], sensor frame; NaN is a ray without return, which is sent as zeros.
-        stamp_ns: time of the first point by the sensor's clock [ns].
-        interval: time from the first to the last point [s].
-        sequence: counts packets, modulo 2^16.
+        points: Sensor frame [m], shape [n, 3]. NaN is a ray without return, which is sent as zeros.
+        stamp_ns: Time of the first point by the sensor's clock [ns].
+        interval: Time from the first to the last point [s].
+        sequence: Counter of the packets, modulo 2^16.
         data_type: CARTESIAN_MM or CARTESIAN_CM.
-        tags: one per point, or one for all.
-        time_type: 0: since power-on; 1: PTP; 2: GPS.
+        tags: One tag per point, or one for all.
+        time_type: 0: time since power-on; 1: PTP; 2: GPS.
     """
     kind, unit = _POINT[data_type]
     scaled = np.rint(np.asarray(points, dtype=np.float64) * (1.0 / float(unit)))
@@ -140,19 +140,19 @@ class LivoxSource:
     """Receives a Mid-360's points; implements `aero_planner.onboard.point_source.PointSource`.
 
     Args:
-        port: UDP port of the host to listen on; 0 for any free one, see `port`.
-        host: address to listen on.
-        sensor: address of the sensor; None takes packets from anywhere.
-        keep_uncertain: keep points that the sensor thinks perhaps, not likely, to be noise.
-        clock: host time [s].
+        port: UDP port of the host to listen on; 0 selects a free port.
+        host: Address to listen on.
+        sensor: Address of the sensor; None accepts packets from anywhere.
+        keep_uncertain: Keep points that the sensor rates as possible, but not likely, noise.
+        clock: Host time [s].
 
     Raises:
-        OSError: the port is taken, or the address is not this host's.
+        OSError: The port is in use, or the address is not one of this host.
 
     Attributes:
-        counters: see `PointCounters`.
-        rejects: how many datagrams were refused for which reason.
-        port: UDP port that is listened on.
+        counters: See `PointCounters`.
+        rejects: Number of refused datagrams by reason.
+        port: UDP port that the source listens on.
     """
 
     def __init__(
@@ -167,13 +167,13 @@ class LivoxSource:
         self.counters = PointCounters()
         self.rejects = dict.fromkeys(Reject, 0)
         self._sensor = sensor
-        self._noise = _LIKELY_NOISE if keep_uncertain else _PERHAPS_NOISE
+        self._noise = _LIKELY_NOISE if keep_uncertain else _POSSIBLE_NOISE
         self._time = clock
         self._clock = HostClock()
         self._sequence = _Sequence()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            with contextlib.suppress(OSError):  # a smaller buffer loses packets, which are counted
+            with contextlib.suppress(OSError):  # a smaller buffer may lose packets, which are counted
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
             self._socket.setblocking(False)
             self._socket.bind((host, port))
@@ -183,16 +183,16 @@ class LivoxSource:
         self.port: int = self._socket.getsockname()[1]
 
     def poll(self) -> list[PointPacket]:
-        """Return the points that have arrived since the last call, oldest first, joined per data type.
+        """Return the points that have arrived since the last call, oldest first, joined by data type.
 
-        At most half a second of packets is taken at once; the rest waits in the socket, whose buffer is bounded.
+        At most half a second of packets is read at once. The rest waits in the socket, whose buffer is bounded.
         """
         waiting: list[tuple[LivoxPacket, float]] = []
         result: list[PointPacket] = []
         for _ in range(_PACKETS_PER_POLL):
             try:
                 data, address = self._socket.recvfrom(65535)
-            except OSError:  # nothing there, or an error that an earlier datagram left behind
+            except OSError:  # nothing has arrived, or an earlier datagram has caused an error
                 break
             if self._sensor is not None and address[0] != self._sensor:
                 continue
@@ -217,8 +217,8 @@ class LivoxSource:
         self._socket.close()
 
     def _admit(self, packet: LivoxPacket) -> float | None:
-        """Return the host time of the first point [s]; None for a packet that came before or does not fit."""
-        # The last point is the newest thing in the packet, so that its delay is the smallest.
+        """Return the host time of the first point [s]; None for a duplicate or an inconsistent time stamp."""
+        # The last point is the newest in the packet, so its delay is the smallest.
         last = self._clock.to_host(1e-9 * packet.stamp_ns + packet.interval, self._time())
         if last is None:
             self.counters.bad += 1
@@ -227,7 +227,7 @@ class LivoxSource:
         if lost is None:
             self.counters.duplicates += 1
             return None
-        self.counters.lost = max(0, self.counters.lost + lost)  # late ones may date from before the first
+        self.counters.lost = max(0, self.counters.lost + lost)  # late packets may precede the first one
         self.counters.packets += 1
         return last - packet.interval
 
@@ -245,19 +245,19 @@ class LivoxSource:
 
 
 class _Sequence:
-    """Counts gaps in 16-bit sequence numbers."""
+    """Counts gaps in 16-bit packet counters."""
 
     REORDERED = 64
-    """Farthest that a packet may come late."""
+    """Largest number of packets by which a packet may be late."""
     GAP = 1024
-    """A larger step is no loss: the counter was reset."""
+    """Steps from this size on are resets of the counter, not losses."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
-        self._seen = 0  # bit i: the packet i before the newest has come
+        self._seen = 0  # bit i is set if the packet i before the newest has arrived
 
     def lost(self, number: int) -> int | None:
-        """Return how many more packets than before are missing, -1 for a late one; None for one that came twice."""
+        """Return the number of newly missing packets, -1 for a late packet; None for a duplicate."""
         step = 0 if self._newest is None else (number - self._newest) & 0xFFFF
         back = -step & 0xFFFF
         if self._newest is not None and back < self.REORDERED:

@@ -1,4 +1,4 @@
-"""A loop with absolute deadlines, and how well it keeps them."""
+"""A loop with absolute deadlines, and statistics of how well it meets them."""
 
 from __future__ import annotations
 
@@ -12,40 +12,45 @@ import numpy as np
 __all__ = ["DeadlineStatistics", "PeriodicLoop"]
 
 _KEPT = 30_000
-"""Ticks: ten minutes at 50 Hz."""
+"""Number of ticks that the statistics cover: ten minutes at 50 Hz."""
 
 
 class DeadlineStatistics:
-    """Lateness of the last ticks and counts of all. Written by one thread, read by any.
+    """Lateness of the last ticks and counts of all ticks. Written by one thread, read by any.
 
     Args:
-        period: of the loop [s].
+        period: Period of the loop [s].
+
+    Attributes:
+        period: Period of the loop [s].
+        ticks: Number of ticks.
+        missed: Number of periods in which no tick began.
     """
 
     def __init__(self, period: float) -> None:
         self.period = period
         self.ticks = 0
         self.missed = 0
-        """Periods in which no tick began."""
-        self._late: deque[float] = deque(maxlen=_KEPT)
+        self._lateness: deque[float] = deque(maxlen=_KEPT)
         self._intervals: deque[float] = deque(maxlen=_KEPT)
         self._last: float | None = None
 
-    def tick(self, due: float, now: float, missed: int = 0) -> None:
-        """Count a tick that was due at `due` [s] and begins at `now` [s], after `missed` skipped ones."""
+    def add_tick(self, due: float, now: float, missed: int = 0) -> None:
+        """Add a tick that was due at `due` [s] and began at `now` [s], after `missed` skipped ones."""
         self.ticks += 1
         self.missed += missed
-        self._late.append(now - due)
+        self._lateness.append(now - due)
         if self._last is not None:
             self._intervals.append(now - self._last)
         self._last = now
 
     def summary(self) -> dict[str, Any]:
-        """Return ticks, missed, and of the last ten minutes median, 99 % and largest lateness and the jitter [ms].
+        """Return the counts, and lateness and jitter over the last ten minutes [ms].
 
-        Jitter is the standard deviation of the time between two ticks.
+        Lateness is given as median, 99th percentile and maximum. Jitter is the standard deviation of the time between
+        two ticks.
         """
-        late = 1e3 * np.array(self._late)
+        late = 1e3 * np.array(self._lateness)
         jitter = 1e3 * float(np.std(self._intervals)) if len(self._intervals) > 1 else None
         median, high = np.quantile(late, (0.5, 0.99)).tolist() if len(late) else (None, None)
         return {
@@ -60,15 +65,18 @@ class DeadlineStatistics:
 
 
 class PeriodicLoop:
-    """Calls a function at a fixed rate until told to stop; calls that take too long never bunch up.
+    """Calls a function at a fixed rate until it is stopped. Late calls are skipped, never made up for in a burst.
 
     Args:
-        period: [s].
-        call: what to do at each deadline.
-        clock: host time [s].
-        stopped: ends the loop.
-        on_grid: after a late call wait for the next deadline, so that all stay multiples of the period; otherwise call
-            again at once and count from there.
+        period: Time between two calls [s].
+        call: The function.
+        clock: Host time [s].
+        stopped: Ends the loop when set.
+        on_grid: After a late call, wait for the next multiple of the period. Otherwise call again at once and count the
+            next period from there.
+
+    Attributes:
+        statistics: How well deadlines are met.
     """
 
     def __init__(
@@ -92,10 +100,10 @@ class PeriodicLoop:
         due = self._clock()
         missed = 0
         while True:
-            # An event wakes as precisely as a sleep, and ends at once.
+            # Waiting for an event is as precise as sleeping, and ends at once when the event is set.
             if self._stopped.wait(max(0.0, due - self._clock())):
                 return
-            self.statistics.tick(due, self._clock(), missed)
+            self.statistics.add_tick(due, self._clock(), missed)
             self._call()
             now = self._clock()
             missed = max(0, int((now - due) / period))

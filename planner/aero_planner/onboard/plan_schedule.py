@@ -1,4 +1,4 @@
-"""The plans being flown: which control belongs to which time."""
+"""The plans being flown: which control applies at which time."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ScheduledPlan:
-    """Controls over time."""
+    """The controls of one plan over time."""
 
     number: int
     """Counts the plans."""
     measured: float
-    """When the state was measured on which the plan builds, host time [s]."""
+    """When the state on which the plan is based was measured, host time [s]."""
     time: float
-    """When its first control begins, host time [s]."""
+    """When the first control begins, host time [s]."""
     dt: float
-    """Length of a step [s]."""
+    """Time step [s]."""
     controls: NDArray[np.float64]
     """Thrust [N] and body rates [rad/s], shape [N, 4], finite."""
     status: PlanStatus
 
     def command(self, now: float) -> NDArray[np.float64] | None:
-        """Return the control of step floor((now - time) / dt), shape [4]; None before the first and after the last."""
+        """Return the control of step floor((now - time) / dt), shape [4]; None outside the plan's horizon."""
         step = math.floor((now - self.time) / self.dt + _ROUNDING)
         return self.controls[step] if 0 <= step < len(self.controls) else None
 
 
 class PlanSchedule:
-    """The newest plan, and those before it that are flown until it begins.
+    """The newest plan and the earlier ones that are flown until it begins.
 
-    Replaced whole by one thread and read by others.
+    One thread appends; any thread may read, because the plans are replaced as a whole.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class PlanSchedule:
         return self._plans[0] if self._plans else None
 
     def append(self, plan: ScheduledPlan, now: float) -> None:
-        """Add a plan, and forget those that nobody needs who asks for `now` [s] or later."""
+        """Add a plan and discard those that are not needed at `now` [s] or later."""
         kept = [plan]
         for older in self._plans:
             kept.append(older)
@@ -61,18 +61,18 @@ class PlanSchedule:
         self._plans = tuple(kept)
 
     def at(self, now: float) -> ScheduledPlan | None:
-        """Return the newest plan that has begun and has not ended at `now` [s]."""
+        """Return the newest plan whose horizon includes `now` [s]."""
         return next((plan for plan in self._plans if plan.command(now) is not None), None)
 
     def command(self, now: float) -> NDArray[np.float64] | None:
-        """Return the control to fly at `now` [s], shape [4]; None when no plan reaches so far."""
+        """Return the control at `now` [s], shape [4]; None if no plan covers that time."""
         plan = self.at(now)
         return None if plan is None else plan.command(now)
 
-    def ahead(self, now: float, *, period: float, count: int, age_max: float) -> NDArray[np.float64]:
-        """Return the controls to fly at `now` + `period`, `now` + 2 `period`, .. [s], shape [n, 4], n <= `count`.
+    def upcoming(self, now: float, *, period: float, count: int, age_max: float) -> NDArray[np.float64]:
+        """Return the controls at `now` + `period`, `now` + 2 `period`, .. [s], shape [n, 4], n <= `count`.
 
-        It ends where no plan reaches, or where the state on which it builds will be older than `age_max` [s].
+        The list ends where no plan applies, or where the state on which the plan is based is older than `age_max` [s].
         """
         controls = np.empty((count, 4))
         for i in range(count):

@@ -1,4 +1,4 @@
-"""The planner's side of the node: from the newest cloud and state to a plan that can be flown."""
+"""The planning side of the node: turns the newest cloud and state into a plan that can be flown."""
 
 from __future__ import annotations
 
@@ -15,198 +15,211 @@ from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propa
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.point_source import PointPacket
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.sweep_buffer import SweepBuffer
+from aero_planner.onboard.sweep_buffer import make_sweep_buffer
 from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
 from aero_planner.planner import Planner
-from aero_planner.quaternions import quaternion_from_angles
 
 __all__ = ["ControlSnapshot", "PlanResult", "Replanner"]
 
 _log = logging.getLogger(__name__)
 
 _ARRIVALS = 4096
-"""States and packets that may wait for the planning thread; when it hangs, the oldest go."""
+"""States and packets that wait for the planning thread; if it hangs, the oldest are dropped."""
 _STEP = 0.02
-"""Of the prediction [s]."""
+"""Time step of the prediction [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ControlSnapshot:
-    """What the control loop knows; replaced whole at each tick."""
+    """What the control loop knows at one tick."""
 
     sample: VehicleSample
     motion: MotionState
-    """At the time of the tick."""
+    """Motion at the time of the tick."""
     goal: NDArray[np.float64] | None
+    """[m], shape [3], world frame."""
     command: NDArray[np.float64] | None
-    """What the drone obeys, shape [4]; None where it does not obey us."""
-    flying: bool
-    """Whether that comes from the plan."""
+    """Command that the drone obeys, shape [4]; None if it does not obey the node."""
+    follows_plan: bool
+    """True if the command comes from the plan."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanResult:
-    """A plan and what it was made from."""
+    """A plan and its inputs."""
 
     number: int
     time: float
-    situation: ControlSnapshot
+    """When the planner was called, host time [s]."""
+    snapshot: ControlSnapshot
     goal: NDArray[np.float64]
+    """[m], shape [3], world frame."""
     state: VehicleState
+    """State from which the plan starts."""
     points: NDArray[np.float32]
+    """Cloud [m], shape [P, 3], world frame."""
     cloud_age: float
+    """[s]"""
     plan: Plan
     plan_ms: float
 
 
 class Replanner:
-    """Owns the planner and the cloud; called from one thread, save `take`.
+    """Owns the planner and the cloud. All methods but `add_arrival` are called from one thread.
 
     Args:
-        planner: the planner.
-        config: of the node.
-        track: where plans go.
-        clock: host time [s].
+        planner: The planner.
+        config: Configuration of the node.
+        schedule: Receives the plans.
+        clock: Host time [s].
+
+    Attributes:
+        failures: Number of calls of the planner that raised, or whose plan was not finite.
+        durations: Durations of the last calls [s].
+        is_finite: True if the newest plan was finite.
     """
 
     def __init__(
-        self, planner: Planner, config: OnboardConfig, track: PlanSchedule, clock: Callable[[], float]
+        self, planner: Planner, config: OnboardConfig, schedule: PlanSchedule, clock: Callable[[], float]
     ) -> None:
-        lidar = config.lidar
         self.planner = planner
         self.failures = 0
-        """Calls of the planner that raised, or whose plan was not finite."""
         self.durations: deque[float] = deque(maxlen=10_000)
-        """Of the last calls [s]."""
-        self.finite = True
-        """Whether the newest plan was."""
-        planner.reserve(lidar.points_max)  # so that no plan has to wait for larger buffers
-        self._sweeps = SweepBuffer(
-            lidar.sweeps,
-            lidar.sweep_period,
-            lidar.points_max,
-            mount_position=(lidar.mount_x, lidar.mount_y, lidar.mount_z),
-            mount_quaternion=quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw),
-            clock=clock,
-        )
-        self._sweep_period = lidar.sweep_period
+        self.is_finite = True
+        planner.reserve(config.lidar.points_max)  # so that no plan has to wait for larger buffers
+        self._sweeps = make_sweep_buffer(config, clock=clock)
+        self._sweep_period = config.lidar.sweep_period
         self._resets = 0
         self._next_cloud = -np.inf
         self._compensate = config.rates.compensate
-        self._longest = 0.5 * config.limits.plan_age
-        self._fence_height = config.limits.fence_height_min
-        self._track = track
+        self._max_latency = 0.5 * config.limits.plan_age
+        self._ground_height = config.limits.fence_height_min
+        self._schedule = schedule
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
         self._latency = 0.0
-        self._next_complaint = -np.inf
+        self._next_error_log = -np.inf
         self._number = 0
 
     @property
     def dropped_points(self) -> int:
-        """Points without a place in the cloud."""
+        """Number of points that could not be placed in the cloud."""
         return self._sweeps.dropped
 
-    def take(self, arrival: VehicleSample | PointPacket) -> None:
-        """Leave a state or points for the next plan; called by the control loop."""
+    def add_arrival(self, arrival: VehicleSample | PointPacket) -> None:
+        """Add a state or points for the next plan. Called by the control loop."""
         self._arrivals.append(arrival)
 
     def warm_up(self) -> float:
-        """Plan once from nothing, so that the kernels are loaded, and forget it; returns the time of a second call [s].
+        """Load the kernels by planning on artificial inputs, reset the planner, and return the time of a plan [s].
 
         Raises:
-            RuntimeError, ValueError: the planner cannot plan here.
+            RuntimeError, ValueError: The planner cannot plan on this device.
         """
         state = VehicleState(np.zeros(3), np.zeros(3), (1.0, 0.0, 0.0, 0.0))
         cloud = np.full((64, 3), 5.0, dtype=np.float32)
         self.planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
-        began = time.perf_counter()
+        start = time.perf_counter()
         self.planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
-        took = time.perf_counter() - began
+        duration = time.perf_counter() - start
         self.planner.reset()
-        return took
+        return duration
 
-    def plan_once(self, situation: ControlSnapshot | None) -> PlanResult | None:
-        """Update the cloud and, when state, goal and cloud are there, plan; None when there is no new plan."""
-        self._place_arrivals()
-        if situation is None or situation.goal is None:
+    def plan_once(self, snapshot: ControlSnapshot | None) -> PlanResult | None:
+        """Update the cloud and plan if state, goal and cloud are available; return None if there is no new plan."""
+        self._process_arrivals()
+        if snapshot is None or snapshot.goal is None:
             return None
-        began = self._clock()
-        points, age = self._sweeps.cloud(began)
-        if not np.isfinite(age) or began < self._next_cloud:
+        start = self._clock()
+        points, cloud_age = self._sweeps.cloud(start)
+        if not np.isfinite(cloud_age) or start < self._next_cloud:
             return None
-        state = self._state(situation, began)
+        state = self._predict_state(snapshot, start)
         try:
-            # A Mid-360 does not see the ground below it: the planner avoids everything below the geofence instead.
+            # A Mid-360 does not see the ground below it, so the planner keeps out of everything below the geofence.
             plan = self.planner.plan(
-                state, Goal(situation.goal), points, cloud_age=max(age, 0.0), ground_height=self._fence_height
+                state,
+                Goal(snapshot.goal),
+                points,
+                cloud_age=max(cloud_age, 0.0),
+                ground_height=self._ground_height,
             )
         except (ValueError, RuntimeError, MemoryError) as error:
-            self._fail(f"the planner failed: {error}")
+            self._count_failure(f"the planner failed: {error}")
             return None
-        took = self._clock() - began
-        self.durations.append(took)
+        duration = self._clock() - start
+        self.durations.append(duration)
         # Rises at once and falls slowly: a plan that is ready too early waits, one that is late skips its start.
-        self._latency = min(max(took, 0.9 * self._latency + 0.1 * took), self._longest)
+        self._latency = min(max(duration, 0.9 * self._latency + 0.1 * duration), self._max_latency)
         controls = np.asarray(plan.command, dtype=np.float64)
-        if not np.isfinite(controls).all():
+        self.is_finite = bool(np.isfinite(controls).all())
+        if not self.is_finite:
             self.planner.reset()
-            self.finite = False
-            self._fail("the plan is not finite")
+            self._count_failure("the plan contains NaN or infinity")
             return None
-        self.finite = True
+        self._append(plan, controls, snapshot, state, start)
+        return PlanResult(
+            self._number, start, snapshot, snapshot.goal, state, points, cloud_age, plan, 1e3 * duration
+        )
+
+    def _append(
+        self, plan: Plan, controls: NDArray[np.float64], snapshot: ControlSnapshot, state: VehicleState, now: float
+    ) -> None:
         self._number += 1
-        dt = self.planner.config.sampling.dt
-        status = PlanStatus(int(plan.status))  # type: ignore[arg-type]
-        flown = ScheduledPlan(self._number, situation.sample.time, float(state.time), dt, controls, status)  # type: ignore[arg-type]
-        self._track.append(flown, began)
-        return PlanResult(self._number, began, situation, situation.goal, state, points, age, plan, 1e3 * took)
+        scheduled = ScheduledPlan(
+            number=self._number,
+            measured=snapshot.sample.time,
+            time=float(state.time),  # type: ignore[arg-type]
+            dt=self.planner.config.sampling.dt,
+            controls=controls,
+            status=PlanStatus(int(plan.status)),  # type: ignore[arg-type]
+        )
+        self._schedule.append(scheduled, now)
 
-    def _fail(self, text: str) -> None:
+    def _count_failure(self, message: str) -> None:
         self.failures += 1
-        # Once per second: it may happen at every plan.
+        # Logged at most once per second, because every plan may fail.
         now = self._clock()
-        if now >= self._next_complaint:
-            self._next_complaint = now + 1.0
-            _log.error("%s (%d failures so far)", text, self.failures)
+        if now >= self._next_error_log:
+            self._next_error_log = now + 1.0
+            _log.error("%s (%d failures so far)", message, self.failures)
 
-    def _place_arrivals(self) -> None:
+    def _process_arrivals(self) -> None:
         while self._arrivals:
             arrival = self._arrivals.popleft()
             if isinstance(arrival, VehicleSample):
                 if arrival.resets != self._resets:
-                    self._begin_anew(arrival)
+                    self._restart(arrival)
                 state = arrival.state
                 self._sweeps.add_pose(arrival.time, state.position, state.quaternion)
             else:
                 self._sweeps.add_points(arrival.points, arrival.times)
 
-    def _begin_anew(self, sample: VehicleSample) -> None:
-        """Forget the cloud and the plan of before the estimate's jump; plan again when there is a sweep.
+    def _restart(self, sample: VehicleSample) -> None:
+        """Discard the cloud and the plan from before an estimator reset; plan again after one new sweep.
 
-        Until then the last plan is flown, as long as it may be: controls do not depend on where the origin is.
+        Until then the last plan is flown for as long as it may be: its controls do not depend on the origin.
         """
         self._resets = sample.resets
         self._next_cloud = sample.time + self._sweep_period
         self._sweeps.clear()
         self.planner.reset()
-        _log.warning("the autopilot's estimate has jumped: the cloud begins anew")
+        _log.warning("the autopilot's estimator was reset: the cloud is discarded")
 
-    def _state(self, situation: ControlSnapshot, now: float) -> VehicleState:
-        """Return the state to plan from: where the drone will be when the plan is ready, flying what it flies now."""
+    def _predict_state(self, snapshot: ControlSnapshot, now: float) -> VehicleState:
+        """Return the state at the time when the plan will be ready, if the drone obeys its present commands."""
         vehicle = self.planner.config.vehicle
-        motion = situation.motion
+        motion = snapshot.motion
         target = now + self._latency if self._compensate else motion.time
-        command = situation.command
         while motion.time < target:
-            command = self._next_command(situation, motion.time)
+            command = self._command_at(motion.time, snapshot)
             motion = propagate(motion, command, min(motion.time + _STEP, target), vehicle)
-        command = self._next_command(situation, motion.time)
-        change = np.zeros(3) if command is None else acceleration(motion.quaternion, float(command[0]), vehicle)
-        return VehicleState(motion.position, motion.velocity, motion.quaternion, change, motion.time)
+        command = self._command_at(motion.time, snapshot)
+        accel = np.zeros(3) if command is None else acceleration(motion.quaternion, float(command[0]), vehicle)
+        return VehicleState(motion.position, motion.velocity, motion.quaternion, accel, motion.time)
 
-    def _next_command(self, situation: ControlSnapshot, time: float) -> NDArray[np.float64] | None:
-        """Return what the drone will obey at `time` [s], as far as is known."""
-        planned = self._track.command(time) if situation.flying else None
-        return situation.command if planned is None else planned
+    def _command_at(self, time: float, snapshot: ControlSnapshot) -> NDArray[np.float64] | None:
+        """Return the command that the drone is expected to obey at `time` [s]."""
+        planned = self._schedule.command(time) if snapshot.follows_plan else None
+        return snapshot.command if planned is None else planned

@@ -1,6 +1,6 @@
-"""ROS 2 messages of flight logs, the drone's and the desk's: topics, CDR bytes and definitions, without ROS.
+"""Encoding of the ROS 2 messages in flight logs, of the drone and of the workbench: topics, CDR bytes, definitions.
 
-Only what logs hold. Types are ROS 2's own, so that every tool reads them, save two that are defined here.
+Needs no ROS. The types are ROS 2's own, so that other tools can read them, except for two that are defined here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.safety_machine import Change
+from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 
@@ -22,7 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 WORLD, BODY = "world", "body"
-"""Names of the frames: the fixed one, and the drone's, in which points are logged."""
+"""Names of the coordinate frames: the fixed frame, and the body frame, in which points are logged."""
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -38,9 +38,9 @@ _ADD, _LINE_STRIP = 0, 4
 _GUIDE_COLOR = (0.95, 0.75, 0.2, 0.8)
 _ROLLOUT_COLOR = (0.3, 0.6, 1.0, 0.8)
 _BEST_COLOR = (0.2, 0.9, 0.4, 1.0)
-"""Red, green, blue, opacity."""
+"""Colours as red, green, blue, opacity."""
 _WIDTH, _BEST_WIDTH = 0.02, 0.05
-"""Of lines [m]."""
+"""Widths of lines [m]."""
 
 PLAN_DEFINITION = """\
 # What one tick of the planner decided. Arrays have one entry per instance of the ensemble, M in all.
@@ -108,7 +108,7 @@ _MESSAGES = {
 
 
 def _definition(text: str) -> str:
-    """Return `text` followed by the definitions of its parts, as MCAP's "ros2msg" schemas have it."""
+    """Return `text` followed by the definitions of the types it uses, as MCAP's "ros2msg" schemas require."""
     found: list[str] = []
     waiting = [text]
     while waiting:
@@ -121,11 +121,11 @@ def _definition(text: str) -> str:
 
 
 DEFINITIONS: dict[str, str] = {kind: _definition(text) for kind, text in _MESSAGES.items()}
-"""Definition of each message with those of its parts."""
+"""Definition of each message type, with those of the types it uses."""
 
 
 class _Writer:
-    """Little-endian CDR: every number aligned to its own size, counted from behind the four bytes at the start."""
+    """Writes little-endian CDR: each number is aligned to its size, counted from the end of the 4-byte header."""
 
     def __init__(self) -> None:
         self._data = bytearray(b"\x00\x01\x00\x00")
@@ -142,7 +142,7 @@ class _Writer:
         self._data += data
 
     def array(self, values: ArrayLike, kind: str, *, counted: bool) -> None:
-        """Append numbers of a NumPy type, their number first when `counted`."""
+        """Append numbers of a NumPy type, preceded by their count if `counted`."""
         content = np.ascontiguousarray(values, dtype=kind)
         if counted:
             self.pack("I", content.size)
@@ -150,14 +150,14 @@ class _Writer:
             self._align(content.itemsize)
             self._data += content.tobytes()
 
-    def header(self, stamp: int, frame: str) -> None:
-        """Append a std_msgs/Header, stamp in [ns]."""
+    def header(self, stamp: int, frame_id: str) -> None:
+        """Append a std_msgs/Header with the stamp [ns]."""
         self.pack("i", stamp // 10**9)
         self.pack("I", stamp % 10**9)
-        self.text(frame)
+        self.text(frame_id)
 
     def pose(self, position: ArrayLike, quaternion: ArrayLike) -> None:
-        """Append position and orientation; the quaternion is given as w x y z and kept as x y z w."""
+        """Append position and orientation. The quaternion is passed as w x y z and written as x y z w."""
         w, x, y, z = np.asarray(quaternion, dtype=np.float64)
         self.pack("d", *np.asarray(position, dtype=np.float64), x, y, z, w)
 
@@ -170,7 +170,7 @@ class _Writer:
 
 
 class Encoded(NamedTuple):
-    """One message, ready to be written."""
+    """An encoded message."""
 
     topic: str
     kind: str
@@ -178,12 +178,12 @@ class Encoded(NamedTuple):
 
 
 def pose_messages(state: VehicleState, stamp: int, *, rates: ArrayLike = (0.0, 0.0, 0.0)) -> Iterator[Encoded]:
-    """Yield /odometry and /tf: where the drone is. The twist is in the body frame, as ROS has it.
+    """Yield /odometry and /tf, the state of the drone. As usual in ROS, the twist is in the body frame.
 
     Args:
-        state: of the drone.
+        state: State of the drone.
         stamp: [ns].
-        rates: body rates [rad/s], shape [3].
+        rates: Body rates [rad/s], shape [3].
     """
     writer = _Writer()
     writer.header(stamp, WORLD)
@@ -202,12 +202,12 @@ def pose_messages(state: VehicleState, stamp: int, *, rates: ArrayLike = (0.0, 0
 
 
 def sweep(points: NDArray[np.float32], stamp: int, *, times: NDArray[np.uint32] | None = None) -> Encoded:
-    """Return /sweep.
+    """Return /sweep, the points of one sweep.
 
     Args:
-        points: [m], shape [n, 3], body frame.
+        points: Body frame [m], shape [n, 3].
         stamp: [ns].
-        times: after the stamp [ns], shape [n]; None for points that are where they were seen from at the stamp.
+        times: Time of each point after the stamp [ns], shape [n]; None for deskewed points.
     """
     fields: list[tuple[str, Any]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     rows = np.empty(len(points), dtype=fields if times is None else [*fields, ("t", "<u4")])
@@ -232,7 +232,7 @@ def sweep(points: NDArray[np.float32], stamp: int, *, times: NDArray[np.uint32] 
 
 
 def goal_message(goal: Goal, stamp: int) -> Encoded:
-    """Return /goal: where to fly, at `stamp` [ns]; without an attitude where that is left to the planner."""
+    """Return /goal at `stamp` [ns]. Without an attitude, the orientation is the identity."""
     writer = _Writer()
     writer.header(stamp, WORLD)
     writer.pose(goal.position, (1.0, 0.0, 0.0, 0.0) if goal.quaternion is None else goal.quaternion)
@@ -242,14 +242,14 @@ def goal_message(goal: Goal, stamp: int) -> Encoded:
 def plan_messages(
     plan: Plan, stamp: int, *, plan_ms: float, config_version: int = 0, lines: bool = True
 ) -> Iterator[Encoded]:
-    """Yield what was planned: /plan (costs), /plan/best (the path flown), /plan/guides and /plan/rollouts.
+    """Yield a plan: /plan (costs), /plan/best (the path flown), /plan/guides and /plan/rollouts.
 
     Args:
-        plan: of one drone.
+        plan: Plan of one drone.
         stamp: [ns].
-        plan_ms: time that planning took [ms].
-        config_version: attachment config_<version>.yaml.
-        lines: whether to yield guides and rollouts, ten times the size of the rest.
+        plan_ms: Duration of planning [ms].
+        config_version: Version in the name of the attachment config_<version>.yaml.
+        lines: Also yield guides and rollouts, which are ten times the size of the rest.
     """
     yield Encoded("/plan", PLAN, _summary(plan, stamp, plan_ms, config_version))
     best = int(plan.best)
@@ -260,8 +260,8 @@ def plan_messages(
         yield Encoded("/plan/rollouts", MARKERS, rollouts)
 
 
-def safety_change(change: Change, stamp: int) -> Encoded:
-    """Return /safety: a transition, at `stamp` [ns]."""
+def safety_change(change: StateChange, stamp: int) -> Encoded:
+    """Return /safety, a transition of the safety state, at `stamp` [ns]."""
     writer = _Writer()
     writer.header(stamp, WORLD)
     for text in (change.source.name, change.target.name, change.cause.value):
@@ -285,7 +285,7 @@ def _summary(plan: Plan, stamp: int, plan_ms: float, config_version: int) -> byt
 
 
 def _path(positions: NDArray[Any], quaternions: NDArray[Any], stamp: int) -> bytes:
-    """Return n poses: [m], shape [n, 3]; w x y z, shape [n, 4]; world frame."""
+    """Return a path of n poses in the world frame, from positions [m], shape [n, 3], and quaternions, shape [n, 4]."""
     writer = _Writer()
     writer.header(stamp, WORLD)
     writer.pack("I", len(positions))
@@ -296,7 +296,10 @@ def _path(positions: NDArray[Any], quaternions: NDArray[Any], stamp: int) -> byt
 
 
 def _lines(name: str, lines: NDArray[Any], stamp: int, *, color: tuple[float, ...], best: int | None = None) -> bytes:
-    """Return one line strip per instance, [m], shape [M, n, 3], world frame; a line keeps its id from plan to plan."""
+    """Return one line strip per instance from points in the world frame [m], shape [M, n, 3].
+
+    A line keeps its id from plan to plan.
+    """
     writer = _Writer()
     writer.pack("I", len(lines))
     for index, line in enumerate(lines):
@@ -306,7 +309,7 @@ def _lines(name: str, lines: NDArray[Any], stamp: int, *, color: tuple[float, ..
         writer.pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
         writer.pack("d", _BEST_WIDTH if index == best else _WIDTH, 0.0, 0.0)
         writer.pack("f", *(_BEST_COLOR if index == best else color))
-        writer.pack("I", 0, 0)  # lifetime: until the next
+        writer.pack("I", 0, 0)  # lifetime: until replaced
         writer.pack("B", 0)  # frame_locked
         writer.pack("I", len(line))
         writer.array(line, "<f8", counted=False)
@@ -314,7 +317,7 @@ def _lines(name: str, lines: NDArray[Any], stamp: int, *, color: tuple[float, ..
         writer.text("")  # texture_resource
         writer.header(0, "")  # texture
         writer.text("")
-        writer.pack("I", 0, 0)  # its data, uv_coordinates
+        writer.pack("I", 0, 0)  # data of texture, uv_coordinates
         for _ in range(3):  # text, mesh_resource, name of mesh_file
             writer.text("")
         writer.pack("I", 0)  # data of mesh_file

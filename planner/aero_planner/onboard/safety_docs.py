@@ -1,13 +1,13 @@
-"""Diagram and tables of the documentation, from the safety machine's own table.
+"""Diagram and tables of docs/onboard.md, generated from the failsafe table that is flown.
 
     python -m aero_planner.onboard.safety_docs
 
-prints what docs/onboard.md holds.
+prints them.
 """
 
 from __future__ import annotations
 
-from aero_planner.onboard.safety_machine import (
+from aero_planner.onboard.failsafe_table import (
     COMMANDING,
     DETECTION,
     FAULTS,
@@ -25,7 +25,7 @@ __all__ = ["format_diagram", "format_failsafes", "format_states"]
 
 
 def format_diagram() -> str:
-    """Return the machine as a Mermaid state diagram; "any fault" stands for all of `FAULTS`."""
+    """Return the machine as a Mermaid state diagram, in which "any fault" stands for all of `FAULTS`."""
     edges: dict[tuple[State, State], list[Cause]] = {}
     for row in TRANSITIONS:
         for source in row.sources:
@@ -49,7 +49,7 @@ def format_states() -> str:
 
 
 def format_failsafes(config: OnboardConfig | None = None) -> str:
-    """Return a Markdown table: for each thing that ends or disturbs a flight, what follows and within which time."""
+    """Return a Markdown table with the reaction to each event that ends or disturbs a flight, and its time limit."""
     config = config or OnboardConfig()
     lines = ["| event | in | then | reaction | within | setting |", "| --- | --- | --- | --- | --- | --- |"]
     for cause, paths in DETECTION.items():
@@ -65,18 +65,13 @@ def format_failsafes(config: OnboardConfig | None = None) -> str:
 
 
 def _reactions(state: State) -> str:
-    others = [
-        f"{reaction.name} where nothing is wrong but: {' or '.join(names)}"
-        for reaction in Reaction
-        if (
-            names := [
-                " and ".join(_words(cause) for cause in causes)
-                for (where, causes), other in REACTIONS_TO.items()
-                if where is state and other is reaction
-            ]
-        )
-    ]
-    return "; ".join((REACTIONS[state].name, *others))
+    """Return the names of the reactions in `state`, with the faults that select each exception."""
+    exceptions: dict[Reaction, list[str]] = {}
+    for (exception_state, causes), reaction in REACTIONS_TO.items():
+        if exception_state is state:
+            exceptions.setdefault(reaction, []).append(" and ".join(_words(cause) for cause in causes))
+    texts = [f"{reaction.name} if the only fault is: {' or '.join(names)}" for reaction, names in exceptions.items()]
+    return "; ".join((REACTIONS[state].name, *texts))
 
 
 def _words(cause: Cause) -> str:

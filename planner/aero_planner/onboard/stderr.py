@@ -1,4 +1,4 @@
-"""The log on the standard error, which stops nobody who logs."""
+"""Logging to standard error that never blocks the thread that logs."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from aero_planner.mailbox import Mailbox
 __all__ = ["StderrHandler", "log_to_stderr"]
 
 _CAPACITY = 1000
-"""Lines that may wait; the oldest go."""
+"""Largest number of lines that wait; the oldest are dropped."""
 
-_LAST_WORDS = 1.0
-"""For what waits when the process ends [s]."""
+_FINAL_TIMEOUT = 1.0
+"""Time for writing the remaining lines when the process ends [s]."""
 
 
 class StderrHandler(logging.Handler):
-    """Writes lines from a thread of its own: a stopped terminal, or a pipe that nobody reads, costs lines, not time."""
+    """Writes lines on its own thread, so that a stopped terminal or a full pipe costs lines instead of time."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._lines = Mailbox(_write, capacity=_CAPACITY, name="aero-planner-stderr")
+        self._lines = Mailbox(_write, capacity=_CAPACITY, name="aero-planner-stderr", low_priority=True)
 
     def emit(self, record: logging.LogRecord) -> None:
         self._lines.put(self.format(record).encode() + b"\n")
 
     def close(self) -> None:
-        self._lines.close(_LAST_WORDS)
+        self._lines.finish(_FINAL_TIMEOUT)
         super().close()
 
 
 def log_to_stderr() -> None:
-    """Let this process log to the standard error."""
-    form = "%(asctime)s %(levelname)-7s %(message)s"
-    logging.basicConfig(level=logging.INFO, format=form, handlers=[StderrHandler()])
+    """Send this process's log to standard error."""
+    line_format = "%(asctime)s %(levelname)-7s %(message)s"
+    logging.basicConfig(level=logging.INFO, format=line_format, handlers=[StderrHandler()])
 
 
 def _write(line: bytes) -> None:
-    # Not through sys.stderr, whose lock a write that blocks would keep from everyone else, at exit too.
+    # Not through sys.stderr: a blocked write would hold its lock, and block every other writer, also at exit.
     with contextlib.suppress(OSError):
         while line:
             line = line[os.write(2, line) :]

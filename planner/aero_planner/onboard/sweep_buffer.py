@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.pose_track import PoseTrack
-from aero_planner.quaternions import rotation_matrix
+from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
 
-__all__ = ["SweepBuffer"]
+__all__ = ["SweepBuffer", "make_sweep_buffer"]
 
 
 _POSES = 512
@@ -172,3 +173,16 @@ class SweepBuffer:
         # The newest chunk always stays: it is never larger than the capacity.
         while self._count > self._capacity or self._chunks[0].newest_time < self._newest - self._window:
             self._count -= len(self._chunks.popleft().points)
+
+
+def make_sweep_buffer(config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> SweepBuffer:
+    """Return an empty sweep buffer for the LiDAR as it is mounted; `clock` is the host time [s]."""
+    lidar = config.lidar
+    return SweepBuffer(
+        lidar.sweeps,
+        lidar.sweep_period,
+        lidar.points_max,
+        mount_position=(lidar.mount_x, lidar.mount_y, lidar.mount_z),
+        mount_quaternion=quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw),
+        clock=clock,
+    )

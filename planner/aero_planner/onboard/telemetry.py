@@ -1,7 +1,7 @@
-"""The node's plans for viewers on the desk, over TCP. Read-only: what viewers send is thrown away.
+"""Telemetry server: sends the node's plans over TCP to viewers, whose own messages are discarded.
 
-A thread of its own encodes and sends. It takes the newest plan only, at most `telemetry.rate` times per second and only
-while somebody looks; a viewer that is still busy with the message before skips one. The node hands over a reference and
+A thread encodes and sends. It sends only the newest plan, at most `telemetry.rate` times per second, and only while
+there is a viewer. A viewer that is still receiving the previous message skips one. The node hands over a reference and
 never waits.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 from aero_planner.config import PlannerConfig
 from aero_planner.mailbox import lower_thread_priority
 from aero_planner.onboard.observer import Observer, PlanRecord
-from aero_planner.onboard.safety_machine import Change
+from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
 from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_planner.plan import VehicleState
@@ -32,48 +32,49 @@ __all__ = ["POINT_STEP", "Telemetry", "encode_change", "encode_hello", "encode_p
 _log = logging.getLogger(__name__)
 
 POINT_STEP = 0.01
-"""Points are sent as whole multiples of this [m], from the drone's position on, in 16 bits."""
+"""Points are sent as 16-bit multiples of this step [m], relative to the drone's position."""
 
 PLAN_ARRAYS = (
     "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
     "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
     "goal_cost", "collision_cost", "clearance",
 )  # fmt: skip
-"""Fields of `Plan` that are sent as they are."""
+"""Fields of `Plan` that are sent unchanged."""
 
 _CHANGES = 100
-"""Transitions that may wait."""
+"""Largest number of transitions that wait."""
 _BACKLOG = 1 << 16
-"""Bytes that a viewer may be behind and still be told of a transition."""
-_PATIENCE = 10.0
-"""Time without progress after which a viewer is given up [s]."""
+"""Largest number of unsent bytes with which a viewer is still sent a transition."""
+_STALL_TIMEOUT = 10.0
+"""Time without progress after which a viewer is disconnected [s]."""
 _LARGEST_COORDINATE = 32767
 
 
 class _Viewer:
-    """A connection."""
+    """A connection to a viewer."""
 
     def __init__(self, connection: socket.socket, name: str, now: float) -> None:
         self.connection = connection
         self.name = name
-        self.waiting = bytearray()
-        self.progress = now
+        self.unsent = bytearray()
+        self.last_progress = now
 
 
 class Telemetry(Observer):
     """Serves viewers.
 
     Args:
-        planner, onboard: configurations that the node flies with; `onboard.telemetry` says where to listen.
-        clock: host time [s].
+        planner: Configuration of the planner, which viewers receive first.
+        onboard: Configuration of the node; `onboard.telemetry` says where to listen.
+        clock: Host time [s].
 
     Raises:
-        OSError: the address or port can't be listened on.
+        OSError: The address or port can't be listened on.
 
     Attributes:
-        port: TCP port that is listened on.
-        sent: plans that were sent, counted once per viewer.
-        skipped: plans that a viewer was too slow for.
+        port: TCP port that the server listens on.
+        sent: Number of plans sent, counted once per viewer.
+        skipped: Number of plans for which a viewer was too slow.
     """
 
     def __init__(
@@ -84,34 +85,26 @@ class Telemetry(Observer):
         self._settings: TelemetrySettings = onboard.telemetry
         self._hello = encode_hello(planner, onboard)
         self._clock = clock
-        self._next = -np.inf
+        self._next_plan = -np.inf
         self._viewers: dict[socket.socket, _Viewer] = {}
         self._record: PlanRecord | None = None
-        self._changes: deque[Change] = deque(maxlen=_CHANGES)
+        self._changes: deque[StateChange] = deque(maxlen=_CHANGES)
         self._closed = False
-        family = socket.AF_INET6 if ":" in self._settings.host else socket.AF_INET
-        self._server = socket.socket(family, socket.SOCK_STREAM)
-        try:
-            self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._server.bind((self._settings.host, self._settings.port))
-            self._server.listen(self._settings.clients_max)
-            self._server.setblocking(False)
-        except BaseException:
-            self._server.close()
-            raise
+        self._server = _listen(self._settings)
         self.port: int = self._server.getsockname()[1]
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._server, selectors.EVENT_READ)
-        self._bell, self._ear = socket.socketpair()
-        for end in (self._bell, self._ear):
+        # A byte into one end wakes up the thread, which waits at the other end.
+        self._wake_up, self._wake_up_end = socket.socketpair()
+        for end in (self._wake_up, self._wake_up_end):
             end.setblocking(False)
-        self._selector.register(self._ear, selectors.EVENT_READ)
+        self._selector.register(self._wake_up_end, selectors.EVENT_READ)
         self._thread = threading.Thread(target=self._run, name="aero-planner-telemetry", daemon=True)
         self._thread.start()
 
     @property
     def viewers(self) -> int:
-        """Number of viewers now."""
+        """Number of connected viewers."""
         return len(self._viewers)
 
     # --- called by the node -----------------------------------------------------------------------------------------
@@ -119,28 +112,28 @@ class Telemetry(Observer):
     def plan(self, record: PlanRecord) -> None:
         """Offer a plan."""
         now = self._clock()
-        if self._viewers and now >= self._next:
-            # A steady rate: the next one is due a period after this one was, if that is not long ago.
+        if self._viewers and now >= self._next_plan:
+            # At a steady rate: the next plan is due one period after this one was due, unless that was long ago.
             period = 1.0 / self._settings.rate
-            self._next = max(self._next + period, now + 0.5 * period)
+            self._next_plan = max(self._next_plan + period, now + 0.5 * period)
             self._record = record
-            self._ring()
+            self._notify_thread()
 
-    def change(self, change: Change) -> None:
+    def change(self, change: StateChange) -> None:
         """Offer a transition."""
         if self._viewers:
             self._changes.append(change)
-            self._ring()
+            self._notify_thread()
 
     def close(self) -> None:
-        """End all connections."""
+        """Close all connections."""
         self._closed = True
-        self._ring()
+        self._notify_thread()
         self._thread.join(timeout=5.0)
 
-    def _ring(self) -> None:
-        with contextlib.suppress(OSError):  # full: it rings already; closed: nobody listens any more
-            self._bell.send(b"\0")
+    def _notify_thread(self) -> None:
+        with contextlib.suppress(OSError):  # the buffer is full, so the thread will wake up; or the socket is closed
+            self._wake_up.send(b"\0")
 
     # --- the thread -------------------------------------------------------------------------------------------------
 
@@ -151,17 +144,17 @@ class Telemetry(Observer):
                 for key, events in self._selector.select(timeout=1.0):
                     if key.fileobj is self._server:
                         self._accept()
-                    elif key.fileobj is self._ear:
-                        self._listen()
+                    elif key.fileobj is self._wake_up_end:
+                        self._send_new()
                     else:
                         self._serve(self._viewers.get(key.fileobj), events)  # type: ignore[arg-type]
-                self._give_up_on_the_stuck()
+                self._drop_stalled()
         except Exception:
-            _log.exception("telemetry ends here")
+            _log.exception("the telemetry server has failed and ends")
         finally:
             for viewer in list(self._viewers.values()):
                 self._drop(viewer)
-            for end in (self._server, self._bell, self._ear):
+            for end in (self._server, self._wake_up, self._wake_up_end):
                 end.close()
             self._selector.close()
 
@@ -180,23 +173,24 @@ class Telemetry(Observer):
         _log.info("viewer %s connected", viewer.name)
         self._push(viewer, self._hello)
 
-    def _listen(self) -> None:
+    def _send_new(self) -> None:
+        """Send the transitions and the newest plan that the node has offered."""
         with contextlib.suppress(OSError):
-            self._ear.recv(4096)
+            self._wake_up_end.recv(4096)
         while self._changes:
             data = encode_change(self._changes.popleft())
             for viewer in list(self._viewers.values()):
-                if len(viewer.waiting) < _BACKLOG:
+                if len(viewer.unsent) < _BACKLOG:
                     self._push(viewer, data)
         record, self._record = self._record, None
         if record is None:
             return
-        free = [viewer for viewer in self._viewers.values() if not viewer.waiting]
-        self.skipped += len(self._viewers) - len(free)
-        if free:
+        idle = [viewer for viewer in self._viewers.values() if not viewer.unsent]
+        self.skipped += len(self._viewers) - len(idle)
+        if idle:
             data = encode_plan(record, points_max=self._settings.points_max)
-            self.sent += len(free)
-            for viewer in free:
+            self.sent += len(idle)
+            for viewer in idle:
                 self._push(viewer, data)
 
     def _serve(self, viewer: _Viewer | None, events: int) -> None:
@@ -214,46 +208,61 @@ class Telemetry(Observer):
             self._push(viewer, b"")
 
     def _push(self, viewer: _Viewer, data: bytes) -> None:
-        viewer.waiting += data
+        viewer.unsent += data
         try:
-            count = viewer.connection.send(viewer.waiting)
+            count = viewer.connection.send(viewer.unsent)
         except BlockingIOError:
             count = 0
         except OSError:
             return self._drop(viewer)
         if count:
-            viewer.progress = self._clock()
-            del viewer.waiting[:count]
-        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if viewer.waiting else 0)
-        if self._selector.get_key(viewer.connection).events != wanted:
-            self._selector.modify(viewer.connection, wanted)
+            viewer.last_progress = self._clock()
+            del viewer.unsent[:count]
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if viewer.unsent else 0)
+        if self._selector.get_key(viewer.connection).events != events:
+            self._selector.modify(viewer.connection, events)
 
-    def _give_up_on_the_stuck(self) -> None:
+    def _drop_stalled(self) -> None:
         now = self._clock()
         for viewer in list(self._viewers.values()):
-            if viewer.waiting and now - viewer.progress > _PATIENCE:
+            if viewer.unsent and now - viewer.last_progress > _STALL_TIMEOUT:
                 self._drop(viewer)
 
     def _drop(self, viewer: _Viewer) -> None:
         if self._viewers.pop(viewer.connection, None) is not None:
             self._selector.unregister(viewer.connection)
             viewer.connection.close()
-            _log.info("viewer %s is gone", viewer.name)
+            _log.info("viewer %s disconnected", viewer.name)
+
+
+def _listen(settings: TelemetrySettings) -> socket.socket:
+    """Return a non-blocking socket that listens; OSError if the address or port can't be used."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    server = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        server.bind((settings.host, settings.port))
+        server.listen(settings.clients_max)
+        server.setblocking(False)
+    except BaseException:
+        server.close()
+        raise
+    return server
 
 
 def encode_hello(planner: PlannerConfig, onboard: OnboardConfig) -> bytes:
-    """Return the message that a viewer gets first."""
+    """Return the first message to a viewer."""
     return encode(Kind.HELLO, {"planner": planner.to_dict(), "onboard": onboard.to_dict()})
 
 
-def encode_change(change: Change) -> bytes:
-    """Return a transition as a message."""
+def encode_change(change: StateChange) -> bytes:
+    """Return the message of a transition."""
     values = {"time": change.time, "source": change.source.name, "target": change.target.name}
     return encode(Kind.CHANGE, {**values, "cause": change.cause.value})
 
 
 def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
-    """Return a plan and what it was made from as a message, with `points_max` points at most."""
+    """Return the message of a plan and its inputs, with at most `points_max` points."""
     plan, state = record.plan, record.measured
     position = np.asarray(state.position, dtype=np.float64)
     stride = -(-len(record.points) // points_max) if points_max else 0
@@ -275,14 +284,14 @@ def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
         "cloud_age": record.cloud_age,
         "sweeps": record.sweeps,
         "safety": record.safety.name,
-        "missing": [cause.value for cause in record.missing],
+        "missing": [fault.value for fault in record.faults],
         "late_ticks": record.late_ticks,
     }
     return encode(Kind.PLAN, values, arrays)
 
 
-def _state_arrays(name: str, state: VehicleState) -> dict[str, Any]:
+def _state_arrays(prefix: str, state: VehicleState) -> dict[str, Any]:
     return {
-        f"{name}.{part}": np.asarray(getattr(state, part), dtype=np.float64)
-        for part in ("position", "velocity", "quaternion", "time")
+        f"{prefix}.{name}": np.asarray(getattr(state, name), dtype=np.float64)
+        for name in ("position", "velocity", "quaternion", "time")
     }

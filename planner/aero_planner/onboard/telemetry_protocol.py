@@ -1,8 +1,9 @@
-"""Messages between the node and its viewers: a header, and zlib over a JSON description and arrays.
+"""Framing of the messages between the node and its viewers.
 
 Little-endian. Header: magic "AERO", version (2 bytes), kind (2), length of the compressed content (4), length of the
-content (4), CRC-32 of the compressed content (4). Content: length of the JSON text (4), the text, then the bytes of the
-arrays in the order in which the text lists them. Every length is bounded, so that garbage costs no memory.
+content (4), CRC-32 of the compressed content (4). The content is compressed with zlib: length of a JSON text (4), the
+text, then the bytes of the arrays in the order in which the text lists them. Every length is bounded, so that damaged
+input cannot exhaust memory.
 """
 
 from __future__ import annotations
@@ -22,32 +23,32 @@ from numpy.typing import NDArray
 __all__ = ["VERSION", "Kind", "Message", "MessageReader", "encode"]
 
 VERSION = 1
-"""Raised whenever a reader of the version before would go wrong."""
+"""Increased whenever a reader of the previous version would misread a message."""
 
 _MAGIC = b"AERO"
 _HEADER = struct.Struct("<4sHHIII")
 _LENGTH = struct.Struct("<I")
-_LARGEST = 32 << 20
-"""Of the content [bytes]."""
+_MAX_LENGTH = 32 << 20
+"""Largest length of the content [bytes]."""
 _TYPES = {"<f2", "<f4", "<f8", "<i2", "<i4", "|u1"}
 _LEVEL = 1
-"""Of zlib: the link is faster than a better compression."""
+"""Compression level of zlib: a better compression would take longer than sending the difference."""
 
 
 class Kind(enum.IntEnum):
-    """What a message is."""
+    """Kind of a message."""
 
     HELLO = 1
-    """The first: versions and configuration."""
+    """The first message: configurations of planner and node."""
     PLAN = 2
-    """A plan and what it was made from."""
+    """A plan and its inputs."""
     CHANGE = 3
     """A transition of the safety state."""
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """A message taken apart."""
+    """A decoded message."""
 
     kind: int
     values: dict[str, Any]
@@ -55,56 +56,56 @@ class Message:
 
 
 def encode(kind: Kind, values: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None) -> bytes:
-    """Return a message.
+    """Return the bytes of a message.
 
     Args:
-        kind: of the message.
-        values: what JSON can hold.
-        arrays: float16, 32 or 64, int16 or 32, or uint8.
+        kind: Kind of the message.
+        values: Values that JSON can represent.
+        arrays: Arrays of type float16, float32, float64, int16, int32 or uint8.
 
     Raises:
-        ValueError: an array has another type, or all is larger than a reader takes.
+        ValueError: An array has another type, or the message is larger than a reader accepts.
     """
-    described, parts = [], []
+    descriptions, parts = [], []
     for name, array in (arrays or {}).items():
         content: Any = np.asarray(array)
         content = content.astype(content.dtype.newbyteorder("<"), copy=False)
         if content.dtype.str not in _TYPES:
-            raise ValueError(f"{name} has type {content.dtype}; a message can't hold it.")
-        described.append([name, content.dtype.str, list(content.shape)])
+            raise ValueError(f"{name} has type {content.dtype}, which a message can't hold.")
+        descriptions.append([name, content.dtype.str, list(content.shape)])
         parts.append(content.tobytes())
-    text = json.dumps({"values": dict(values), "arrays": described}).encode()
+    text = json.dumps({"values": dict(values), "arrays": descriptions}).encode()
     content = b"".join((_LENGTH.pack(len(text)), text, *parts))
-    if len(content) > _LARGEST:
-        raise ValueError(f"a message of {len(content)} bytes is larger than {_LARGEST}; send fewer points.")
+    if len(content) > _MAX_LENGTH:
+        raise ValueError(f"a message of {len(content)} bytes is larger than {_MAX_LENGTH}; send fewer points.")
     packed = zlib.compress(content, _LEVEL)
     return _HEADER.pack(_MAGIC, VERSION, kind, len(packed), len(content), zlib.crc32(packed)) + packed
 
 
 class MessageReader:
-    """Finds messages in a stream of bytes."""
+    """Decodes messages from a stream of bytes."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Message]:
-        """Take in bytes and return the messages that are complete.
+        """Add bytes and return the messages that they complete.
 
         Raises:
-            ValueError: the bytes are no messages of this version; the stream can't be used any further.
+            ValueError: The bytes are not messages of this version; the rest of the stream is unusable.
         """
         self._buffer += data
         messages = []
         while len(self._buffer) >= _HEADER.size:
             magic, version, kind, length, size, checksum = _HEADER.unpack_from(self._buffer)
             if magic != _MAGIC:
-                raise ValueError("what answers there is no aero-planner node.")
+                raise ValueError("there is no aero-planner node at this address.")
             if version != VERSION:
                 raise ValueError(
-                    f"the node speaks version {version} of the telemetry protocol and this program version {VERSION}; "
+                    f"the node uses version {version} of the telemetry protocol and this program version {VERSION}; "
                     "install the same release on both."
                 )
-            if not 0 < length <= _LARGEST or not _LENGTH.size <= size <= _LARGEST:
+            if not 0 < length <= _MAX_LENGTH or not _LENGTH.size <= size <= _MAX_LENGTH:
                 raise ValueError("a telemetry message has an impossible length.")
             end = _HEADER.size + length
             if len(self._buffer) < end:
@@ -119,19 +120,19 @@ class MessageReader:
 
 def _unpack(kind: int, packed: bytes, size: int) -> Message:
     try:
-        # Never more than was announced, whatever the stream would grow to.
+        # Bounded by the announced length, however much the stream would expand to.
         content = zlib.decompressobj().decompress(packed, size)
         if len(content) != size:
-            raise ValueError("its content ends early")
+            raise ValueError("its content is too short")
         (length,) = _LENGTH.unpack_from(content)
-        described = json.loads(content[_LENGTH.size : _LENGTH.size + length])
-        values, arrays, start = dict(described["values"]), {}, _LENGTH.size + length
-        for name, kind_of, shape in described["arrays"]:
-            if kind_of not in _TYPES or not all(isinstance(n, int) and n >= 0 for n in shape):
-                raise ValueError(f"array {name!r} is of no known type")
+        description = json.loads(content[_LENGTH.size : _LENGTH.size + length])
+        values, arrays, start = dict(description["values"]), {}, _LENGTH.size + length
+        for name, dtype, shape in description["arrays"]:
+            if dtype not in _TYPES or not all(isinstance(n, int) and n >= 0 for n in shape):
+                raise ValueError(f"array {name!r} has an unknown type or shape")
             count = math.prod(shape)
-            arrays[str(name)] = np.frombuffer(content, kind_of, count, start).reshape(shape)
-            start += count * np.dtype(kind_of).itemsize
+            arrays[str(name)] = np.frombuffer(content, dtype, count, start).reshape(shape)
+            start += count * np.dtype(dtype).itemsize
     except (zlib.error, struct.error, KeyError, TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"a telemetry message is damaged: {error}.") from error
     return Message(kind, values, arrays)

@@ -1,9 +1,9 @@
-"""Newtons to the autopilot's normalised thrust and back, from one number that every pilot knows: the hover thrust.
+"""Conversion between thrust in newtons and the autopilot's normalised thrust, based on the hover thrust.
 
-The total thrust at the normalised thrust s in [0, 1] is F(s) = F_1 ((1 - c) s + c s^2), PX4's model of a motor: c = 0
-where the autopilot makes thrust linear itself (THR_MDL_FAC set to fit the motors), and only where it does not
-(THR_MDL_FAC = 0) the motors' own curve, up to 1 for a thrust that goes with the square of the signal. F_1, the thrust
-at full signal, need not be known: hovering gives F(h) = m g at the hover thrust h (PX4's MPC_THR_HOVER).
+The total thrust at the normalised thrust s in [0, 1] is F(s) = F_1 ((1 - c) s + c s^2), PX4's motor model. The curve c
+is 0 if the autopilot linearises the thrust itself (THR_MDL_FAC fits the motors). Only with THR_MDL_FAC = 0 is it the
+motors' own curve, up to 1 for a thrust proportional to the square of the signal. F_1, the thrust at full signal, need
+not be known: hovering gives F(h) = m g at the hover thrust h (PX4's MPC_THR_HOVER).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ def force_from_signal(
     """Return the total thrust [N] at a normalised thrust.
 
     Args:
-        signal: normalised thrust s.
+        signal: Normalised thrust s.
         mass: m [kg].
         gravity: g [m/s^2].
-        hover_thrust: h, the normalised thrust that holds the vehicle, in (0, 1].
+        hover_thrust: h, the normalised thrust at which the vehicle hovers, in (0, 1].
         curve: c in [0, 1].
     """
     return mass * gravity * _shape(signal, curve) / _shape(hover_thrust, curve)
@@ -34,9 +34,9 @@ def force_from_signal(
 def signal_from_force(
     force: float, *, mass: float, gravity: float = 9.81, hover_thrust: float, curve: float = 0.0
 ) -> float:
-    """Return the normalised thrust in [0, 1] that gives a total thrust F [N], or the nearest there is.
+    """Return the normalised thrust in [0, 1] whose total thrust is nearest to F [N].
 
-    Arguments as in `force_from_signal`.
+    For the other arguments, see `force_from_signal`.
     """
     ratio = force / (mass * gravity) * _shape(hover_thrust, curve)
     return min(1.0, _solve(ratio, curve))
@@ -48,24 +48,24 @@ def calibrate_hover_thrust(
     """Return the hover thrust h that fits a log best, by least squares in the specific force.
 
     Args:
-        signals: normalised thrusts sent, shape [n].
-        accelerations: specific force along the body's z axis at the same times, as an accelerometer measures it
+        signals: Normalised thrusts sent, shape [n].
+        accelerations: Specific force along the body's z axis at the same times, as an accelerometer measures it
             (9.81 in hover) [m/s^2], shape [n].
         gravity: g [m/s^2].
         curve: c in [0, 1].
 
     Raises:
-        ValueError: the log has other shapes, is empty, not finite, or shows no thrust.
+        ValueError: The log has other shapes, is empty, is not finite, or contains no thrust.
     """
     s, a = np.asarray(signals, dtype=np.float64), np.asarray(accelerations, dtype=np.float64)
     if s.ndim != 1 or s.shape != a.shape or len(s) == 0 or not (np.isfinite(s).all() and np.isfinite(a).all()):
         raise ValueError(
             f"the log has signals of shape {s.shape} and accelerations of shape {a.shape}; "
-            "give one finite number of each per time."
+            "give one finite number of each per sample."
         )
     shape = (1.0 - curve) * s + curve * s * s
     if not shape @ a > 0.0:
-        raise ValueError("the log shows no thrust; give a log of a hover with signals in (0, 1].")
+        raise ValueError("the log contains no thrust; give a log of hovering with signals in (0, 1].")
     gain = (shape @ a) / (shape @ shape)  # a = gain ((1 - c) s + c s^2)
     return _solve(float(gravity / gain), curve)
 
@@ -75,9 +75,9 @@ def _shape(signal: float, curve: float) -> float:
 
 
 def _solve(value: float, curve: float) -> float:
-    """Return the s >= 0 at which (1 - c) s + c s^2 = value; 0 for values below 0."""
+    """Return the s >= 0 with (1 - c) s + c s^2 = value; 0 for negative values."""
     if value <= 0.0:
         return 0.0
-    # The positive root in a form without cancellation, good for c = 0 too.
+    # The positive root in a form without cancellation, which is also valid for c = 0.
     linear = 1.0 - curve
     return 2.0 * value / (linear + math.sqrt(linear * linear + 4.0 * curve * value))

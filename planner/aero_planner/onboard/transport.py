@@ -1,4 +1,4 @@
-"""Bytes to and from an autopilot: UDP, or a serial device through the operating system's own terminal interface."""
+"""Non-blocking byte transport to an autopilot: UDP, or a serial device through the system's terminal interface."""
 
 from __future__ import annotations
 
@@ -16,23 +16,26 @@ class Transport(Protocol):
     """A connection that never blocks."""
 
     datagrams: bool
-    """True when what one `receive` returns holds whole messages; False for a stream of bytes."""
+    """True if each `receive` returns whole messages; False for a stream of bytes."""
 
     @property
-    def partner(self) -> str | None:
-        """Where `send` goes, as `open_transport` takes it, so that another process can; None while there is nobody."""
+    def peer(self) -> str | None:
+        """Where `send` goes, in the form that `open_transport` takes, so that another process can send there, too.
+
+        None while it is unknown.
+        """
         ...
 
     def receive(self) -> bytes | None:
-        """Return what has arrived, oldest first, a part at a time; None when there is nothing more."""
+        """Return the next part of what has arrived, oldest first; None if there is nothing left."""
         ...
 
-    def accept(self) -> None:
-        """Say that what came last is from the partner: from now on `send` goes there."""
+    def accept_sender(self) -> None:
+        """Make the sender of the last received data the peer, to which `send` goes from now on."""
         ...
 
     def send(self, data: bytes) -> bool:
-        """Send; return False when there is no partner yet, or no room."""
+        """Send; return False if there is no peer yet, or no room."""
         ...
 
     def close(self) -> None:
@@ -44,13 +47,13 @@ def open_transport(url: str, *, baud: int | None = 921_600) -> Transport:
     """Open "udpin:ADDRESS:PORT", "udpout:ADDRESS:PORT" or a serial device such as "/dev/ttyTHS1".
 
     Args:
-        url: what to open.
-        baud: of a serial device [bit/s]; None leaves its settings and what it holds as they are, for a device that
-            another process has open, too.
+        url: What to open.
+        baud: Baud rate of a serial device [bit/s]. None keeps the device's settings and buffers, for a device that
+            another process has already opened.
 
     Raises:
-        ValueError: the URL has another form, or the baud rate is none that the system knows.
-        OSError: the address or the device can't be used.
+        ValueError: The URL has another form, or the system does not support the baud rate.
+        OSError: The address or the device can't be used.
     """
     kind, _, rest = url.partition(":")
     if kind in ("udpin", "udpout"):
@@ -70,41 +73,38 @@ class _Udp:
     datagrams = True
 
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
-        self._partner = None if listen else (host, port)
-        self._fixed = not listen
-        self._last: tuple[str, int] | None = None
+        self._peer = None if listen else (host, port)
+        self._is_peer_fixed = not listen
+        self._last_sender: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            if listen:
-                self._socket.bind((host, port))
-            else:
-                self._socket.bind(("", 0))
+            self._socket.bind((host, port) if listen else ("", 0))
         except BaseException:
             self._socket.close()
             raise
 
     @property
-    def partner(self) -> str | None:
-        return None if self._partner is None else f"udpout:{self._partner[0]}:{self._partner[1]}"
+    def peer(self) -> str | None:
+        return None if self._peer is None else f"udpout:{self._peer[0]}:{self._peer[1]}"
 
     def receive(self) -> bytes | None:
         try:
-            data, self._last = self._socket.recvfrom(65535)
-        except OSError:  # nothing there, or an error that an earlier datagram left behind
+            data, self._last_sender = self._socket.recvfrom(65535)
+        except OSError:  # nothing has arrived, or an earlier datagram has caused an error
             return None
         return data
 
-    def accept(self) -> None:
-        if not self._fixed:
-            self._partner = self._last
+    def accept_sender(self) -> None:
+        if not self._is_peer_fixed:
+            self._peer = self._last_sender
 
     def send(self, data: bytes) -> bool:
-        if self._partner is None:
+        if self._peer is None:
             return False
         try:
-            self._socket.sendto(data, self._partner)
-        except OSError:  # no room, or nobody listens: the stream of commands ends, and the autopilot notices
+            self._socket.sendto(data, self._peer)
+        except OSError:  # no room, or no listener: the stream of commands ends, which the autopilot notices
             return False
         return True
 
@@ -116,22 +116,22 @@ class _Serial:
     datagrams = False
 
     def __init__(self, device: str, baud: int | None) -> None:
-        self.partner = device
+        self.peer = device
         self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         if baud is not None:
             try:
-                self._set_up(baud)
+                self._configure(baud)
             except BaseException:
                 os.close(self._file)
                 raise
 
-    def _set_up(self, baud: int) -> None:
-        """Make the device pass raw bytes, 8N1, no flow control, no waiting, and forget what it holds."""
+    def _configure(self, baud: int) -> None:
+        """Pass raw bytes, 8N1, without flow control or waiting, and discard the device's buffers."""
         import termios
 
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
-            raise ValueError(f"the baud rate {baud} is none that this system knows; use one such as 921600.")
+            raise ValueError(f"this system does not support the baud rate {baud}; use one such as 921600.")
         try:
             attributes = termios.tcgetattr(self._file)
             attributes[0] = attributes[1] = attributes[3] = 0
@@ -141,14 +141,14 @@ class _Serial:
             termios.tcsetattr(self._file, termios.TCSANOW, attributes)
             termios.tcflush(self._file, termios.TCIOFLUSH)
         except termios.error as error:
-            raise OSError(f"{self.partner} is no serial device: {error.args[-1]}") from error
+            raise OSError(f"{self.peer} is not a serial device: {error.args[-1]}") from error
 
     def receive(self) -> bytes | None:
         with contextlib.suppress(OSError):
             return os.read(self._file, _CHUNK) or None
         return None
 
-    def accept(self) -> None:
+    def accept_sender(self) -> None:
         pass
 
     def send(self, data: bytes) -> bool:

@@ -1,4 +1,4 @@
-"""What the node knows of the vehicle and tells it, whatever the protocol."""
+"""The interface between the node and an autopilot, independent of the protocol."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class VehicleSample:
     time: float
     """When the state was measured, host time (`time.monotonic`) [s]; never later than its arrival."""
     state: VehicleState
-    """Position, velocity and attitude, float64, finite, world frame, unit quaternion; its `time` is this `time`."""
+    """Position, velocity and attitude, float64, finite, world frame, unit quaternion. Its `time` equals `time`."""
     armed: bool
-    """As the newest heartbeat says."""
+    """True if the newest heartbeat reports that the vehicle is armed."""
     offboard: bool
-    """Whether the autopilot takes commands from this computer, as the newest heartbeat says."""
+    """True if the newest heartbeat reports that the autopilot takes commands from this computer."""
     heartbeat_time: float
     """When the newest heartbeat arrived, host time [s]; -inf before the first."""
     resets: int = 0
@@ -33,23 +33,23 @@ class VehicleSample:
 
 
 class CommandSink(Protocol):
-    """Where commands go."""
+    """Receiver of commands."""
 
     def send(self, command: ArrayLike) -> None:
-        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up; never blocks.
+        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
 
         Raises:
-            ValueError: the command has another shape or is not finite; nothing was sent.
+            ValueError: The command has another shape or is not finite; nothing was sent.
         """
         ...
 
 
 class VehicleLink(CommandSink, Protocol):
-    """A connection to an autopilot. `send` may be called from another thread than `poll`."""
+    """Connection to an autopilot. `send` and `poll` may be called from different threads."""
 
     @property
     def state(self) -> VehicleSample | None:
-        """The newest sample; None before the first. Heartbeats refresh its flags between two states."""
+        """The newest sample; None before the first. Heartbeats update its flags between two states."""
         ...
 
     @property
@@ -59,11 +59,11 @@ class VehicleLink(CommandSink, Protocol):
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """How many states and goals could not be used, by what was wrong with them."""
+        """Number of states and goals that could not be used, by reason."""
         ...
 
     def poll(self) -> None:
-        """Take in what has arrived; never blocks, never raises for what the network brought."""
+        """Read what has arrived. Never blocks; never raises for bad data."""
         ...
 
     def close(self) -> None:

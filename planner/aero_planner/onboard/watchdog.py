@@ -1,4 +1,4 @@
-"""What brakes the drone when the control loop does not."""
+"""The watchdog, which flies and brakes in place of a control loop that has stalled."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.dead_reckoning import MotionState, StopController, propagate
+from aero_planner.onboard.dead_reckoning import MotionState, propagate
+from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.vehicle_link import CommandSink
 
-__all__ = ["AHEAD", "Heartbeat", "Watchdog"]
+__all__ = ["UPCOMING_MAX", "Heartbeat", "Watchdog"]
 
 _log = logging.getLogger(__name__)
 
-AHEAD = 16
-"""Commands of the plan that a beat tells ahead, at most."""
+UPCOMING_MAX = 16
+"""Largest number of planned commands in a heartbeat."""
 
 _LATE = 1.5
 """Control periods after which a tick is late."""
@@ -27,33 +28,37 @@ _ROUNDING = 1e-6
 
 
 class Heartbeat(NamedTuple):
-    """What is known at the end of a tick of the control loop, or of one in its place."""
+    """What the control loop knows at the end of a tick, or what was done in its place."""
 
     time: float
     """When the tick began [s]."""
     motion: MotionState | None
-    """Of the drone, where known, then."""
+    """Motion of the drone at that time, if known."""
     command: NDArray[np.float64] | None
-    """What it obeys from then on, shape [4]; None where it does not obey us."""
-    ahead: NDArray[np.float64] | None = None
-    """What the plan says for the control periods to come, shape [n, 4], n <= `AHEAD`; None where none is flown."""
+    """Command that the drone obeys from then on, shape [4]; None if it does not obey the node."""
+    upcoming: NDArray[np.float64] | None = None
+    """Planned commands of the next control periods, shape [n, 4], n <= `UPCOMING_MAX`; None if no plan is flown."""
 
 
 class Watchdog:
-    """Speaks in the place of a control loop that stands still.
+    """Sends commands in place of a control loop that is late or has stalled.
 
-    The loop says at the end of each tick where the drone is, whether it obeys, and what the plan says next. `check`,
-    called by somebody else than the loop, goes on with the plan when a tick is late. `deadline` after the last tick
-    began, it brakes and levels by dead reckoning, for `blind_time`. Then it says to hover without turning and is
-    silent: the autopilot's own failsafe takes over.
+    At the end of each tick, the loop reports its heartbeat. `check` must be called from elsewhere. When a tick is late,
+    it sends the planned commands of the last heartbeat. When the loop has been silent for `deadline`, it brakes and
+    levels the drone by dead reckoning for `blind_time`. Then it commands to hover without turning and falls silent, so
+    that the autopilot's own failsafe takes over.
 
     Args:
-        link: to the autopilot.
-        stop: how to brake.
-        vehicle: the model to reckon with.
-        period: of the control loop [s].
-        deadline, blind_time: see `aero_planner.onboard.settings.LimitSettings` [s].
-        name: what the log calls it.
+        link: Connection to the autopilot.
+        stop: Controller that brakes.
+        vehicle: Vehicle model for dead reckoning.
+        period: Period of the control loop [s].
+        deadline: See `aero_planner.onboard.settings.LimitSettings` [s].
+        blind_time: See `LimitSettings` [s].
+        name: Name in the log.
+
+    Attributes:
+        interventions: Number of times that it braked in place of the loop.
     """
 
     def __init__(
@@ -67,87 +72,89 @@ class Watchdog:
         blind_time: float,
         name: str = "watchdog",
     ) -> None:
+        self.interventions = 0
         self._link = link
         self._stop = stop
         self._vehicle = vehicle
         self._period = period
-        self._patience = deadline
+        self._deadline = deadline
         self._blind_time = blind_time
         self._name = name
-        # Replaced whole by the loop and only read here.
-        self._beat = Heartbeat(math.nan, None, None)
-        # What was told the drone last in the loop's place, after which beat, and after which one to brake.
-        self._own = self._beat
+        # Written only by the loop, which replaces it whole.
+        self._heartbeat = Heartbeat(math.nan, None, None)
+        # The last action in place of the loop, and the heartbeats after which it last acted and last braked.
+        self._own = self._heartbeat
         self._acted_on: Heartbeat | None = None
         self._braked_on: Heartbeat | None = None
-        self.interventions = 0
-        """Times that the loop was replaced."""
 
-    def beat(self, beat: Heartbeat) -> None:
-        """End a tick of the control loop."""
-        self._beat = beat
+    def report(self, heartbeat: Heartbeat) -> None:
+        """Report the end of a tick of the control loop."""
+        self._heartbeat = heartbeat
 
     def silence(self, now: float) -> float:
-        """Return for how long the loop has been silent at `now` [s]; 0 before its first beat."""
-        return 0.0 if math.isnan(self._beat.time) else now - self._beat.time
+        """Return how long the loop has been silent at `now` [s]; 0 before its first heartbeat."""
+        return 0.0 if math.isnan(self._heartbeat.time) else now - self._heartbeat.time
 
-    def give_up(self, now: float) -> None:
-        """Say, at `now` [s], that the loop will not come back: `check` need not wait any longer."""
-        self._patience = min(self._patience, self.silence(now))
+    def declare_dead(self, now: float) -> None:
+        """Declare at `now` [s] that the loop will not come back, so that `check` need not wait any longer."""
+        self._deadline = min(self._deadline, self.silence(now))
 
     @property
     def braking(self) -> bool:
-        """Whether it has braked since the loop's newest beat."""
-        return self._braked_on is self._beat
+        """True if it has braked since the loop's newest heartbeat."""
+        return self._braked_on is self._heartbeat
 
     @property
     def needed(self) -> bool:
-        """Whether the drone obeys the loop and has not been braked to the end in its place."""
-        return _obeyed(self._last(self._beat))
+        """True if the drone obeys the node and has not yet been stopped and handed back."""
+        last = self._last_action(self._heartbeat)
+        return last.motion is not None and last.command is not None
 
     def check(self, now: float) -> Heartbeat | None:
-        """Speak if the loop does not; return what was said, as a beat, or None."""
-        beat = self._beat
-        last = self._last(beat)
-        silent = now - beat.time
-        if last.motion is None or last.command is None or not silent >= min(_LATE * self._period, self._patience):
+        """Send a command if the loop does not; return this action as a heartbeat, or None."""
+        heartbeat = self._heartbeat
+        last = self._last_action(heartbeat)
+        silence = now - heartbeat.time
+        if last.motion is None or last.command is None or not silence >= min(_LATE * self._period, self._deadline):
             return None
         motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle)
-        if silent >= self._patience:
-            return self._brake(beat, now, motion)
-        step = int(silent / self._period + _ROUNDING)
-        if beat.ahead is None or step > len(beat.ahead):
+        if silence >= self._deadline:
+            return self._brake(heartbeat, now, motion)
+        step = int(silence / self._period + _ROUNDING)
+        if heartbeat.upcoming is None or step > len(heartbeat.upcoming):
             return None
-        return self._say(beat, Heartbeat(now, motion, beat.ahead[step - 1], beat.ahead[step:]))
+        return self._send(heartbeat, now, motion, heartbeat.upcoming[step - 1], heartbeat.upcoming[step:])
 
-    def _brake(self, beat: Heartbeat, now: float, motion: MotionState) -> Heartbeat | None:
-        silent = now - beat.time
-        remaining = self._patience + self._blind_time - silent
-        begins = self._braked_on is not beat
-        self._braked_on = beat
+    def _brake(self, heartbeat: Heartbeat, now: float, motion: MotionState) -> Heartbeat | None:
+        silence = now - heartbeat.time
+        remaining = self._deadline + self._blind_time - silence
+        is_first = self._braked_on is not heartbeat
+        self._braked_on = heartbeat
         if remaining < 0.0:
-            self._acted_on, self._own = beat, Heartbeat(now, None, None)
-            if begins:
+            self._acted_on, self._own = heartbeat, Heartbeat(now, None, None)
+            if is_first:
                 return None
             self._link.send(self._stop.hover)
-            _log.warning("the %s has braked for as long as it may: the autopilot has the drone", self._name)
+            _log.warning("the %s has braked for as long as it may; the autopilot now has control", self._name)
             return self._own
-        said = self._say(beat, Heartbeat(now, motion, self._stop.command(motion, remaining=remaining)))
-        if begins:
+        action = self._send(heartbeat, now, motion, self._stop.command(motion, remaining=remaining))
+        if is_first:
             self.interventions += 1
-            _log.error("the control loop has stood still for %.0f ms: the %s brakes", 1e3 * silent, self._name)
-        return said
+            _log.error("the control loop has stalled for %.0f ms: the %s brakes", 1e3 * silence, self._name)
+        return action
 
-    def _say(self, beat: Heartbeat, own: Heartbeat) -> Heartbeat:
-        assert own.command is not None
-        self._link.send(own.command)
-        self._acted_on, self._own = beat, own
-        return own
+    def _send(
+        self,
+        heartbeat: Heartbeat,
+        now: float,
+        motion: MotionState,
+        command: NDArray[np.float64],
+        upcoming: NDArray[np.float64] | None = None,
+    ) -> Heartbeat:
+        self._link.send(command)
+        self._acted_on, self._own = heartbeat, Heartbeat(now, motion, command, upcoming)
+        return self._own
 
-    def _last(self, beat: Heartbeat) -> Heartbeat:
-        """Return what the drone was told last: `beat` by the loop, or something since in its place."""
-        return self._own if self._acted_on is beat else beat
-
-
-def _obeyed(beat: Heartbeat) -> bool:
-    return beat.motion is not None and beat.command is not None
+    def _last_action(self, heartbeat: Heartbeat) -> Heartbeat:
+        """Return the last command to the drone: by the loop, or in its place since then."""
+        return self._own if self._acted_on is heartbeat else heartbeat

@@ -71,7 +71,7 @@ def test_a_mailbox_keeps_the_newest_and_delays_nobody():
     for i in range(1, 100):
         box.put(i)  # returns although the callback hangs
     gate.set()
-    box.close()
+    box.finish()
     assert seen == [0, 97, 98, 99] and box.dropped == 96
 
 
@@ -85,5 +85,5 @@ def test_a_mailbox_survives_its_callback():
     box: Mailbox[int] = Mailbox(bad, capacity=10, name="test")
     for i in range(5):
         box.put(i)
-    box.close()
+    box.finish()
     assert seen == [0, 1, 2, 3, 4] and box.failures == 5

@@ -1,0 +1,324 @@
+"""The failsafes as a table: when the node may command the drone, and how it reacts to each fault.
+
+This module is pure data and functions of one tick's inputs; `safety_machine` runs it over time. The diagram and the
+failsafe table in the documentation and the tests that explore the machine are derived from `TRANSITIONS`. No state has
+a reaction that arms the vehicle or changes its mode.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aero_planner.onboard.settings import LimitSettings
+from aero_planner.plan import PlanStatus
+
+__all__ = [
+    "AS_PLANNED",
+    "BLINDING",
+    "COMMANDING",
+    "DETECTION",
+    "FAULTS",
+    "HARMLESS_AT_REST",
+    "REACTIONS",
+    "REACTIONS_TO",
+    "TRANSITIONS",
+    "Cause",
+    "Inputs",
+    "Reaction",
+    "State",
+    "Transition",
+    "blind_time_left",
+    "cause_applies",
+    "find_faults",
+    "is_inside_fence",
+    "next_state",
+    "reaction_to",
+]
+
+
+class State(enum.Enum):
+    """What the node is doing."""
+
+    WAITING = "something required for flight is missing, or the pilot flies"
+    READY = "everything is in place; the pilot may switch to OFFBOARD"
+    FLYING = "the drone follows the plan"
+    ARRIVED = "the drone has reached the goal and waits there"
+    BRAKING = "something is wrong; the drone is being stopped"
+    HOLDING = "the drone is at rest and waits until it can continue"
+    HANDED_BACK = "the autopilot has control until the vehicle is disarmed"
+
+
+class Reaction(enum.Enum):
+    """What is sent to the autopilot."""
+
+    SILENT = "nothing: the autopilot leaves OFFBOARD through its own failsafe, unless it already has"
+    STREAM_PLAN = "the planned controls"
+    BRAKE = "controls that stop and level the drone; by dead reckoning if the vehicle state is stale"
+    BRAKE_AS_PLANNED = "the planned controls, which stop the drone away from obstacles"
+    HOLD = "controls that stop the drone and hold its position"
+
+
+REACTIONS: dict[State, Reaction] = {
+    State.WAITING: Reaction.SILENT,
+    # PX4 accepts OFFBOARD only while setpoints arrive. It ignores their content until it switches, but then obeys them
+    # for up to a second before its next heartbeat reports the switch: they must be harmless.
+    State.READY: Reaction.BRAKE,
+    State.FLYING: Reaction.STREAM_PLAN,
+    State.ARRIVED: Reaction.HOLD,
+    State.BRAKING: Reaction.BRAKE,
+    State.HOLDING: Reaction.HOLD,
+    State.HANDED_BACK: Reaction.SILENT,
+}
+"""Reaction in each state."""
+
+AS_PLANNED = (Reaction.STREAM_PLAN, Reaction.BRAKE_AS_PLANNED)
+"""Reactions that send the planned controls."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What is known at one tick of the control loop. The age of something that has never arrived is infinite [s]."""
+
+    armed: bool
+    offboard: bool
+    state_age: float
+    """Age of the newest finite vehicle state."""
+    heartbeat_age: float
+    """Age of the autopilot's newest heartbeat."""
+    cloud_age: float
+    """Age of the newest point."""
+    plan_age: float
+    """Age of the vehicle state on which the newest finite plan is based."""
+    plan_status: PlanStatus
+    state_finite: bool
+    """True if the newest vehicle state holds neither NaN nor infinity."""
+    plan_finite: bool
+    """True if the newest plan holds neither NaN nor infinity."""
+    inside_fence: bool
+    loop_age: float
+    """Time since the previous tick began; 0 at the first tick."""
+    speed: float
+    """[m/s]"""
+    goal_distance: float
+    """[m]"""
+    goal_number: int = 0
+    """Number of goals received so far."""
+    stopping: bool = False
+    """True once the node has been asked to stop."""
+    seen_disarmed: bool = True
+    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next three fields."""
+    state_time: float = 0.0
+    """Time since the present state was entered [s]."""
+    fault_time: float = 0.0
+    """Time since the drone last followed a plan or waited at its goal [s]."""
+    goal_new: bool = False
+    """True if the goal differs from the one that was reached last."""
+
+
+class Cause(enum.Enum):
+    """Why a state is left."""
+
+    TAKEN_OVER = "the vehicle was disarmed or left OFFBOARD"
+    ARMED_AT_START = "the vehicle was already armed when the node started"
+    DISARMED = "the vehicle is disarmed"
+    ENGAGED = "the pilot switched to OFFBOARD"
+    LINK_LOST = "no heartbeat from the autopilot"
+    STATE_STALE = "no vehicle state from the autopilot"
+    STATE_NOT_FINITE = "the vehicle state contains NaN or infinity"
+    OUTSIDE_FENCE = "outside the geofence"
+    LOOP_STALLED = "the control loop stalled"
+    CLOUD_STALE = "no points from the LiDAR: none arrive, or nothing is in range"
+    PLAN_NOT_FINITE = "the plan contains NaN or infinity"
+    PLAN_STALE = "no plan in time: the planner is late, hangs or fails"
+    PLAN_UNSAFE = "no safe candidate, or a plan based on a stale cloud"
+    STOPPING = "the node was asked to stop"
+    STATE_TIMEOUT = "no vehicle state for too long to continue by dead reckoning"
+    LINK_TIMEOUT = "no heartbeat for too long to continue"
+    LOOP_TIMEOUT = "the control loop stalled for too long to continue"
+    BRAKE_TIMEOUT = "not at rest in time"
+    HOLD_TIMEOUT = "no safe way to continue was found in time"
+    AT_REST = "at rest"
+    GOAL_REACHED = "the goal is reached"
+    GOAL_MOVED = "the goal is elsewhere and there is no fault"
+    ALL_CLEAR = "there is no fault"
+    STANDBY = "there is no fault and the node is not in control"
+
+
+FAULTS = (
+    Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED,
+    Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
+)  # fmt: skip
+"""Causes that prevent flying a plan, the most severe first."""
+
+REACTIONS_TO: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
+    # The controls of an unsafe plan are the planner's own braking candidate, chosen with regard to obstacles.
+    (State.BRAKING, (Cause.PLAN_UNSAFE,)): Reaction.BRAKE_AS_PLANNED,
+    # The same is true of a stale cloud that the planner knows about: static obstacles are still where it saw them.
+    (State.BRAKING, (Cause.CLOUD_STALE, Cause.PLAN_UNSAFE)): Reaction.BRAKE_AS_PLANNED,
+}
+"""Reaction that replaces the one in `REACTIONS` when exactly these faults are present."""
+
+BLINDING = (Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE)
+"""Faults that leave only dead reckoning."""
+
+HARMLESS_AT_REST = (Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE)
+"""Faults that do not matter to a drone that waits at its goal."""
+
+DETECTION: dict[Cause, tuple[str, ...]] = {
+    Cause.LINK_LOST: ("limits.heartbeat_age",),
+    Cause.STATE_STALE: ("limits.state_age",),
+    Cause.STATE_NOT_FINITE: ("limits.state_age",),  # at the latest: a link that drops such states lets the state age
+    Cause.OUTSIDE_FENCE: (),
+    Cause.LOOP_STALLED: ("limits.deadline",),
+    Cause.CLOUD_STALE: ("limits.cloud_age",),
+    Cause.PLAN_NOT_FINITE: (),
+    Cause.PLAN_STALE: ("limits.plan_age",),
+    Cause.PLAN_UNSAFE: (),
+    Cause.STOPPING: (),
+    Cause.TAKEN_OVER: (),
+    Cause.STATE_TIMEOUT: ("limits.state_age", "limits.blind_time"),
+    Cause.LINK_TIMEOUT: ("limits.heartbeat_age", "limits.blind_time"),
+    Cause.LOOP_TIMEOUT: ("limits.deadline", "limits.blind_time"),
+    Cause.BRAKE_TIMEOUT: ("limits.brake_time",),
+    Cause.HOLD_TIMEOUT: ("limits.brake_time", "limits.hold_time"),
+}
+"""Settings whose sum is the time from the event to its detection. The reaction follows within one control period."""
+
+
+def _exceeds(age: float, limit: float) -> bool:
+    """Return True if `age` exceeds `limit` or is NaN."""
+    return not age <= limit
+
+
+_CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
+    Cause.TAKEN_OVER: lambda i, _: not (i.armed and i.offboard),
+    Cause.ARMED_AT_START: lambda i, _: i.armed and not i.seen_disarmed,
+    Cause.DISARMED: lambda i, _: not i.armed,
+    Cause.ENGAGED: lambda i, _: i.armed and i.offboard,
+    Cause.LINK_LOST: lambda i, m: _exceeds(i.heartbeat_age, m.heartbeat_age),
+    Cause.STATE_STALE: lambda i, m: _exceeds(i.state_age, m.state_age),
+    Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
+    Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence,
+    Cause.LOOP_STALLED: lambda i, m: _exceeds(i.loop_age, m.deadline),
+    Cause.CLOUD_STALE: lambda i, m: _exceeds(i.cloud_age, m.cloud_age),
+    Cause.PLAN_NOT_FINITE: lambda i, _: not i.plan_finite,
+    Cause.PLAN_STALE: lambda i, m: _exceeds(i.plan_age, m.plan_age),
+    Cause.PLAN_UNSAFE: lambda i, _: i.plan_status != PlanStatus.OK,
+    Cause.STOPPING: lambda i, _: i.stopping,
+    Cause.STATE_TIMEOUT: lambda i, m: _exceeds(i.state_age, m.state_age + m.blind_time),
+    Cause.LINK_TIMEOUT: lambda i, m: _exceeds(i.heartbeat_age, m.heartbeat_age + m.blind_time),
+    Cause.LOOP_TIMEOUT: lambda i, m: _exceeds(i.loop_age, m.deadline + m.blind_time),
+    Cause.BRAKE_TIMEOUT: lambda i, m: i.state_time > m.brake_time,
+    Cause.HOLD_TIMEOUT: lambda i, m: i.fault_time > m.brake_time + m.hold_time,
+    Cause.AT_REST: lambda i, m: not _is_blind(i, m) and i.speed <= m.speed_stopped,
+    Cause.GOAL_REACHED: lambda i, m: i.goal_distance <= m.arrival_radius,
+    # The drone drifts a little while it holds, so a goal that was reached is left at a larger distance.
+    Cause.GOAL_MOVED: lambda i, m: (
+        _is_clear(i, m) and i.goal_distance > (1.0 if i.goal_new else 2.0) * m.arrival_radius
+    ),
+    Cause.ALL_CLEAR: lambda i, m: _is_clear(i, m),
+    Cause.STANDBY: lambda i, m: _is_clear(i, m) and not (i.armed and i.offboard),
+}
+
+
+def cause_applies(cause: Cause, inputs: Inputs, limits: LimitSettings) -> bool:
+    """Return True if the condition of `cause` is met."""
+    return _CONDITIONS[cause](inputs, limits)
+
+
+def find_faults(inputs: Inputs, limits: LimitSettings) -> tuple[Cause, ...]:
+    """Return the faults that are present, the most severe first."""
+    return tuple(fault for fault in FAULTS if cause_applies(fault, inputs, limits))
+
+
+def reaction_to(state: State, faults: tuple[Cause, ...]) -> Reaction:
+    """Return the reaction in `state` while `faults`, in the order of `FAULTS`, are present."""
+    return REACTIONS_TO.get((state, faults), REACTIONS[state])
+
+
+def _is_clear(inputs: Inputs, limits: LimitSettings) -> bool:
+    return not inputs.stopping and not find_faults(inputs, limits)
+
+
+def _is_blind(inputs: Inputs, limits: LimitSettings) -> bool:
+    return any(cause_applies(fault, inputs, limits) for fault in BLINDING)
+
+
+def blind_time_left(inputs: Inputs, limits: LimitSettings) -> float:
+    """Return the time until STATE_TIMEOUT or LINK_TIMEOUT applies [s].
+
+    It is infinite while vehicle states and heartbeats arrive in time.
+    """
+    overdue = max(inputs.state_age - limits.state_age, inputs.heartbeat_age - limits.heartbeat_age)
+    return limits.blind_time - overdue if overdue > 0.0 else math.inf
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One row of the table: when `cause` applies in one of the `sources`, the next state is `target`."""
+
+    sources: tuple[State, ...]
+    cause: Cause
+    target: State
+
+
+_S = State
+
+COMMANDING = (_S.FLYING, _S.ARRIVED, _S.BRAKING, _S.HOLDING)
+"""States in which the drone obeys the node."""
+
+TRANSITIONS: tuple[Transition, ...] = (
+    # The watchdog or the failsafe process has braked and handed the drone back. If the reported mode still says
+    # OFFBOARD, that may be the autopilot's failsafe on its way.
+    Transition(COMMANDING, Cause.LOOP_TIMEOUT, _S.HANDED_BACK),
+    # The pilot always wins.
+    Transition(COMMANDING, Cause.TAKEN_OVER, _S.WAITING),
+    Transition((_S.HANDED_BACK,), Cause.DISARMED, _S.WAITING),
+    Transition((_S.WAITING, _S.READY), Cause.ARMED_AT_START, _S.HANDED_BACK),
+    # Faults that are too severe or last too long hand the drone back to the autopilot.
+    Transition(COMMANDING, Cause.STATE_TIMEOUT, _S.HANDED_BACK),
+    Transition(COMMANDING, Cause.LINK_TIMEOUT, _S.HANDED_BACK),
+    Transition((_S.BRAKING,), Cause.BRAKE_TIMEOUT, _S.HANDED_BACK),
+    Transition((_S.BRAKING, _S.HOLDING), Cause.HOLD_TIMEOUT, _S.HANDED_BACK),
+    Transition((_S.ARRIVED, _S.HOLDING), Cause.STOPPING, _S.HANDED_BACK),
+    # Faults that are present now.
+    Transition((_S.READY,), Cause.STOPPING, _S.WAITING),
+    *(Transition((_S.READY,), fault, _S.WAITING) for fault in FAULTS),
+    Transition((_S.FLYING,), Cause.STOPPING, _S.BRAKING),
+    *(Transition((_S.FLYING,), fault, _S.BRAKING) for fault in FAULTS),
+    *(Transition((_S.ARRIVED,), fault, _S.BRAKING) for fault in FAULTS if fault not in HARMLESS_AT_REST),
+    *(Transition((_S.HOLDING,), fault, _S.BRAKING) for fault in BLINDING),
+    # Recovery and progress.
+    Transition((_S.BRAKING, _S.HOLDING), Cause.ALL_CLEAR, _S.FLYING),
+    Transition((_S.BRAKING,), Cause.AT_REST, _S.HOLDING),
+    Transition((_S.FLYING,), Cause.GOAL_REACHED, _S.ARRIVED),
+    Transition((_S.ARRIVED,), Cause.GOAL_MOVED, _S.FLYING),
+    Transition((_S.READY,), Cause.ENGAGED, _S.FLYING),
+    Transition((_S.WAITING,), Cause.STANDBY, _S.READY),
+)
+"""Tried from top to bottom. The first row that applies is taken, at most one per tick."""
+
+
+def next_state(state: State, inputs: Inputs, limits: LimitSettings) -> tuple[State, Cause | None]:
+    """Return the next state and its cause, or `state` and None if no row applies."""
+    for row in TRANSITIONS:
+        if state in row.sources and cause_applies(row.cause, inputs, limits):
+            return row.target, row.cause
+    return state, None
+
+
+def is_inside_fence(position: ArrayLike, limits: LimitSettings) -> bool:
+    """Return True if `position` [m], shape [3], world frame, lies inside the geofence; NaN never does."""
+    x, y, z = np.asarray(position, dtype=np.float64).tolist()
+    return (
+        math.hypot(x, y) <= limits.fence_radius
+        and limits.fence_height_min <= z <= limits.fence_height_max
+        and limits.fence_x_min <= x <= limits.fence_x_max
+        and limits.fence_y_min <= y <= limits.fence_y_max
+    )

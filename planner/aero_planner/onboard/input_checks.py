@@ -1,0 +1,177 @@
+"""Preflight checks of what autopilot and LiDAR send."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner.check_report import Check
+from aero_planner.onboard.failsafe_table import is_inside_fence
+from aero_planner.onboard.point_source import PointSource
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.sweep_buffer import make_sweep_buffer
+from aero_planner.onboard.vehicle_link import VehicleLink, VehicleSample
+
+__all__ = ["check_inputs"]
+
+_POLL_PERIOD = 0.01  # [s]
+_MIN_STATE_RATE = 25.0  # [Hz]
+_MIN_POINTS = 1000  # per sweep
+_MAX_LOSS = 0.02  # fraction of packets
+_MIN_PLACED = 0.8  # fraction of points
+
+
+def check_inputs(
+    link: VehicleLink,
+    lidar: PointSource,
+    onboard: OnboardConfig,
+    *,
+    goal: ArrayLike | None = None,
+    listen: float = 3.0,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], object] = time.sleep,
+) -> list[Check]:
+    """Listen to autopilot and LiDAR and check what they send.
+
+    Args:
+        link: Connection to the autopilot; nothing is commanded.
+        lidar: The sensor.
+        onboard: Configuration of the node.
+        goal: [m], shape [3], world frame; None expects a goal over the link.
+        listen: Time to listen [s].
+        clock: Host time [s].
+        sleep: Waits for a time [s].
+    """
+    sweeps = make_sweep_buffer(onboard, clock=clock)
+    states, points, newest_point = 0, 0, -math.inf
+    last: VehicleSample | None = None
+    start = clock()
+    while clock() - start < listen:
+        link.poll()
+        sample = link.state
+        if sample is not None and (last is None or sample.time > last.time):
+            states += 1
+            sweeps.add_pose(sample.time, sample.state.position, sample.state.quaternion)
+        last = sample
+        for packet in lidar.poll():
+            points += len(packet.times)
+            newest_point = max(newest_point, float(packet.times.max(initial=-math.inf)))
+            sweeps.add_points(packet.points, packet.times)
+        sleep(_POLL_PERIOD)
+    now = clock()
+    duration = now - start
+    per_sweep = points / duration * onboard.lidar.sweep_period
+    checks = [*_check_vehicle(last, states / duration, now, onboard), *_check_dropped(link)]
+    checks += _check_points(lidar, points, per_sweep, now - newest_point, sweeps.dropped, onboard)
+    checks += _check_positions(last, goal if goal is not None else link.goal, onboard)
+    return checks
+
+
+def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboard: OnboardConfig) -> list[Check]:
+    if sample is None:
+        advice = (
+            "Check cable, mavlink.url, the autopilot's baud rate, and that it sends ODOMETRY or LOCAL_POSITION_NED and "
+            "ATTITUDE_QUATERNION, for which it needs a position estimate."
+        )
+        return [Check("vehicle state", "nothing arrived", ok=False, advice=advice)]
+    limits = onboard.limits
+    age, heartbeat_age = now - sample.time, now - sample.heartbeat_time
+    is_frequent = rate >= _MIN_STATE_RATE
+    if is_frequent:
+        advice = "The states are late: check the load and the baud rate of the link."
+    else:
+        advice = f"At least {_MIN_STATE_RATE:g} per second must arrive: raise the autopilot's rate of ODOMETRY."
+    mode = f"{'armed' if sample.armed else 'disarmed'}, {'' if sample.offboard else 'not '}in OFFBOARD"
+    return [
+        Check(
+            "vehicle state",
+            f"{rate:.0f} per second, the newest {1e3 * age:.0f} ms old",
+            ok=is_frequent and age <= limits.state_age,
+            advice=advice,
+        ),
+        Check(
+            "heartbeat",
+            f"{heartbeat_age:.1f} s ago",
+            ok=heartbeat_age <= limits.heartbeat_age,
+            advice="Check mavlink.system and the cable.",
+        ),
+        Check(
+            "vehicle mode",
+            mode,
+            ok=not sample.armed or limits.join_armed,
+            advice="Disarm: a node that starts in the air stays silent until the drone has landed.",
+        ),
+    ]
+
+
+def _check_dropped(link: VehicleLink) -> Iterator[Check]:
+    if link.dropped:
+        finding = ", ".join(f"{count} x {reason}" for reason, count in link.dropped.items())
+        advice = "Let the autopilot send its position in MAV_FRAME_LOCAL_NED or LOCAL_FRD, and only when it has one."
+        yield Check("unusable messages", finding, ok=False, required=False, advice=advice)
+
+
+def _check_points(
+    lidar: PointSource, count: int, per_sweep: float, age: float, dropped: int, onboard: OnboardConfig
+) -> list[Check]:
+    counters = lidar.counters
+    if not counters.packets:
+        advice = (
+            "Check the cable, the sensor's power, and that its host address and lidar.port are those of this computer "
+            f"(port {onboard.lidar.port}); {counters.bad} packets were refused."
+        )
+        return [Check("LiDAR", "nothing arrived", ok=False, advice=advice)]
+    loss = counters.lost / max(counters.packets + counters.lost, 1)
+    placed = 1.0 - dropped / max(count, 1)
+    newest = f"the newest point is {1e3 * age:.0f} ms old" if count else "no points: covered, or nothing is in range"
+    return [
+        Check(
+            "LiDAR",
+            f"{per_sweep:.0f} points per sweep",
+            ok=per_sweep >= _MIN_POINTS,
+            advice="Uncover the sensor, check its mode, and fly only where something is in range (40 m) all the time.",
+        ),
+        Check(
+            "cloud",
+            newest,
+            ok=age <= onboard.limits.cloud_age,
+            advice="Check the sensor's clock and the cable.",
+        ),
+        Check(
+            "packets",
+            f"{counters.packets}, lost {100.0 * loss:.1f} %, refused {counters.bad}",
+            ok=loss <= _MAX_LOSS,
+            advice="Give the sensor a dedicated network port, and enlarge the receive buffer.",
+        ),
+        Check(
+            "deskewing",
+            f"{100.0 * placed:.0f} % of the points have a pose",
+            ok=placed > _MIN_PLACED,
+            advice="States must arrive at least every 0.25 s, with times that fit the host's clock.",
+        ),
+    ]
+
+
+def _check_positions(sample: VehicleSample | None, goal: ArrayLike | None, onboard: OnboardConfig) -> list[Check]:
+    checks = []
+    outside = "It lies outside the geofence; correct limits.fence_*."
+    if sample is not None:
+        position: NDArray[np.float64] = np.asarray(sample.state.position, dtype=np.float64)
+        # On the ground the drone may be below the geofence.
+        lifted = np.array([*position[:2], max(position[2], onboard.limits.fence_height_min)])
+        is_inside = is_inside_fence(lifted, onboard.limits)
+        checks.append(Check("position", _format_position(position), ok=is_inside, advice=outside))
+    if goal is None:
+        advice = "Give one with --goal, or send it from the ground station; until then the node waits."
+        return [*checks, Check("goal", "none yet", ok=False, required=False, advice=advice)]
+    goal = np.asarray(goal, dtype=np.float64)
+    advice = "It lies outside the geofence; correct it or limits.fence_*."
+    return [*checks, Check("goal", _format_position(goal), ok=is_inside_fence(goal, onboard.limits), advice=advice)]
+
+
+def _format_position(position: NDArray[np.float64]) -> str:
+    return "x {:.1f}, y {:.1f}, z {:.1f} m".format(*position)

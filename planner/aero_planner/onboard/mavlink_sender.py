@@ -1,0 +1,104 @@
+"""Commands to an autopilot over MAVLink 2: thrust and body rates as SET_ATTITUDE_TARGET."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aero_planner.onboard.frames import frd_from_flu
+from aero_planner.onboard.thrust import signal_from_force
+from aero_planner.onboard.transport import Transport
+
+__all__ = ["MavlinkSender", "load_dialect"]
+
+
+def load_dialect() -> Any:
+    """Return pymavlink's module of the common messages.
+
+    Raises:
+        ImportError: pymavlink is not installed; names the extra to install.
+    """
+    try:
+        from pymavlink.dialects.v20 import common
+    except ImportError as error:
+        raise ImportError(
+            "MAVLink needs pymavlink, which is not installed; run: pip install 'aero-planner[mavlink]'."
+        ) from error
+    return common
+
+
+class MavlinkSender:
+    """Packs commands and other messages and sends them; implements `aero_planner.onboard.vehicle_link.CommandSink`.
+
+    Args:
+        transport: Connection to the autopilot; None sends nothing. It may be replaced at any time.
+        system: System id of the autopilot and of this computer.
+        component: Component id of this computer.
+        mass: Mass of the vehicle [kg].
+        gravity: [m/s^2].
+        hover_thrust: See `aero_planner.onboard.thrust`.
+        curve: See `aero_planner.onboard.thrust`.
+        clock: Host time [s].
+
+    Raises:
+        ImportError: pymavlink is not installed.
+
+    Attributes:
+        transport: Connection to the autopilot.
+        sent: Number of commands sent.
+    """
+
+    def __init__(
+        self,
+        transport: Transport | None,
+        *,
+        system: int,
+        component: int,
+        mass: float,
+        gravity: float,
+        hover_thrust: float,
+        curve: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.transport = transport
+        self.sent = 0
+        self._dialect = load_dialect()
+        self._system = system
+        self._thrust_model = dict(mass=mass, gravity=gravity, hover_thrust=hover_thrust, curve=curve)
+        self._time = clock
+        self._packer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._sending = threading.Lock()
+
+    def send(self, command: ArrayLike) -> None:
+        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
+
+        Raises:
+            ValueError: The command has another shape or is not finite; nothing was sent.
+        """
+        values = np.asarray(command, dtype=np.float64)
+        if values.shape != (4,) or not np.isfinite(values).all():
+            raise ValueError(f"the command is {values.tolist()}; it must be a thrust and three rates, all finite.")
+        thrust = signal_from_force(float(values[0]), **self._thrust_model)
+        rates = frd_from_flu(values[1:])
+        message = self._dialect.MAVLink_set_attitude_target_message(
+            int(1e3 * self._time()) & 0xFFFFFFFF,
+            self._system,
+            self._dialect.MAV_COMP_ID_AUTOPILOT1,
+            self._dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
+            [1.0, 0.0, 0.0, 0.0],
+            *rates.tolist(),
+            thrust,
+        )
+        self.sent += self.send_message(message)
+
+    def send_message(self, message: Any) -> bool:
+        """Send one of the dialect's messages; return False if there is no transport or no room."""
+        with self._sending:
+            data = message.pack(self._packer)
+            self._packer.seq = (self._packer.seq + 1) % 256
+            return self.transport is not None and self.transport.send(bytes(data))
