@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, PlannerConfig, PlanStatus, VehicleState
-from aero_planner.onboard.safety_machine import State
+from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP
 from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader

@@ -37,8 +37,8 @@ _log = logging.getLogger("aero_planner")
 _PATIENCE = 3.0
 """Beyond the time in which the drone must have come to rest [s]."""
 
-_GUARD_TIME = 30.0
-"""For the guard to start, which has had the time of the planner's start already [s]."""
+_FAILSAFE_TIMEOUT = 30.0
+"""Time for the failsafe process to start, in addition to the time of the planner's start [s]."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -274,16 +274,16 @@ def _run_with(bundle: Bundle | None, options: argparse.Namespace) -> bool:
         link = _opened(opened, lambda: open_link(onboard, planner_config.vehicle))
         lidar = _opened(opened, lambda: open_lidar(onboard))
         observers = _observers(options, planner_config, onboard, opened)
-        guard = _opened(opened, lambda: FailsafeProcess(onboard, planner_config.vehicle, lambda: link.partner))
+        failsafe = _opened(opened, lambda: FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer))
         with _plannable(options.device):
-            node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers, guard=guard)
+            node = Node(planner, link, lidar, onboard, goal=options.goal, observers=observers, failsafe=failsafe)
             took = node.warm_up()
         _log.info("a plan takes %.1f ms on %s", 1e3 * took, planner.device)
         if bundle is not None and bundle.compiled():
             _log.warning("kernels were compiled that the bundle lacks; export it again")
-        guard.wait(_GUARD_TIME)
+        failsafe.wait_until_running(_FAILSAFE_TIMEOUT)
         opened.clear()
-        ended = _fly(node, onboard)
+        ended = fly(node, onboard)
     finally:
         for one in opened:
             one.close()
@@ -335,7 +335,7 @@ def _observers(
     return observers
 
 
-def _fly(node: Node, onboard: OnboardConfig) -> bool:
+def fly(node: Node, onboard: OnboardConfig) -> bool:
     """Run the node until it is told to end and has fallen silent; return whether all of its threads have ended."""
     told: list[int] = []
 

@@ -67,16 +67,17 @@ class Mailbox(Generic[T]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def put(self, item: T) -> None:
-        """Hand over an item without waiting. A closed mailbox ignores it."""
+    def put(self, item: T) -> bool:
+        """Hand over an item without waiting; return False if the mailbox is closed and does not take it."""
         with self._changed:
             if self._closed:
-                return
+                return False
             if len(self._items) == self._capacity:
                 self._items.popleft()
                 self.dropped += 1
             self._items.append(item)
             self._changed.notify_all()
+            return True
 
     def drain(self, timeout: float = 10.0) -> bool:
         """Wait up to `timeout` [s] until every item is delivered; return False if that takes longer."""

@@ -120,7 +120,7 @@ def test_settings_from_a_file_of_their_own(call: Callable[..., Outcome], tmp_pat
         (["run", "--config", "{flight}", "--goal", "1", "nan", "2"], "the goal is [1.0, nan, 2.0]"),
         (["run", "--config", "{flight}", "--log", "{absent}/a.mcap"], "can't be written: No such file"),
         (["run", "--config", "{taken}"], "the LiDAR's UDP port 127.0.0.1:"),
-        (["run", "--config", "{serial}"], "the autopilot's connection /dev/absent (mavlink.url) can't be opened"),
+        (["run", "--config", "{serial}"], "can't open the connection to the autopilot, /dev/absent (mavlink.url)"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_2(
@@ -227,11 +227,11 @@ def test_a_terminal_that_stalls_and_is_lost_does_not_keep_it_from_ending(flight_
 HANGING = """
 import sys, threading
 from aero_planner import cli, pipeline
-from aero_planner.onboard import assemble
+from aero_planner.onboard import connections
 from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
 
-assemble.open_link = lambda *_: StandingLink()
-assemble.open_lidar = lambda *_: StandingLidar()
+connections.open_link = lambda *_: StandingLink()
+connections.open_lidar = lambda *_: StandingLidar()
 plan = pipeline.Pipeline.run
 
 def run(self):

@@ -115,8 +115,8 @@ def test_the_failsafe_brakes_for_a_paused_node_which_then_continues(world):
     # The autopilot sees an uninterrupted stream: first the plan, then the braking commands.
     assert longest_gap(result, paused, paused + duration + 1.0) < ONBOARD.limits.deadline, result.log
     assert speed_at(result, paused + duration) < 0.6 * speed_at(result, paused)
-    assert sum("the guard brakes" in line for line in result.log) == 1
-    assert sum("FLYING -> BRAKING: the control loop stood still" in line for line in result.log) == 1
+    assert sum("the failsafe process brakes" in line for line in result.log) == 1
+    assert sum("FLYING -> BRAKING: the control loop stalled" in line for line in result.log) == 1
     assert result.arrived and result.trajectory.offboard.all(), (result, result.log)
 
 
@@ -128,4 +128,4 @@ def test_a_node_paused_for_too_long_stays_silent(world):
     assert longest_gap(result, paused, end) < ONBOARD.limits.deadline, result.log
     assert speed_at(result, end) < 0.4
     assert not [time for time in all_after(result, end + 0.2)]
-    assert any("HANDED_BACK: the control loop stood still for too long" in line for line in result.log)
+    assert any("HANDED_BACK: the control loop stalled for too long" in line for line in result.log)

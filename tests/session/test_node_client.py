@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.observer import PlanRecord
-from aero_planner.onboard.safety_machine import Cause, Change, State
+from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.onboard.telemetry_protocol import Kind, encode
@@ -116,7 +117,7 @@ def send(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> N
         while telemetry.sent == sent:
             time.sleep(0.001)
     count = len(watcher.notices)
-    telemetry.change(Change(1.0, State.READY, State.FLYING, Cause.ENGAGED))
+    telemetry.change(StateChange(1.0, State.READY, State.FLYING, Cause.ENGAGED))
     assert watcher.wait(lambda: len(watcher.notices) > count)  # what was sent before has come before
 
 
@@ -290,7 +291,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
 
 def test_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
     _, watcher = live
-    telemetry.change(Change(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
+    telemetry.change(StateChange(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
     assert watcher.wait(lambda: watcher.notices)
     assert watcher.notices[0] == Notice("error", f"FLYING → BRAKING: {Cause.CLOUD_STALE.value}")
 

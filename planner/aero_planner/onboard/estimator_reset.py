@@ -48,6 +48,4 @@ def is_estimator_reset(before: EstimatorState, after: EstimatorState) -> bool:
     expected_attitude = integrate_rates(before.attitude, 0.5 * (before.rates + after.rates), dt)
     offset = float(np.linalg.norm(after.position - expected_position))
     angle = 2.0 * math.acos(min(abs(float(expected_attitude @ after.attitude)), 1.0))
-    return (
-        offset > _MAX_OFFSET + _MAX_ACCELERATION * growth or angle > _MAX_ANGLE + _MAX_ANGULAR_ACCELERATION * growth
-    )
+    return offset > _MAX_OFFSET + _MAX_ACCELERATION * growth or angle > _MAX_ANGLE + _MAX_ANGULAR_ACCELERATION * growth

@@ -91,6 +91,11 @@ class FailsafeProcess:
             self._process.stdin.flush()
 
     @property
+    def pid(self) -> int:
+        """Id of the process."""
+        return self._process.pid
+
+    @property
     def braking(self) -> bool:
         """True if it has braked since the newest heartbeat, so that this process does not know the last command."""
         return self._memory.read_status().braking

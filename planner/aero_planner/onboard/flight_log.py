@@ -1,6 +1,7 @@
 """The drone's flight log: an MCAP file that `aero-viz play`, Foxglove and RViz open.
 
-Written in chunks of at most one second, each synchronised to the disk: a crash or a power failure costs the last second.
+Written in chunks of at most one second, each synchronised to the disk, so that a crash or a power failure costs only
+the last second.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import time
 from collections.abc import Callable
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -31,14 +32,15 @@ __all__ = ["FlightLog"]
 _log = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 4 << 20
-_FLUSH_PERIOD = 1.0
-"""Wall time between two chunks [s]."""
 _WAITING = 1000
 """Largest number of items that wait for the disk, those of about ten seconds."""
 _POSE_SPACING = 0.018
 """Smallest time between two poses [s]; in `aero-viz play` each pose is a tick."""
 _LINES_SPACING = 0.098
 """Smallest time between two plans that are logged with guides and rollouts [s], about 30 kB each."""
+
+
+_Item: TypeAlias = PlanRecord | StateChange | VehicleSample | PointPacket
 
 
 class FlightLog(Observer):
@@ -58,6 +60,7 @@ class FlightLog(Observer):
         planner: Configuration of the planner.
         onboard: Configuration of the node.
         clock: Host time [s].
+        flush_period: Largest time between two chunks [s].
 
     Raises:
         ImportError: The `mcap` package is not installed; names the extra to install.
@@ -75,6 +78,7 @@ class FlightLog(Observer):
         onboard: OnboardConfig,
         *,
         clock: Callable[[], float] = time.monotonic,
+        flush_period: float = 1.0,
     ) -> None:
         try:
             from mcap.writer import CompressionType, Writer
@@ -83,6 +87,8 @@ class FlightLog(Observer):
                 "the flight log needs the package mcap, which is not installed; run: pip install 'aero-planner[log]'."
             ) from error
         self.failed = False
+        self._refused = 0
+        self._flush_period = flush_period
         self._epoch = time.time() - clock()
         self._period = onboard.lidar.sweep_period
         lidar = onboard.lidar
@@ -99,36 +105,39 @@ class FlightLog(Observer):
         for name, text in (("config_0.yaml", format_config(planner)), ("onboard.yaml", format_onboard(onboard))):
             self._writer.add_attachment(stamp, stamp, name, "application/yaml", text.encode())
         self._flush()
-        self._mailbox: Mailbox[Any] = Mailbox(
+        self._mailbox: Mailbox[_Item] = Mailbox(
             self._write, capacity=_WAITING, name="aero-planner-log", low_priority=True, at_end=self._finish
         )
 
     @property
     def dropped(self) -> int:
         """Number of states, packets and plans that were dropped because the disk was too slow."""
-        return self._mailbox.dropped
+        return self._mailbox.dropped + self._refused
 
     # --- called by the node -----------------------------------------------------------------------------------------
 
     def plan(self, record: PlanRecord) -> None:
         """Log a plan."""
-        self._mailbox.put(record)
+        self._put(record)
 
     def change(self, change: StateChange) -> None:
         """Log a transition."""
-        self._mailbox.put(change)
+        self._put(change)
 
     def sample(self, sample: VehicleSample) -> None:
         """Log a state."""
-        self._mailbox.put(sample)
+        self._put(sample)
 
     def points(self, packet: PointPacket) -> None:
         """Log points."""
-        self._mailbox.put(packet)
+        self._put(packet)
 
-    def close(self) -> None:
-        """Finish the file. If the disk is too slow, the log's thread continues as long as the process lives."""
-        if not self._mailbox.finish():
+    def _put(self, item: _Item) -> None:
+        self._refused += not self._mailbox.put(item)
+
+    def close(self, timeout: float = 5.0) -> None:
+        """Finish the file. If that takes longer than `timeout` [s], the thread finishes it on its own."""
+        if not self._mailbox.finish(timeout):
             _log.error(
                 "the end of the flight log %s may be missing: the disk is too slow; %d items were dropped",
                 self.path, self.dropped,
@@ -136,7 +145,7 @@ class FlightLog(Observer):
 
     # --- the thread -------------------------------------------------------------------------------------------------
 
-    def _write(self, item: PlanRecord | StateChange | VehicleSample | PointPacket) -> None:
+    def _write(self, item: _Item) -> None:
         if self.failed:
             return
         try:
@@ -149,7 +158,7 @@ class FlightLog(Observer):
                 self._write_pose(item)
             else:
                 self._add_packet(item)
-            if time.monotonic() - self._flushed > _FLUSH_PERIOD:
+            if time.monotonic() - self._flushed >= self._flush_period:
                 self._flush()
         except OSError as error:
             self.failed = True

@@ -39,8 +39,8 @@ _POINT = {
     CARTESIAN_MM: (np.dtype([("xyz", "<i4", 3), ("reflectivity", "u1"), ("tag", "u1")]), np.float32(1e-3)),
     CARTESIAN_CM: (np.dtype([("xyz", "<i2", 3), ("reflectivity", "u1"), ("tag", "u1")]), np.float32(1e-2)),
 }
-# Bits 0-1, 2-3 and 4-5 of a tag rate how likely the point is a mixture of two objects, rain or dust, or another artefact
-# near the sensor: 0 unlikely, 1 possible, 2 likely.
+# Bits 0-1, 2-3 and 4-5 of a tag rate how likely the point is a mixture of two objects, rain or dust, or another
+# artefact near the sensor: 0 unlikely, 1 possible, 2 likely.
 _LIKELY_NOISE = 0b101010
 _POSSIBLE_NOISE = 0b111111
 _RECEIVE_BUFFER = 4_000_000  # requested size [bytes]; the kernel may give less
@@ -94,7 +94,7 @@ def parse_packet(data: bytes) -> LivoxPacket | Reject:
 
 
 def decode_points(data_type: int, payload: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return points in the sensor frame [m], shape [n, 3], and their tags [n] from the payload of one or more packets."""
+    """Return points [m], shape [n, 3], sensor frame, and tags [n], from the payload of one or more packets."""
     kind, unit = _POINT[data_type]
     records = np.frombuffer(payload, dtype=kind)
     return records["xyz"].astype(np.float32) * unit, records["tag"]

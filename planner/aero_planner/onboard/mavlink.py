@@ -121,6 +121,11 @@ class MavlinkLink:
         return self._parser.bad
 
     @property
+    def buffered(self) -> int:
+        """Number of received bytes that wait for the rest of their message."""
+        return self._parser.buffered
+
+    @property
     def peer(self) -> str | None:
         """Where commands go, see `aero_planner.onboard.transport.Transport`; None before the autopilot is heard."""
         return self._transport.peer

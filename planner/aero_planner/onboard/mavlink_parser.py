@@ -27,6 +27,11 @@ class MavlinkParser:
         self._datagrams = datagrams
         self._protocol = self._new_protocol()
 
+    @property
+    def buffered(self) -> int:
+        """Number of bytes that are kept until the rest of their message arrives."""
+        return self._protocol.buf_len()
+
     def parse(self, data: bytes) -> list[Any]:
         """Return the messages that `data` completes. Never raises."""
         messages: list[Any] = []

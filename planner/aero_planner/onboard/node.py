@@ -150,6 +150,16 @@ class Node:
         return self._safety
 
     @property
+    def schedule(self) -> PlanSchedule:
+        """The plans being flown, to be read only."""
+        return self._schedule
+
+    @property
+    def snapshot(self) -> ControlSnapshot | None:
+        """What the control loop knew at its newest tick; None before the first vehicle state."""
+        return self._snapshot
+
+    @property
     def goal(self) -> NDArray[np.float64] | None:
         """Where to fly [m], shape [3], world frame."""
         return self._goal

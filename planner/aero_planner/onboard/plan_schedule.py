@@ -46,6 +46,9 @@ class PlanSchedule:
     def __init__(self) -> None:
         self._plans: tuple[ScheduledPlan, ...] = ()
 
+    def __len__(self) -> int:
+        return len(self._plans)
+
     @property
     def newest(self) -> ScheduledPlan | None:
         """The newest plan."""

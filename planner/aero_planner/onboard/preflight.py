@@ -107,9 +107,9 @@ def _check_device(planner_config: PlannerConfig, onboard: OnboardConfig, device:
     state, goal = VehicleState((0.0, 0.0, 2.0), (4.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), Goal((30.0, 0.0, 2.0))
     try:
         with contextlib.closing(Planner(planner_config, device=device)) as planner:
-            times = [
-                planner.plan(state, goal, cloud).stage_ms["total"] for _ in range(_WARM_UP_PLANS + _TIMED_PLANS)
-            ][_WARM_UP_PLANS:]
+            times = [planner.plan(state, goal, cloud).stage_ms["total"] for _ in range(_WARM_UP_PLANS + _TIMED_PLANS)][
+                _WARM_UP_PLANS:
+            ]
     except (RuntimeError, ValueError, MemoryError) as error:
         advice = (
             "Name a device of this computer with --device; free its memory, update its driver, or install the Warp "

@@ -159,9 +159,7 @@ class Replanner:
             self._count_failure("the plan contains NaN or infinity")
             return None
         self._append(plan, controls, snapshot, state, start)
-        return PlanResult(
-            self._number, start, snapshot, snapshot.goal, state, points, cloud_age, plan, 1e3 * duration
-        )
+        return PlanResult(self._number, start, snapshot, snapshot.goal, state, points, cloud_age, plan, 1e3 * duration)
 
     def _append(
         self, plan: Plan, controls: NDArray[np.float64], snapshot: ControlSnapshot, state: VehicleState, now: float

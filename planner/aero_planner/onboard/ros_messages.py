@@ -43,17 +43,17 @@ _WIDTH, _BEST_WIDTH = 0.02, 0.05
 """Widths of lines [m]."""
 
 PLAN_DEFINITION = """\
-# What one tick of the planner decided. Arrays have one entry per instance of the ensemble, M in all.
+# Result of one tick of the planner. Arrays have one entry per instance of the ensemble, M in all.
 std_msgs/Header header
 string[] kinds            # "anchor", "previous", "brake"
-int32 best                # the instance that is flown
+int32 best                # instance that is flown
 int32 status              # 0 safe, 1 no safe candidate: braking, 2 the cloud is stale: braking
 float32[] stage2_cost     # S2 = J_goal + J_col + options
 float32[] goal_cost       # J_goal
 float32[] collision_cost  # J_col
 float32[] clearance       # smallest distance to the cloud over the horizon [m]
-float32[4] command        # first control flown: thrust [N], body rates [rad/s]
-float32 plan_ms           # time that planning took [ms]
+float32[4] command        # first control: thrust [N], body rates [rad/s]
+float32 plan_ms           # duration of planning [ms]
 uint32 config_version     # attachment config_<version>.yaml
 """
 

@@ -74,6 +74,7 @@ class Telemetry(Observer):
     Attributes:
         port: TCP port that the server listens on.
         sent: Number of plans sent, counted once per viewer.
+        accepted: Number of plans passed to the thread for sending.
         skipped: Number of plans for which a viewer was too slow.
     """
 
@@ -81,6 +82,7 @@ class Telemetry(Observer):
         self, planner: PlannerConfig, onboard: OnboardConfig, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.sent = 0
+        self.accepted = 0
         self.skipped = 0
         self._settings: TelemetrySettings = onboard.telemetry
         self._hello = encode_hello(planner, onboard)
@@ -117,6 +119,7 @@ class Telemetry(Observer):
             period = 1.0 / self._settings.rate
             self._next_plan = max(self._next_plan + period, now + 0.5 * period)
             self._record = record
+            self.accepted += 1
             self._notify_thread()
 
     def change(self, change: StateChange) -> None:

@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Plan, Planner, PlannerConfig, VehicleState
-from aero_planner.onboard.dead_reckoning import MotionState, StopController, propagate
+from aero_planner.onboard.dead_reckoning import MotionState, propagate
+from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.observer import Observer
+from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.point_source import PointCounters, PointPacket
-from aero_planner.onboard.safety_machine import State
+from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import conjugate, rotate
 
@@ -84,7 +86,7 @@ class SimulatedLidar:
     """Sees every point of the world within 10 m, one in twenty at each poll."""
 
     def __init__(self, simulation: Simulation, world: NDArray[np.float32]) -> None:
-        self._simulation, self._world = simulation, world
+        self._simulation, self.world = simulation, world
         self.counters = PointCounters()
         self.alive = True
         self.closed = False
@@ -94,7 +96,7 @@ class SimulatedLidar:
             return []
         motion = self._simulation.motion
         self.counters.packets += 1
-        near = self._world[self.counters.packets % 20 :: 20] - motion.position
+        near = self.world[self.counters.packets % 20 :: 20] - motion.position
         near = near[np.linalg.norm(near, axis=1) < 10.0]
         inverse = conjugate(motion.quaternion)
         points = rotate(inverse, near).astype(np.float32)
@@ -102,6 +104,33 @@ class SimulatedLidar:
 
     def close(self) -> None:
         self.closed = True
+
+
+class Relay(Observer):
+    """Passes on what the node reports to observers that may be set after the node is built."""
+
+    def __init__(self) -> None:
+        self.observers: list[Observer] = []
+
+    def plan(self, record: PlanRecord) -> None:
+        for observer in self.observers:
+            observer.plan(record)
+
+    def change(self, change: StateChange) -> None:
+        for observer in self.observers:
+            observer.change(change)
+
+    def sample(self, sample: VehicleSample) -> None:
+        for observer in self.observers:
+            observer.sample(sample)
+
+    def points(self, packet: PointPacket) -> None:
+        for observer in self.observers:
+            observer.points(packet)
+
+    def close(self) -> None:
+        for observer in self.observers:
+            observer.close()
 
 
 class SlowPlanner:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig, PlanStatus, VehicleState
-from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, StopController, acceleration, propagate
+from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, acceleration, propagate
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.settings import BrakeSettings
+from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.vehicle_link import VehicleSample
 
 VEHICLE = PlannerConfig().vehicle
@@ -61,7 +62,7 @@ def test_one_step_is_the_vehicle_model():
     np.testing.assert_allclose(moved.quaternion, quaternion, atol=1e-9)
     np.testing.assert_allclose(moved.velocity, velocity, atol=2e-3)  # the thrust's direction halfway stands for all
     np.testing.assert_allclose(moved.position, position, atol=1e-3)
-    assert moved.time == 5.05 and moved.finite
+    assert moved.time == 5.05 and moved.is_finite
     np.testing.assert_allclose(acceleration(LEVEL, HOVER[0], VEHICLE), 0.0, atol=1e-12)
 
 
@@ -85,7 +86,7 @@ def test_dead_reckoning_flies_the_commands_that_were_sent():
     reckoning.correct(sample(truth))
     for k in range(60):
         command = HOVER + rng.normal(size=4) * (1.0, 0.5, 0.5, 0.5)
-        reckoning.command(10.0 + 0.02 * k, command)
+        reckoning.add_command(10.0 + 0.02 * k, command)
         truth = propagate(truth, command, 10.0 + 0.02 * (k + 1), VEHICLE)
         if k == 30:
             delayed = truth
@@ -101,8 +102,8 @@ def test_dead_reckoning_flies_the_commands_that_were_sent():
 def test_where_the_drone_does_not_obey_it_goes_straight_on():
     reckoning = DeadReckoning(VEHICLE)
     reckoning.correct(sample(MotionState(1.0, np.zeros(3), np.array([2.0, 0.0, 0.0]), tilted(0.5))))
-    reckoning.command(1.0, HOVER)
-    reckoning.command(1.0, None)
+    reckoning.add_command(1.0, HOVER)
+    reckoning.add_command(1.0, None)
     found = reckoning.at(1.5)
     assert found is not None
     np.testing.assert_allclose(found.velocity, [2.0, 0.0, 0.0])
@@ -174,4 +175,4 @@ def test_the_plan_being_flown_stays_however_many_wait_to_begin():
     # And none longer than that.
     for number in range(6, 100):
         track.append(flyable(number, 10.26), 10.26 + 0.05 * number)
-    assert len(track._plans) == 2
+    assert len(track) == 2

@@ -9,7 +9,7 @@ import pytest
 
 from aero_planner import Planner
 from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
-from aero_planner.onboard.safety_machine import State
+from aero_planner.onboard.failsafe_table import State
 from aero_planner.quaternions import integrate_rates, rotate
 from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import LANE, Simulation, in_flight, poles

@@ -1,9 +1,10 @@
-"""The guard as it flies: its shared memory, and the process itself with a real socket, or serial line, to talk to."""
+"""The failsafe process: its shared memory, and the process itself with a real socket or serial line."""
 
 from __future__ import annotations
 
 import logging
 import math
+import mmap
 import os
 import select
 import signal
@@ -19,14 +20,15 @@ import pytest
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.dead_reckoning import MotionState
-from aero_planner.onboard.failsafe_process import FailsafeProcess, HeartbeatMemory, takeover_time
+from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
+from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.frames import flu_from_frd
-from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.safety_machine import State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.transport import open_transport
-from aero_planner.onboard.watchdog import AHEAD, Heartbeat
+from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat
 from tests.planner.onboard.simulated import GOAL
 from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
 
@@ -49,7 +51,7 @@ def forward(now: float) -> MotionState:
 
 @pytest.fixture
 def file() -> Iterator[int]:
-    file = HeartbeatMemory.new_file()
+    file = HeartbeatMemory.create_file()
     yield file
     os.close(file)
 
@@ -59,58 +61,59 @@ def memory(file: int) -> HeartbeatMemory:
     return HeartbeatMemory(file)
 
 
-def test_what_is_written_is_read_by_the_other_side(memory: HeartbeatMemory, file: int):
-    other = HeartbeatMemory(file)
-    assert other.read() is None
+def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
+    reader = HeartbeatMemory(file)
+    assert reader.read() is None
     motion = MotionState(4.9, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([0.5, 0.5, -0.5, 0.5]))
     for count in range(1, 5):
         memory.write(Heartbeat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count])), "udpout:10.0.0.1:14540")
-        number, beat, target = other.read() or pytest.fail("there is none")
-        assert (number, beat.time, target) == (count, 5.0 + count, "udpout:10.0.0.1:14540")
-        assert beat.motion is not None and beat.motion.time == 4.9
+        number, heartbeat, peer = reader.read() or pytest.fail("there is none")
+        assert (number, heartbeat.time, peer) == (count, 5.0 + count, "udpout:10.0.0.1:14540")
+        assert heartbeat.motion is not None and heartbeat.motion.time == 4.9
         for name in ("position", "velocity", "quaternion"):
-            np.testing.assert_array_equal(getattr(beat.motion, name), getattr(motion, name))
-        np.testing.assert_array_equal(beat.command, [9.0, 0.1, 0.2, count])
-    ahead = np.arange(4.0 * (AHEAD + 3)).reshape(-1, 4)
-    for told in (ahead[:1], ahead[:5], ahead[:AHEAD], ahead):
-        memory.write(Heartbeat(9.0, motion, HOVER, told), None)
-        _, beat, _ = other.read() or pytest.fail("there is none")
-        np.testing.assert_array_equal(beat.ahead, told[:AHEAD])
+            np.testing.assert_array_equal(getattr(heartbeat.motion, name), getattr(motion, name))
+        np.testing.assert_array_equal(heartbeat.command, [9.0, 0.1, 0.2, count])
+    planned = np.arange(4.0 * (UPCOMING_MAX + 3)).reshape(-1, 4)
+    for upcoming in (planned[:1], planned[:5], planned[:UPCOMING_MAX], planned):
+        memory.write(Heartbeat(9.0, motion, HOVER, upcoming), None)
+        _, heartbeat, _ = reader.read() or pytest.fail("there is none")
+        np.testing.assert_array_equal(heartbeat.upcoming, upcoming[:UPCOMING_MAX])
     memory.write(Heartbeat(10.0, None, None), None)
-    assert other.read() == (9, Heartbeat(10.0, None, None), None)
-    assert memory.reported() == (False, False, 0)
-    other.report(8, 3)
-    assert memory.reported() == (True, False, 3)
-    other.report(9, 3)
-    assert memory.reported() == (True, True, 3)
+    assert reader.read() == (9, Heartbeat(10.0, None, None), None)
+    assert memory.read_status() == (False, False, 0)
+    reader.write_status(8, 3)
+    assert memory.read_status() == (True, False, 3)
+    reader.write_status(9, 3)
+    assert memory.read_status() == (True, True, 3)
     memory.write(Heartbeat(11.0, None, None), None)
-    assert memory.reported() == (True, False, 3)  # it acts on a beat that is none any more
+    assert memory.read_status() == (True, False, 3)  # it braked after an older heartbeat
 
 
-def test_a_motion_that_is_not_finite_is_none(memory: HeartbeatMemory):
+def test_a_motion_that_is_not_finite_reads_as_none(memory: HeartbeatMemory):
     memory.write(Heartbeat(5.0, forward(math.nan), np.array([9.0, math.inf, 0.0, 0.0])), None)
     assert memory.read() == (1, Heartbeat(5.0, None, None), None)
 
 
 @pytest.mark.parametrize("written", [1, 2, 3, 4])
-def test_a_writer_stopped_anywhere_leaves_the_beat_before(memory: HeartbeatMemory, written: int):
+def test_a_writer_stopped_anywhere_leaves_the_previous_heartbeat(memory: HeartbeatMemory, file: int, written: int):
     for count in range(1, written + 1):
         memory.write(Heartbeat(float(count), forward(count), HOVER + count), f"udpout:127.0.0.1:{count}")
-    before = memory._memory[:]
+    content = mmap.mmap(file, 0)
+    before = content[:]
     memory.write(Heartbeat(-7.0, forward(-7.0), -HOVER), "/dev/ttyTHS1")
-    after = memory._memory[:]
+    after = content[:]
     (changed,) = np.nonzero(np.frombuffer(before, np.uint8) != np.frombuffer(after, np.uint8))
     first, last = int(changed[0]), int(changed[-1])
     for end in range(first, last + 1):
-        memory._memory[:] = after[:end] + before[end:]
+        content[:] = after[:end] + before[end:]
         found = memory.read()
         assert found is not None and found[0] == written and found[1].time == written, end
-    # The same in any other order of bytes, such as a processor that writes the end first.
+    # The same if the bytes are written in another order, such as the end first.
     for begin in range(first + 1, last + 1):
-        memory._memory[:] = before[:begin] + after[begin:]
+        content[:] = before[:begin] + after[begin:]
         found = memory.read()
         assert found is not None and found[0] == written, begin
-    memory._memory[:] = after
+    content[:] = after
     found = memory.read()
     assert found is not None and found[0] == written + 1 and found[2] == "/dev/ttyTHS1"
 
@@ -119,7 +122,7 @@ def test_a_writer_stopped_anywhere_leaves_the_beat_before(memory: HeartbeatMemor
 
 
 class Autopilot:
-    """Listens to commands."""
+    """Receives commands."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -131,7 +134,7 @@ class Autopilot:
         self._socket.close()
 
     def receive(self, timeout: float) -> tuple[float, np.ndarray] | None:
-        """Return when the next command arrived [s] and signal and body rates, forward-left-up; None when none came."""
+        """Return the time of the next command [s], and its thrust signal and body rates (FLU); None after `timeout`."""
         if not select.select([self._socket], [], [], timeout)[0]:
             return None
         now = time.monotonic()
@@ -142,11 +145,11 @@ class Autopilot:
         return now, np.array([message.thrust, *rates])
 
     def receive_all(self) -> list[tuple[float, np.ndarray]]:
-        """Return commands until none has come for much longer than a period, after the first."""
-        commands, next = [], self.receive(PATIENCE)
-        while next is not None:
-            commands.append(next)
-            next = self.receive(0.5)
+        """Return all commands until none has arrived for much longer than a period."""
+        commands, command = [], self.receive(PATIENCE)
+        while command is not None:
+            commands.append(command)
+            command = self.receive(0.5)
         return commands
 
 
@@ -158,137 +161,137 @@ def autopilot() -> Iterator[Autopilot]:
 
 
 @pytest.fixture
-def guard(autopilot: Autopilot) -> Iterator[FailsafeProcess]:
-    guard = FailsafeProcess(CONFIG, VEHICLE, lambda: autopilot.url)
-    guard.wait(PATIENCE)
-    yield guard
-    guard.close()
+def failsafe(autopilot: Autopilot) -> Iterator[FailsafeProcess]:
+    failsafe = FailsafeProcess(CONFIG, VEHICLE, lambda: autopilot.url)
+    failsafe.wait_until_running(PATIENCE)
+    yield failsafe
+    failsafe.close()
 
 
-def fly(guard: FailsafeProcess, ticks: int = 10) -> float:
-    """Be a node that is obeyed, for some ticks; return when it was last [s]."""
+def fly(failsafe: FailsafeProcess, ticks: int = 10) -> float:
+    """Report the heartbeats of a node that is obeyed; return the time of the last [s]."""
     now = time.monotonic()
     for _ in range(ticks):
         now = time.monotonic()
-        guard.beat(Heartbeat(now, forward(now), HOVER))
+        failsafe.report(Heartbeat(now, forward(now), HOVER))
         time.sleep(PERIOD)
     return now
 
 
 def check_braking(commands: list[tuple[float, np.ndarray]]) -> None:
-    """Check that a drone flying north is braked and then told to hover, see `forward`."""
+    """Check that a drone flying north, see `forward`, is braked and then commanded to hover."""
     (_, first), (_, last) = commands[0], commands[-1]
-    # Nose up, in forward-left-up a negative pitch rate, with which the thrust turns backwards.
+    # Nose up, which is a negative pitch rate in forward-left-up, so that the thrust points backwards.
     assert first[2] < -1.0 and abs(first[1]) < 0.1 and first[3] == 0.0
     np.testing.assert_allclose(last, [CONFIG.thrust.hover_thrust, 0.0, 0.0, 0.0], atol=1e-6)
-    # As long as it was to be, give and take what a busy machine adds.
+    # For the time required, with a tolerance for a busy machine.
     assert CONFIG.limits.blind_time - 2 * PERIOD < commands[-1][0] - commands[0][0] < CONFIG.limits.blind_time + 1.0
     assert len(commands) > 5
 
 
-def test_when_beats_stop_it_brakes_hovers_and_is_silent(guard: FailsafeProcess, autopilot: Autopilot):
-    last = fly(guard)
+def test_when_heartbeats_stop_it_brakes_hovers_and_falls_silent(failsafe: FailsafeProcess, autopilot: Autopilot):
+    last = fly(failsafe)
     commands = autopilot.receive_all()
     assert takeover_time(CONFIG) < commands[0][0] - last < takeover_time(CONFIG) + 1.0
     check_braking(commands)
-    # It stays, and guards again.
-    fly(guard)
+    # It continues to run, and brakes again.
+    fly(failsafe)
     check_braking(autopilot.receive_all())
-    guard.close()
-    assert guard.interventions == 2 and not guard.lost
+    failsafe.close()
+    assert failsafe.interventions == 2 and not failsafe.lost
 
 
-def test_until_then_it_goes_on_with_the_plan(guard: FailsafeProcess, autopilot: Autopilot):
+def test_until_the_deadline_it_flies_the_planned_commands(failsafe: FailsafeProcess, autopilot: Autopilot):
     now = time.monotonic()
-    ahead = np.array([[VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.01 * k] for k in range(1, 7)])
-    guard.beat(Heartbeat(now, forward(now), HOVER, ahead))
+    upcoming = np.array([[VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.01 * k] for k in range(1, 7)])
+    failsafe.report(Heartbeat(now, forward(now), HOVER, upcoming))
     commands = autopilot.receive_all()
     planned = [values for _, values in commands if values[3] != 0.0]
     braking = commands[len(planned) :]
-    # A yaw rate is nothing that braking asks for. How many there are depends on how busy the machine is.
+    # Braking never asks for a yaw rate. The number of planned commands depends on how busy the machine is.
     steps = np.round(100.0 * np.array([values[3] for values in planned]))
     assert len(planned) > 0 and (np.diff(steps) > 0).all() and set(steps) <= {1, 2, 3, 4, 5, 6}
     check_braking(braking)
 
 
-def test_beats_that_come_back_make_it_silent_at_once(guard: FailsafeProcess, autopilot: Autopilot):
-    fly(guard, 3)
-    assert not guard.braking
+def test_it_falls_silent_at_once_when_heartbeats_return(failsafe: FailsafeProcess, autopilot: Autopilot):
+    fly(failsafe, 3)
+    assert not failsafe.braking
     assert autopilot.receive(PATIENCE) is not None
-    while not guard.braking:  # the report follows the command
+    while not failsafe.braking:  # the status is written after the command
         assert autopilot.receive(PATIENCE) is not None
-    fly(guard, 3)
-    assert not guard.braking
+    fly(failsafe, 3)
+    assert not failsafe.braking
     while autopilot.receive(0.0) is not None:
         pass
-    fly(guard, 30)
+    fly(failsafe, 30)
     assert autopilot.receive(0.0) is None
 
 
-def test_closed_in_flight_it_says_nothing(guard: FailsafeProcess, autopilot: Autopilot):
-    fly(guard)
-    guard.close()
-    guard.close()
-    guard.beat(Heartbeat(time.monotonic(), None, None))
+def test_it_sends_nothing_when_closed_in_flight(failsafe: FailsafeProcess, autopilot: Autopilot):
+    fly(failsafe)
+    failsafe.close()
+    failsafe.close()
+    failsafe.report(Heartbeat(time.monotonic(), None, None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
-    assert not guard.lost
+    assert not failsafe.lost
 
 
-def test_where_the_drone_does_not_obey_it_says_nothing(guard: FailsafeProcess, autopilot: Autopilot):
-    fly(guard)
+def test_it_sends_nothing_to_a_drone_that_does_not_obey(failsafe: FailsafeProcess, autopilot: Autopilot):
+    fly(failsafe)
     now = time.monotonic()
-    guard.beat(Heartbeat(now, forward(now), None))
+    failsafe.report(Heartbeat(now, forward(now), None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
 
 
-def test_signals_to_all_do_not_end_it(guard: FailsafeProcess, autopilot: Autopilot):
-    assert os.getpgid(guard._process.pid) != os.getpgid(0)  # what Ctrl-C and Ctrl-Z reach
+def test_signals_to_the_process_group_do_not_end_it(failsafe: FailsafeProcess, autopilot: Autopilot):
+    assert os.getpgid(failsafe.pid) != os.getpgid(0)  # Ctrl-C and Ctrl-Z reach only the latter
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        guard._process.send_signal(number)
-    fly(guard)
+        os.kill(failsafe.pid, number)
+    fly(failsafe)
     check_braking(autopilot.receive_all())
 
 
-def test_a_guard_that_dies_is_told_of_once(guard: FailsafeProcess, caplog: pytest.LogCaptureFixture):
-    fly(guard, 2)
-    assert not guard.lost
-    guard._process.kill()
-    guard._process.wait()
+def test_its_death_is_logged_once(failsafe: FailsafeProcess, caplog: pytest.LogCaptureFixture):
+    fly(failsafe, 2)
+    assert not failsafe.lost
+    os.kill(failsafe.pid, signal.SIGKILL)
+    os.waitid(os.P_PID, failsafe.pid, os.WEXITED | os.WNOWAIT)
     with caplog.at_level(logging.ERROR):
-        fly(guard, 3)
-    assert guard.lost and caplog.text.count("the guard has ended with code -9") == 1
+        fly(failsafe, 3)
+    assert failsafe.lost and caplog.text.count("the failsafe process has ended with code -9") == 1
 
 
-def test_a_guard_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch):
+def test_a_process_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    guard = FailsafeProcess(CONFIG, VEHICLE, lambda: None)
-    with pytest.raises(OSError, match=r"the guard, .*, has ended with code 1"):
-        guard.wait(PATIENCE)
-    guard.close()
+    failsafe = FailsafeProcess(CONFIG, VEHICLE, lambda: None)
+    with pytest.raises(OSError, match=r"the failsafe process, .*, has ended with code 1"):
+        failsafe.wait_until_running(PATIENCE)
+    failsafe.close()
     monkeypatch.setattr(sys, "executable", "/absent/python")
     with pytest.raises(OSError, match="absent"):
         FailsafeProcess(CONFIG, VEHICLE, lambda: None)
 
 
 CALM = CONFIG.replace({"limits.deadline": 1.0})
-"""With a process that stands still: what is done at once is told from what is done after that."""
+"""A long deadline tells what is done at once from what is done after the deadline."""
 
 NODE = """
 import sys, time
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from tests.planner.onboard.test_failsafe_process import CALM, PATIENCE, VEHICLE, fly
 
-guard = FailsafeProcess(CALM, VEHICLE, lambda: sys.argv[1])
-guard.wait(PATIENCE)
+failsafe = FailsafeProcess(CALM, VEHICLE, lambda: sys.argv[1])
+failsafe.wait_until_running(PATIENCE)
 print("flying", flush=True)
 while True:
-    fly(guard, 1)
+    fly(failsafe, 1)
 """
 
 
 @pytest.fixture
 def node(autopilot: Autopilot) -> Iterator[subprocess.Popen[str]]:
-    """A process that is obeyed, and guarded."""
+    """A process that the drone obeys, with a failsafe process."""
     command = [sys.executable, "-c", NODE, autopilot.url]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "flying\n"
@@ -297,17 +300,17 @@ def node(autopilot: Autopilot) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def test_a_process_that_is_killed_is_replaced_until_the_drone_hovers(node: subprocess.Popen[str], autopilot: Autopilot):
+def test_after_the_node_is_killed_it_brakes_until_the_drone_hovers(node: subprocess.Popen[str], autopilot: Autopilot):
     node.kill()
     killed = time.monotonic()
     commands = autopilot.receive_all()
     assert commands[0][0] - killed < 0.5 * CALM.limits.deadline
     check_braking(commands)
-    # The guard holds the other end of this, too: it has ended.
-    assert "the guard brakes" in node.communicate(timeout=PATIENCE)[1]
+    # `communicate` returns only when the failsafe process, which inherited this pipe, has ended, too.
+    assert "the failsafe process brakes" in node.communicate(timeout=PATIENCE)[1]
 
 
-def test_a_process_that_is_stopped_is_replaced_and_takes_over_again(node: subprocess.Popen[str], autopilot: Autopilot):
+def test_a_stopped_node_takes_over_again_when_it_continues(node: subprocess.Popen[str], autopilot: Autopilot):
     node.send_signal(signal.SIGSTOP)
     check_braking(autopilot.receive_all())
     node.send_signal(signal.SIGCONT)
@@ -316,53 +319,53 @@ def test_a_process_that_is_stopped_is_replaced_and_takes_over_again(node: subpro
     assert autopilot.receive(PATIENCE) is not None
 
 
-def test_a_serial_line_is_shared():
+def test_a_serial_line_is_shared_with_the_node():
     there, device = os.openpty()
     name = os.ttyname(device)
     port = open_transport(name, baud=115_200)
     before = termios.tcgetattr(device)
-    assert port.partner == name and port.send(b"the node's last words")
-    guard = FailsafeProcess(CONFIG, VEHICLE, lambda: port.partner)
+    assert port.peer == name and port.send(b"the node's last words")
+    failsafe = FailsafeProcess(CONFIG, VEHICLE, lambda: port.peer)
     try:
-        guard.wait(PATIENCE)
-        fly(guard)
+        failsafe.wait_until_running(PATIENCE)
+        fly(failsafe)
         assert select.select([there], [], [], PATIENCE)[0]
         time.sleep(takeover_time(CONFIG) + 3 * PERIOD)
         data = os.read(there, 4096)
-        # What the node wrote is still there, and its settings hold.
+        # What the node has written is still there, and its settings are unchanged.
         assert data.startswith(b"the node's last words")
         messages = mavlink.MAVLink(None).parse_buffer(data[len(b"the node's last words") :])
         assert messages[0].get_type() == "SET_ATTITUDE_TARGET"
         assert termios.tcgetattr(device) == before
     finally:
-        guard.close()
+        failsafe.close()
         port.close()
         os.close(there)
         os.close(device)
 
 
-def test_it_and_the_nodes_own_watchdog_never_speak_both(
-    small_planner: Planner, guard: FailsafeProcess, autopilot: Autopilot, caplog: pytest.LogCaptureFixture
+def test_it_and_the_watchdog_never_both_send(
+    small_planner: Planner, failsafe: FailsafeProcess, autopilot: Autopilot, caplog: pytest.LogCaptureFixture
 ):
     small_planner.reset()
     link = StandingLink()
     config = CONFIG.replace({"limits.plan_age": 1.0, "limits.cloud_age": 2.0, "limits.state_age": 1.0})
-    node = Node(small_planner, link, StandingLidar(), config, goal=GOAL, guard=guard)
+    node = Node(small_planner, link, StandingLidar(), config, goal=GOAL, failsafe=failsafe)
     node.warm_up()
     node.start()
     try:
         assert link.wait_for_commands()
         link.armed = link.offboard = True
         assert link.wait_for_commands()
-        # The control loop fails: the watchdog, in this process, brakes to the end.
+        # The control loop fails: the watchdog, in this process, brakes until its time is over.
         link.failing = True
         with caplog.at_level(logging.WARNING):
             end = time.monotonic() + PATIENCE
             while "the watchdog has braked for as long as it may" not in caplog.text:
                 assert time.monotonic() < end
                 time.sleep(PERIOD)
-        assert "the watchdog brakes" in caplog.text and not guard.braking
-        while (command := autopilot.receive(0.0)) is not None:  # of a plan, when a tick was late
+        assert "the watchdog brakes" in caplog.text and not failsafe.braking
+        while (command := autopilot.receive(0.0)) is not None:  # a planned command, if a tick was late
             assert command[0] < time.monotonic()
     finally:
         node.close()
@@ -372,14 +375,14 @@ def test_it_and_the_nodes_own_watchdog_never_speak_both(
     assert statistics["failsafe_interventions"] == 0 and statistics["failsafe_lost"] is False
 
 
-def test_after_the_guard_has_braked_the_watchdog_waits_for_the_control_loop(
-    small_planner: Planner, guard: FailsafeProcess, autopilot: Autopilot
+def test_after_it_has_braked_the_watchdog_waits_for_the_control_loop(
+    small_planner: Planner, failsafe: FailsafeProcess, autopilot: Autopilot
 ):
     small_planner.reset()
     link = StandingLink()
-    node = Node(small_planner, link, StandingLidar(), CONFIG, goal=GOAL, guard=guard)
+    node = Node(small_planner, link, StandingLidar(), CONFIG, goal=GOAL, failsafe=failsafe)
     try:
-        # No threads of its own: it stands still as a whole, as soon as nothing here lets it go on.
+        # Without threads, the whole node stands still unless it is stepped here.
         end = time.monotonic() + PATIENCE
         while node.state is not State.READY:
             assert time.monotonic() < end
@@ -388,10 +391,10 @@ def test_after_the_guard_has_braked_the_watchdog_waits_for_the_control_loop(
         link.armed = link.offboard = True
         node.control_once()
         count = link.count
-        while not guard.braking:
+        while not failsafe.braking:
             assert autopilot.receive(PATIENCE) is not None
         assert not node.watch_once() and link.count == count
         node.control_once()
-        assert link.count == count + 1 and not guard.braking
+        assert link.count == count + 1 and not failsafe.braking
     finally:
         node.close()

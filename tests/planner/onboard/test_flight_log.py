@@ -18,7 +18,7 @@ from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.settings import OnboardConfig, load_onboard
 from aero_planner.onboard.vehicle_link import VehicleSample
 from tests.planner.onboard.conftest import Records
-from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
+from tests.planner.onboard.simulated import PLACES, SMALL, Relay, Simulation, poles
 
 WORLD = poles(PLACES)
 
@@ -42,9 +42,10 @@ def sample(time: float) -> VehicleSample:
 def flown(small_planner: Planner, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records, Simulation]:
     """A second of flight and its log."""
     path, seen = tmp_path_factory.mktemp("log") / "flight.mcap", Records()
-    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0))
+    relay = Relay()
+    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0), observers=[relay])
     log = FlightLog(path, SMALL, OnboardConfig(), clock=lambda: simulation.now)
-    simulation.node._observers = (log, seen)
+    relay.observers = [log, seen]
     simulation.engage()
     simulation.run(1.5)
     simulation.node.close()
@@ -110,27 +111,27 @@ def test_configurations_are_attached(flown: tuple[Path, Records, Simulation], tm
 def test_a_full_disk_ends_the_log_and_not_the_flight(
     small_planner: Planner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0))
-    log = FlightLog(tmp_path / "full.mcap", SMALL, OnboardConfig(), clock=lambda: simulation.now)
-    simulation.node._observers = (log,)
+    relay = Relay()
+    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0), observers=[relay])
+    log = FlightLog(tmp_path / "full.mcap", SMALL, OnboardConfig(), clock=lambda: simulation.now, flush_period=0.0)
+    relay.observers = [log]
 
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    log._flushed = -np.inf  # due
     simulation.engage()
     simulation.run(0.5)
     simulation.node.close()
     assert log.failed and simulation.node.failures == 0
-    assert "full.mcap ends here: No space left on device" in caplog.text
+    assert "full.mcap ends early: No space left on device" in caplog.text
 
 
 def test_a_disk_that_is_too_slow_at_the_end_costs_what_waits_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    log = FlightLog(tmp_path / "slow.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0)
-    stuck, gate, sync, close = threading.Event(), threading.Event(), os.fsync, log._box.close
+    log = FlightLog(tmp_path / "slow.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0, flush_period=0.0)
+    stuck, gate, sync = threading.Event(), threading.Event(), os.fsync
 
     def slow(file: int) -> None:
         stuck.set()
@@ -138,20 +139,20 @@ def test_a_disk_that_is_too_slow_at_the_end_costs_what_waits_and_says_so(
         sync(file)
 
     monkeypatch.setattr(os, "fsync", slow)
-    log._flushed = -np.inf  # due
     log.sample(sample(1.0))
     assert stuck.wait(10.0)
     for k in range(30):
         log.sample(sample(2.0 + 0.02 * k))
-    monkeypatch.setattr(log._box, "close", lambda: close(0.1))
-    log.close()
-    assert "slow.mcap may lack its end: the disk is too slow; 30 items are dropped" in caplog.text
+    log.close(0.1)
+    assert "slow.mcap may be missing: the disk is too slow; 30 items were dropped" in caplog.text
     log.sample(sample(3.0))  # of a thread that hangs
     assert log.dropped == 31
     # A disk that comes to itself gets a whole file: nobody else has closed or written it.
     gate.set()
-    log._box._thread.join(10.0)
-    assert len(decoded(log.path)["/odometry"]) == 1 and log._box.failures == 0
+    for thread in threading.enumerate():
+        if thread.name == "aero-planner-log":
+            thread.join(10.0)
+    assert len(decoded(log.path)["/odometry"]) == 1 and "aero-planner-log failed" not in caplog.text
     with log.path.open("rb") as file:
         assert [record.metadata for record in make_reader(file).iter_metadata()] == [{"dropped": "31"}]
 

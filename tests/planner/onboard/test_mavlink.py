@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from aero_planner.onboard import mavlink as mavlink_module
-from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_sender import load_dialect
 
 mavlink = load_dialect()
 HALF = math.sqrt(0.5)
@@ -29,7 +30,7 @@ class Clock:
         return self.now
 
 
-class Partner:
+class Peer:
     """The other end of a link."""
 
     def __init__(self, url_port, system=1, component=1):
@@ -80,20 +81,24 @@ def clock():
 
 
 @pytest.fixture
-def link(clock):
+def port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
-        number = probe.getsockname()[1]
-    link = MavlinkLink(f"udpin:127.0.0.1:{number}", mass=2.0, hover_thrust=0.4, clock=clock)
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def link(clock, port):
+    link = MavlinkLink(f"udpin:127.0.0.1:{port}", mass=2.0, hover_thrust=0.4, clock=clock)
     yield link
     link.close()
 
 
 @pytest.fixture
-def autopilot(link):
-    partner = Partner(link._port._socket.getsockname()[1])
-    yield partner
-    partner.socket.close()
+def autopilot(link, port):
+    peer = Peer(port)
+    yield peer
+    peer.socket.close()
 
 
 def state_after(link, autopilot, *messages) -> Any:
@@ -258,7 +263,7 @@ def test_heartbeats_tell_arming_and_mode(link, autopilot, clock, base, mode, arm
 def test_heartbeats_of_others_mean_nothing(link, autopilot):
     state_after(link, autopilot, odometry())
     for system, component in [(255, 190), (1, 154), (2, 1)]:
-        other = Partner(autopilot.address[1], system, component)
+        other = Peer(autopilot.address[1], system, component)
         other.heartbeat()
         other.send(odometry((5, 5, 5), time=6.0))
         other.socket.close()
@@ -297,7 +302,7 @@ def test_commands_go_to_the_autopilot_only(link, autopilot):
     assert link.sent == 0
     autopilot.heartbeat()
     link.poll()
-    stranger = Partner(autopilot.address[1], 255, 190)
+    stranger = Peer(autopilot.address[1], 255, 190)
     stranger.heartbeat()
     link.poll()
     link.send([9.81, 0, 0, 0])
@@ -342,7 +347,7 @@ def test_odometry_is_asked_for_until_it_comes(link, autopilot, clock):
 
 
 def test_goals(link, autopilot):
-    (station := Partner(autopilot.address[1], 255, 190)).send(goal_message((10, 2, -3)))
+    (station := Peer(autopilot.address[1], 255, 190)).send(goal_message((10, 2, -3)))
     link.poll()
     np.testing.assert_allclose(link.goal, [10, -2, 3])
     for other in (goal_message((1, 1, 1), component=1), goal_message((1, 1, 1), system=7)):
@@ -351,7 +356,7 @@ def test_goals(link, autopilot):
     station.send(*unusable)
     link.poll()
     np.testing.assert_allclose(link.goal, [10, -2, 3])
-    assert link.dropped == {"SET_POSITION_TARGET_LOCAL_NED in another frame, in part, or not finite": 3}
+    assert link.dropped == {"SET_POSITION_TARGET_LOCAL_NED in another frame, incomplete, or not finite": 3}
     station.socket.close()
 
 
@@ -413,7 +418,7 @@ def test_serial_devices_are_streams():
                 link.poll()
             os.write(there, b"\x00\xfe")  # noise on the line
         assert link.received["ODOMETRY"] >= 49
-        assert len(link._parser.buf) < 1000
+        assert link.buffered < 1000
         os.set_blocking(there, False)
         os.read(there, 65536)
         link.send([9.81, 0, 0, 0])

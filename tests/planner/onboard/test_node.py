@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner, PlanStatus, VehicleState
+from aero_planner.onboard.failsafe_table import Reaction, State
 from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.plan_schedule import ScheduledPlan
-from aero_planner.onboard.safety_machine import Reaction, State
 from aero_planner.quaternions import rotate
 from tests.planner.onboard.simulated import GOAL, LANE, PLACES, WORLD, Simulation, in_flight, spoiled
 
@@ -54,13 +54,14 @@ def test_a_flight_from_start_to_goal(small_planner: Planner):
 def check_planned(flight: Simulation, seconds: float) -> None:
     """Check, while time goes on, that what is sent is the planned control of that time."""
     plans: list[tuple[float, ScheduledPlan]] = []
-    append = flight.node._track.append
+    schedule = flight.node.schedule
+    append = schedule.append
 
     def keep(plan: ScheduledPlan, now: float) -> None:
         plans.append((flight.now, plan))
         append(plan, now)
 
-    flight.node._track.append = keep  # type: ignore[method-assign]
+    schedule.append = keep  # type: ignore[method-assign]
     first = len(flight.link.sent)
     flight.run(seconds)
     checked = 0
@@ -74,7 +75,7 @@ def check_planned(flight: Simulation, seconds: float) -> None:
         assert 0.0 <= now - plan.measured <= flight.node.config.limits.plan_age
         checked += 1
     assert checked >= 0.8 * seconds / PERIOD
-    flight.node._track.append = append  # type: ignore[method-assign]
+    schedule.append = append  # type: ignore[method-assign]
 
 
 def test_what_is_sent_is_the_planned_control_of_that_time(flight: Simulation):
@@ -190,7 +191,7 @@ def test_with_a_stale_cloud_it_brakes_as_planned(flight: Simulation):
     flight.planning_alive = False  # so that the plan stays
     flight.run(3 * PERIOD)
     sent, command = flight.link.sent[-1]
-    planned = flight.node._track.command(sent)
+    planned = flight.node.schedule.command(sent)
     assert planned is not None
     np.testing.assert_allclose(command, planned, atol=1e-6)
     flight.planning_alive = True
@@ -279,7 +280,7 @@ def test_a_plan_with_nan_is_never_flown(flight: Simulation, caplog: pytest.LogCa
     flight.planner.spoil = lambda plan: spoiled(plan, controls=np.full_like(plan.controls, np.nan))
     with caplog.at_level(logging.ERROR):
         flight.run(0.3)
-    assert "BRAKING" in states(flight) and "the plan is not finite" in caplog.text
+    assert "BRAKING" in states(flight) and "the plan contains NaN or infinity" in caplog.text
     assert np.isfinite([command for _, command in flight.link.sent]).all()
     assert flight.node.statistics()["planner_failures"] >= 1
     flight.planner.spoil = lambda plan: plan
@@ -303,7 +304,7 @@ def test_where_nothing_is_safe_it_brakes_as_planned_and_waits(flight: Simulation
     check_planned(flight, 0.6)
     assert flight.node.state is State.BRAKING and since(flight, began, "BRAKING") < 0.2
     # The next plan looks ahead along this one.
-    assert flight.node._situation is not None and flight.node._situation.flying
+    assert flight.node.snapshot is not None and flight.node.snapshot.follows_plan
     assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
     assert states(flight) == ["READY", "FLYING", "BRAKING", "HOLDING"]
     flight.planner.ageing = 0.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.safety_machine import State
+from aero_planner.onboard.failsafe_table import State
 from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, spoiled
 
 PERIOD = 0.02
@@ -21,7 +21,7 @@ def test_the_watchdog_brakes_when_the_control_loop_hangs(flight: Simulation, cap
     with caplog.at_level(logging.ERROR):
         flight.run(limits.deadline + 2 * PERIOD)
     assert len(flight.link.sent) > count and flight.link.sent[count][0] - began <= limits.deadline + 2 * PERIOD
-    assert "the control loop has stood still" in caplog.text
+    assert "the control loop has stalled" in caplog.text
     flight.run(limits.blind_time)
     assert flight.motion.speed < 1.0  # by dead reckoning alone
     count = len(flight.link.sent)
@@ -31,7 +31,7 @@ def test_the_watchdog_brakes_when_the_control_loop_hangs(flight: Simulation, cap
 
 
 def test_a_late_tick_is_bridged_with_what_is_planned(flight: Simulation):
-    track, limits = flight.node._track, flight.node.config.limits
+    schedule, limits = flight.node.schedule, flight.node.config.limits
     flight.planning_alive = False
     flight.run(2 * PERIOD)
     count, began = len(flight.link.sent), flight.link.sent[-1][0]
@@ -42,7 +42,7 @@ def test_a_late_tick_is_bridged_with_what_is_planned(flight: Simulation):
     np.testing.assert_allclose([now - began for now, _ in bridging], PERIOD * np.arange(2, 2 + len(bridging)))
     assert len(bridging) >= 2
     for k, (_, command) in enumerate(bridging, start=2):
-        np.testing.assert_array_equal(command, track.command(began + k * PERIOD))
+        np.testing.assert_array_equal(command, schedule.command(began + k * PERIOD))
     assert flight.node.statistics()["watchdog_interventions"] == 0
     flight.control_alive = flight.planning_alive = True
     flight.run(3 * PERIOD)
@@ -62,13 +62,13 @@ def test_a_late_tick_is_bridged_within_the_vehicles_bounds(flight: Simulation):
 
 
 def test_what_is_told_ahead_ends_where_the_plan_is_too_old(flight: Simulation):
-    track, limits = flight.node._track, flight.node.config.limits
-    newest = track.at(flight.now)
+    schedule, limits = flight.node.schedule, flight.node.config.limits
+    newest = schedule.at(flight.now)
     assert newest is not None
     left = newest.measured + limits.plan_age - flight.now
-    ahead = track.ahead(flight.now, period=PERIOD, count=100, age_max=limits.plan_age)
-    assert len(ahead) == math.floor(left / PERIOD + 1e-9)
-    np.testing.assert_array_equal(ahead[2], track.command(flight.now + 3 * PERIOD))
+    upcoming = schedule.upcoming(flight.now, period=PERIOD, count=100, age_max=limits.plan_age)
+    assert len(upcoming) == math.floor(left / PERIOD + 1e-9)
+    np.testing.assert_array_equal(upcoming[2], schedule.command(flight.now + 3 * PERIOD))
 
 
 def test_a_control_loop_that_comes_back_brakes_first_and_goes_on(flight: Simulation):
@@ -76,7 +76,7 @@ def test_a_control_loop_that_comes_back_brakes_first_and_goes_on(flight: Simulat
     flight.run(0.4)
     flight.control_alive = True
     flight.run(PERIOD)
-    assert flight.node.state is State.BRAKING and str(flight.node.changes[-1]).endswith("the control loop stood still")
+    assert flight.node.state is State.BRAKING and str(flight.node.changes[-1]).endswith("the control loop stalled")
     flight.run(0.5)
     assert flight.node.state is State.FLYING
 

@@ -38,11 +38,11 @@ def test_deadlines_are_absolute_and_late_calls_skip(on_grid: bool, times: list[f
         if len(begun) == 6:
             clock.set()
 
-    pacer = PeriodicLoop(0.01, call, clock=clock, stopped=clock, on_grid=on_grid)
-    pacer.run()
+    loop = PeriodicLoop(0.01, call, clock=clock, stopped=clock, on_grid=on_grid)
+    loop.run()
     # What a call takes does not shift those after it; after one of 35 ms three deadlines are left out, or caught up.
     assert begun == times
-    summary = pacer.statistics.summary()
+    summary = loop.statistics.summary()
     assert (summary["ticks"], summary["missed"], summary["period_ms"]) == (6, 3, 10.0)
     assert summary["late_max_ms"] == pytest.approx(0.0, abs=1e-6)
 
@@ -51,7 +51,7 @@ def test_statistics_tell_lateness_and_jitter():
     statistics = DeadlineStatistics(0.02)
     assert statistics.summary()["late_median_ms"] is None and statistics.summary()["jitter_ms"] is None
     for k, late in enumerate((0.0, 0.001, 0.002, 0.003, 0.004)):
-        statistics.tick(0.02 * k, 0.02 * k + late)
+        statistics.add_tick(0.02 * k, 0.02 * k + late)
     summary = statistics.summary()
     assert summary["late_median_ms"] == pytest.approx(2.0) and summary["late_max_ms"] == pytest.approx(4.0)
     assert summary["jitter_ms"] == pytest.approx(0.0, abs=1e-9)  # each comes 21 ms after the one before

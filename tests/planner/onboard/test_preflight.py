@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.preflight import Check, PreflightReport, _thrust, check_inputs, preflight
+from aero_planner.check_report import Check, CheckReport
+from aero_planner.onboard.input_checks import check_inputs
+from aero_planner.onboard.preflight import check_thrust, preflight
 from aero_planner.onboard.settings import OnboardConfig
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
 
@@ -37,14 +39,14 @@ def test_a_drone_in_order_passes(drone: Simulation):
     assert set(checks) == {
         "vehicle state", "heartbeat", "vehicle mode", "LiDAR", "cloud", "packets", "deskewing", "position", "goal",
     }  # fmt: skip
-    assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].found
+    assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded
 
 
 def test_nothing_there_is_told(drone: Simulation):
     drone.link.alive = drone.lidar.alive = False
     checks = look(drone)
-    assert checks["vehicle state"].found == checks["LiDAR"].found == "nothing arrived"
+    assert checks["vehicle state"].finding == checks["LiDAR"].finding == "nothing arrived"
     assert not checks["vehicle state"].ok and "mavlink.url" in checks["vehicle state"].advice
     assert not checks["LiDAR"].ok and "lidar.port" in checks["LiDAR"].advice
     assert not checks["goal"].ok and not checks["goal"].required
@@ -67,26 +69,26 @@ def test_what_is_wrong_is_named(drone: Simulation):
 def test_what_the_link_dropped_is_named(drone: Simulation):
     drone.link.dropped["ODOMETRY in frames 0 and 1"] = 300
     check = look(drone)["unusable messages"]
-    assert check.found == "300 x ODOMETRY in frames 0 and 1" and not check.ok and not check.required
+    assert check.finding == "300 x ODOMETRY in frames 0 and 1" and not check.ok and not check.required
 
 
 def test_a_sensor_that_sees_nothing_is_not_ready(drone: Simulation):
-    drone.lidar._world = np.array([[500.0, 0.0, 0.0]] * 40, np.float32)
+    drone.lidar.world = np.array([[500.0, 0.0, 0.0]] * 40, np.float32)
     checks = look(drone)
     assert drone.lidar.counters.packets and not checks["LiDAR"].ok and not checks["cloud"].ok
-    assert checks["cloud"].found == "no points: covered, or nothing is in range"
+    assert checks["cloud"].finding == "no points: covered, or nothing is in range"
     assert "fly only where something is in range" in checks["LiDAR"].advice
 
 
 def test_states_that_are_late_or_seldom_fail(drone: Simulation):
     drone.state_delay = 0.4
     checks = look(drone)
-    assert not checks["vehicle state"].ok and "They are late" in checks["vehicle state"].advice
+    assert not checks["vehicle state"].ok and "The states are late" in checks["vehicle state"].advice
     assert checks["deskewing"].ok  # later poses place the points that waited
 
     drone.state_delay, drone.link.frozen = 0.0, True
     checks = look(drone)
-    assert not checks["vehicle state"].ok and checks["vehicle state"].found.startswith("0 per second")
+    assert not checks["vehicle state"].ok and checks["vehicle state"].finding.startswith("0 per second")
     assert "raise the autopilot's rate" in checks["vehicle state"].advice
 
 
@@ -102,8 +104,8 @@ def test_the_whole_list(tmp_path: Path):
     failed = [check.name for check in report.checks if not check.ok and check.required]
     assert failed == ["vehicle state", "LiDAR"] and not report.passed
     assert found["warp-lang"].ok and found["pymavlink"].ok and found["mcap"].ok
-    assert "plans 2000 points in" in found["device cpu"].found
-    assert str(tmp_path) in found["disk for the log"].found and found["hover thrust"].ok
+    assert "plans 2000 points in" in found["device cpu"].finding
+    assert str(tmp_path) in found["disk for the log"].finding and found["hover thrust"].ok
     content = json.loads(json.dumps(report.to_json()))
     assert content["passed"] is False and len(content["checks"]) == len(report.checks)
     table = report.format_table()
@@ -129,22 +131,22 @@ def test_what_fails_before_anything_is_heard(tmp_path: Path):
     found = {check.name: check for check in report.checks}
     for name in ("configuration", "device cuda:7", "hover thrust", "autopilot port", "LiDAR port", "disk for the log"):
         assert not found[name].ok and found[name].required, name
-    assert "the planner's horizon" in found["configuration"].found
+    assert "the planner's horizon" in found["configuration"].finding
     assert "vehicle.thrust_max" in found["hover thrust"].advice
-    assert "lidar.port" in found["LiDAR port"].found and "in use" in found["LiDAR port"].found
+    assert "lidar.port" in found["LiDAR port"].finding and "in use" in found["LiDAR port"].finding
     assert not found["telemetry port"].ok and not found["telemetry port"].required
     assert "vehicle state" not in found
 
 
 def test_a_thrust_curve_is_said_to_go_with_no_compensation():
-    linear, curved = (_thrust(SMALL, OnboardConfig().replace({"thrust.curve": curve})) for curve in (0.0, 0.5))
+    linear, curved = (check_thrust(SMALL, OnboardConfig().replace({"thrust.curve": curve})) for curve in (0.0, 0.5))
     # 1 kg hovers at half the throttle: with a curve of 0.5 that is 0.5 x 0.5 + 0.5 x 0.25 of the full thrust.
-    assert linear.found == "hovers at 0.5 with 9.8 N: at most 19.6 N, 2.0 times the weight"
-    assert "right only where THR_MDL_FAC is 0: at most 26.2 N" in curved.found
+    assert linear.finding == "hovers at 0.5 with 9.8 N: at most 19.6 N, 2.0 times the weight"
+    assert "valid only if THR_MDL_FAC is 0: at most 26.2 N" in curved.finding
 
 
 def test_a_report_passes_when_all_that_is_required_does():
-    good, warning = Check("a", "yes"), Check("b", "no", False, "Do it.", required=False)
-    assert PreflightReport((good, warning)).passed
-    assert "warn  b  no" in PreflightReport((good, warning)).format_table()
-    assert not PreflightReport((good, dataclasses.replace(warning, required=True))).passed
+    good, warning = Check("a", "yes"), Check("b", "no", ok=False, required=False, advice="Do it.")
+    assert CheckReport((good, warning)).passed
+    assert "warn  b  no" in CheckReport((good, warning)).format_table()
+    assert not CheckReport((good, dataclasses.replace(warning, required=True))).passed

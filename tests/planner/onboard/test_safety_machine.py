@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aero_planner import PlanStatus
-from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
-from aero_planner.onboard.safety_machine import (
+from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
     BLINDING,
     COMMANDING,
@@ -25,14 +24,15 @@ from aero_planner.onboard.safety_machine import (
     Cause,
     Inputs,
     Reaction,
-    SafetyMachine,
     State,
-    faults,
-    holds,
-    inside_fence,
+    cause_applies,
+    find_faults,
+    is_inside_fence,
     next_state,
     reaction_to,
 )
+from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
+from aero_planner.onboard.safety_machine import SafetyMachine
 from aero_planner.onboard.settings import LimitSettings, OnboardConfig
 
 LIMITS = LimitSettings()
@@ -113,7 +113,7 @@ def is_well(inputs: Inputs) -> bool:
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     """The invariants that hold at every single step, whatever came before."""
-    reaction = reaction_to(target, faults(inputs, LIMITS))
+    reaction = reaction_to(target, find_faults(inputs, LIMITS))
     ours, well = inputs.armed and inputs.offboard, is_well(inputs)
     if not ours:
         # Outside OFFBOARD nothing is sent, save the neutral stream that PX4 wants before it, and only if all is well.
@@ -127,7 +127,7 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     if target is State.READY:
         assert well and not ours  # who finds himself in OFFBOARD unawares begins nothing
     if reaction is Reaction.HOLD and target is State.HOLDING:
-        assert not any(holds(fault, inputs, LIMITS) for fault in BLINDING)
+        assert not any(cause_applies(fault, inputs, LIMITS) for fault in BLINDING)
     if state is State.HANDED_BACK:
         assert target is State.HANDED_BACK or not inputs.armed
     if target in COMMANDING and state not in COMMANDING:
@@ -144,7 +144,7 @@ def test_every_row_can_be_taken_and_every_cause_is_used():
     taken = set()
     for state, inputs in itertools.product(State, ALL_INPUTS):
         for row in TRANSITIONS:
-            if state in row.sources and holds(row.cause, inputs, LIMITS):
+            if state in row.sources and cause_applies(row.cause, inputs, LIMITS):
                 taken.add(row)
                 break
     assert taken == set(TRANSITIONS)
@@ -170,7 +170,7 @@ def test_whatever_stays_broken_ends_in_silence_or_rest():
         while (target := next_state(chain[-1], inputs, LIMITS)[0]) is not chain[-1]:
             chain.append(target)
             assert len(chain) < 8, (chain, inputs)
-        broken = faults(inputs, LIMITS)
+        broken = find_faults(inputs, LIMITS)
         if broken:
             assert REACTIONS[chain[-1]] is not Reaction.STREAM_PLAN
         if broken and inputs.fault_time > LIMITS.brake_time + LIMITS.hold_time:
@@ -182,8 +182,8 @@ SOURCES: tuple[str, ...] = ("link", "state", "cloud", "plan", "fence", "status",
 """Things that can be broken for a while."""
 CAUSES = {
     "link": Cause.LINK_LOST, "state": Cause.STATE_STALE, "cloud": Cause.CLOUD_STALE, "plan": Cause.PLAN_STALE,
-    "fence": Cause.FENCE, "status": Cause.UNSAFE, "nan state": Cause.STATE_NOT_FINITE,
-    "nan plan": Cause.PLAN_NOT_FINITE, "overrun": Cause.OVERRUN,
+    "fence": Cause.OUTSIDE_FENCE, "status": Cause.PLAN_UNSAFE, "nan state": Cause.STATE_NOT_FINITE,
+    "nan plan": Cause.PLAN_NOT_FINITE, "overrun": Cause.LOOP_STALLED,
 }  # fmt: skip
 
 segments = st.lists(
@@ -288,7 +288,7 @@ def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
     safety = SafetyMachine(LIMITS, on_change=changes.append)
     ground = dataclasses.replace(WELL, armed=False, offboard=False)
     now = run(safety, dataclasses.replace(ground, inside_fence=False), 0.1, 0.0)
-    assert safety.state is State.WAITING and safety.missing() == (Cause.FENCE,)
+    assert safety.state is State.WAITING and safety.active_faults() == (Cause.OUTSIDE_FENCE,)
     now = run(safety, dataclasses.replace(ground, armed=True), 0.1, now)
     assert safety.state is State.READY and safety.reaction is Reaction.BRAKE
     now = run(safety, WELL, 0.1, now)
@@ -309,7 +309,7 @@ def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
     assert [change.target.name for change in changes] == [
         "READY", "FLYING", "ARRIVED", "FLYING", "ARRIVED", "FLYING", "WAITING",
     ]  # fmt: skip
-    assert str(changes[-1]) == "FLYING -> WAITING: the vehicle is disarmed or has left OFFBOARD"
+    assert str(changes[-1]) == "FLYING -> WAITING: the vehicle was disarmed or left OFFBOARD"
 
 
 def test_a_drone_that_is_armed_when_the_node_starts_is_left_alone():
@@ -367,9 +367,9 @@ def test_telling_the_node_to_end_brakes_first():
 
 def test_the_fence_is_a_cylinder_and_a_box():
     limits = dataclasses.replace(LIMITS, fence_radius=10.0, fence_x_max=5.0, fence_y_min=-2.0)
-    assert inside_fence((0.0, 0.0, 1.0), limits) and inside_fence((-9.9, 0.0, 30.0), limits)
+    assert is_inside_fence((0.0, 0.0, 1.0), limits) and is_inside_fence((-9.9, 0.0, 30.0), limits)
     outside = [(6.0, 0, 1), (0, -2.1, 1), (-10.1, 0, 1), (-8, 8, 1), (0, 0, 0.2), (0, 0, 30.1), (math.nan, 0, 1)]
-    assert not any(inside_fence(np.array(place), limits) for place in outside)
+    assert not any(is_inside_fence(np.array(place), limits) for place in outside)
 
 
 def test_the_documentation_shows_the_table_that_is_flown():

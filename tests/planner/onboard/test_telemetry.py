@@ -15,13 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
+from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.observer import PlanRecord
-from aero_planner.onboard.safety_machine import Cause, Change, State
+from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP, Telemetry, encode_plan
 from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader, encode
 
-CHANGE = Change(12.5, State.FLYING, State.BRAKING, Cause.CLOUD_STALE)
+CHANGE = StateChange(12.5, State.FLYING, State.BRAKING, Cause.CLOUD_STALE)
 
 
 class Clock:
@@ -126,9 +127,9 @@ def test_the_rate_is_limited_and_without_viewers_nothing_is_sent(serve, clock: C
     numbers = []
     for tick in range(101):  # 2 s at 50 Hz
         clock.now = 200.0 + 0.02 * tick
-        before = telemetry._next
+        before = telemetry.accepted
         telemetry.plan(records[0])
-        if telemetry._next != before:  # accepted: what is waited for below
+        if telemetry.accepted != before:
             numbers.append(viewer.read_plan().values["number"])
     assert 20 <= len(numbers) <= 22 and telemetry.sent == len(numbers)
 
@@ -242,7 +243,7 @@ def header(**changes: int | bytes) -> bytes:
     ("data", "problem"),
     [
         (b"HTTP/1.1 400 Bad Request\r\n", "no aero-planner node"),
-        (header(version=2), "speaks version 2 of the telemetry protocol and this program version 1"),
+        (header(version=2), "uses version 2 of the telemetry protocol and this program version 1"),
         (header(length=2**31), "impossible length"),
         (header(length=0), "impossible length"),
         (header(size=2**31), "impossible length"),

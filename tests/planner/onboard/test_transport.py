@@ -21,11 +21,11 @@ def test_urls_that_are_none(url: str, error: str):
         open_transport(url)
 
 
-def test_devices_that_are_none(tmp_path: Path):
+def test_invalid_devices(tmp_path: Path):
     with pytest.raises(OSError, match="missing"):
         open_transport(str(tmp_path / "missing"))
     (tmp_path / "file").touch()
-    with pytest.raises(OSError, match="no serial device"):
+    with pytest.raises(OSError, match="not a serial device"):
         open_transport(str(tmp_path / "file"))
     with pytest.raises(ValueError, match="baud rate"):
         open_transport("/dev/null", baud=12345)
