@@ -96,15 +96,14 @@ def fly(
         with progress_bar(loaded.name, enabled=not json) as update_bar:
 
             def show_progress(share: float, flight_time: float) -> None:
-                update_bar(share, 1.0, f"{100.0 * share:.0f} % of the way, {flight_time:.1f} s flown")
+                update_bar(share, 1.0, f"{100.0 * share:.0f} % of the distance, {flight_time:.1f} s flown")
 
             options["progress"] = show_progress
-            if log is None:
-                result = fly_once(loaded, **options)
-            else:
-                from aero_viz.logs import fly_and_log
+            if log is not None:
+                from aero_viz.logs import flight_recorder
 
-                result = fly_and_log(loaded, log, **options)
+                options["recorder"] = flight_recorder(log)
+            result = fly_once(loaded, **options)
     except FlightInterrupted as interrupted:
         _print_result(interrupted.result, as_json=json)
         raise SystemExit(130) from None

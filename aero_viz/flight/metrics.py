@@ -12,12 +12,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner import PlannerConfig
 from aero_planner.warp_init import quieten
 from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_trajectory_kernel
 from aero_viz.flight.rules import OUTCOMES, FlightRules
 from aero_viz.scenes.world import World
 
-__all__ = ["FlightResult", "flight_results", "initial_records", "judge_trajectory", "pack_rules"]
+__all__ = ["FlightResult", "config_name_of", "flight_results", "initial_records", "judge_trajectory", "pack_rules"]
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,11 @@ def flight_results(
             )
         )
     return results
+
+
+def config_name_of(config: PlannerConfig) -> str:
+    """Return the name of the preset that a configuration equals, or "custom"."""
+    return next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), "custom")
 
 
 def initial_records(starts: NDArray[np.float64], goals: NDArray[np.float64]) -> NDArray[Any]:

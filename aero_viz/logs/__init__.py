@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from aero_viz.logs.flight_log import FlightLog, fly_and_log, record
+from aero_viz.logs.flight_log import FlightLog, flight_recorder, record
 
-__all__ = ["FlightLog", "fly_and_log", "record"]
+__all__ = ["FlightLog", "flight_recorder", "record"]

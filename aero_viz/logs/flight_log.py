@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import importlib.metadata
 import json
 import logging
-import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,25 +14,17 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig, VehicleState
+from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightInterrupted, FlightResult, FlightRules, FlightSource, StateNoise, VehicleModel
-from aero_viz.flight.batch import Way
-from aero_viz.flight.explanation import refuse_impossible
-from aero_viz.flight.interrupt import deferred_interrupt
-from aero_viz.flight.progress import distance_share
-from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.logs.messages import body_rates, encode_goal, encode_plan, encode_sweep
-from aero_viz.scenes import World
-from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.sinks import Sink
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["FlightLog", "fly_and_log", "new_points", "record"]
+__all__ = ["FlightLog", "flight_recorder", "new_points", "record"]
 
 _log = logging.getLogger(__name__)
 
@@ -227,74 +217,15 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
             log.close(dropped=sink.dropped)
 
 
-def fly_and_log(
-    world: World,
-    log: str | Path,
-    *,
-    config: PlannerConfig | None = None,
-    seed: int = 0,
-    device: str = "cpu",
-    lidar: LidarModel | None = None,
-    vehicle: VehicleModel | None = None,
-    rules: FlightRules | None = None,
-    noise: StateNoise | None = None,
-    speed: float | None = None,
-    trajectory: str | Path | None = None,
-    config_name: str = "custom",
-    progress: Way | None = None,
-) -> FlightResult:
-    """Fly once, headless, and log every tick, none dropped; otherwise as `aero_viz.flight.fly`.
+@contextlib.contextmanager
+def flight_recorder(path: str | Path) -> Iterator[FlightLog]:
+    """Open a flight log for `aero_viz.flight.fly`, which writes every tick to it and drops none.
 
     Raises:
-        FlightInterrupted: Ctrl-C; it has the result so far, and the files hold what was flown.
-        UserError: an option is out of range, no flight can arrive, or a file cannot be written.
+        UserError: the file cannot be written.
     """
-    config, rules = config or PlannerConfig(), rules or FlightRules()
     try:
-        config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
-        vehicle = vehicle or VehicleModel.from_config(config)
-    except ValueError as error:
-        raise UserError(f"Cannot fly {world.name!r}: {error}") from error
-    refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
-    source = FlightSource(
-        world,
-        lidar=lidar,
-        vehicle=vehicle,
-        rules=rules,
-        noise=noise,
-        control_step=config.sampling.dt,
-        seed=seed,
-        device=device,
-    )
-    plan_ms: list[float] = []
-    over = False
-    try:
-        with contextlib.ExitStack() as stack:
-            session = stack.enter_context(contextlib.closing(Session(source, config=config, device=device, seed=seed)))
-            flight_log = stack.enter_context(contextlib.closing(FlightLog(log)))
-            write_row = stack.enter_context(trajectory_file(trajectory))
-            pressed = stack.enter_context(deferred_interrupt())
-            simulator, drone = source.simulator, source.simulator.vehicle
-
-            def write_tick() -> None:
-                arrays = (drone.position, drone.velocity, drone.quaternion)
-                state = VehicleState(*(array.numpy()[0].astype(np.float64) for array in arrays))
-                flight_log.write_pose(simulator.time, state)
-                write_row(simulator.time, state.position, state.velocity)
-
-            write_tick()
-            simulator.observers.append(write_tick)
-            while not over:
-                frame = session.tick()
-                flight_log.write(frame)
-                plan_ms.append(frame.timings_ms["plan"])
-                if progress is not None:
-                    progress(distance_share(world, drone.position.numpy()[0]), frame.time)
-                over = source.outcome is not None or pressed()
-            result = source.result()
+        with contextlib.closing(FlightLog(path)) as log:
+            yield log
     except OSError as error:
-        raise UserError(f"Cannot write the flight log {log}: {error.strerror or error}.") from error
-    result = dataclasses.replace(result, config=config_name, plan_ms_median=statistics.median(plan_ms))
-    if result.reason is None:
-        raise FlightInterrupted(result)
-    return result
+        raise UserError(f"Cannot write the flight log {path}: {error.strerror or error}.") from error

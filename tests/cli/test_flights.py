@@ -108,7 +108,7 @@ def test_the_voxel_size_of_a_map_is_a_flag(capsys: pytest.CaptureFixture[str], t
 def test_progress_is_shown_on_a_terminal_but_not_with_json(poles: str) -> None:
     code, printed, shown = run_in_terminal("fly", poles, "--sampling.samples", "16")
     assert code == 0 and "reason           arrived" in printed
-    assert "poles" in shown and "% of the way" in shown
+    assert "poles" in shown and "% of the distance" in shown
     code, printed, shown = run_in_terminal("fly", poles, "--sampling.samples", "16", "--json")
     assert (code, shown) == (0, "") and json.loads(printed)["arrived"]
 

@@ -13,7 +13,7 @@ from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.score import Trajectory, load_trajectory, score
 from aero_viz.flight import FlightResult, FlightRules, fly
-from aero_viz.logs import fly_and_log
+from aero_viz.logs import flight_recorder
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 
@@ -49,7 +49,9 @@ def test_a_simulated_flight_scores_as_it_was_flown(world, speed, reason, tmp_pat
 
 def test_a_flight_log_scores_as_it_was_flown(tmp_path):
     world = OPEN
-    flown = fly_and_log(world, tmp_path / "flight.mcap", config=CONFIG, seed=4, lidar=LIDAR, speed=2.0)
+    flown = fly(
+        world, recorder=flight_recorder(tmp_path / "flight.mcap"), config=CONFIG, seed=4, lidar=LIDAR, speed=2.0
+    )
     trajectory = load_trajectory(tmp_path / "flight.mcap")
     assert_same(score(trajectory, world), flown)
     assert_same(score(load_trajectory(tmp_path / "flight.mcap", pose_topic="/odometry"), world), flown)

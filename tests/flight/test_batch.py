@@ -13,7 +13,7 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel, fly, memory_per_flight
-from aero_viz.flight.memory import device_bytes
+from aero_viz.flight.device_memory import device_bytes
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 

@@ -10,8 +10,8 @@ from aero_planner import PlannerConfig
 from aero_viz.evaluation.score import load_trajectory
 from aero_viz.flight import FlightInterrupted, fly
 from aero_viz.flight.interrupt import deferred_interrupt
-from aero_viz.flight.progress import distance_share
-from aero_viz.logs import fly_and_log
+from aero_viz.flight.single import distance_share
+from aero_viz.logs import flight_recorder
 from aero_viz.recordings import inspect
 from aero_viz.scenes import scene
 from aero_viz.sensors import LidarModel
@@ -24,13 +24,13 @@ OPTIONS = {
 
 
 def press_at(time: float):
-    """A `Way` that presses Ctrl-C at that time."""
+    """Return a progress callback that presses Ctrl-C at a simulated time [s]."""
 
-    def way(share: float, simulated: float) -> None:
+    def progress(share: float, simulated: float) -> None:
         if simulated >= time - 1e-9:
             signal.raise_signal(signal.SIGINT)
 
-    return way
+    return progress
 
 
 def test_the_first_ctrl_c_waits_and_the_second_does_not() -> None:
@@ -73,7 +73,7 @@ def test_what_was_flown_is_in_the_exception_and_in_the_file(tmp_path) -> None:
 
 def test_a_log_ends_whole(tmp_path) -> None:
     with pytest.raises(FlightInterrupted) as caught:
-        fly_and_log(scene("wall", seed=1), tmp_path / "a.mcap", progress=press_at(0.3), **OPTIONS)
+        fly(scene("wall", seed=1), recorder=flight_recorder(tmp_path / "a.mcap"), progress=press_at(0.3), **OPTIONS)
     assert caught.value.result.flight_time_s == pytest.approx(0.3)
     info = inspect(tmp_path / "a.mcap")
     assert info.problems == () and info.poses == 16
@@ -81,10 +81,14 @@ def test_a_log_ends_whole(tmp_path) -> None:
 
 def test_progress_goes_from_start_to_goal(tmp_path) -> None:
     world = scene("wall", seed=1)
-    for i, fly_once in enumerate((fly, lambda world, **options: fly_and_log(world, tmp_path / "a.mcap", **options))):
-        told: list[tuple[float, float]] = []
-        result = fly_once(world, progress=lambda *call, told=told: told.append(call), speed=2.0, **OPTIONS)
-        shares, times = np.array(told).T
-        assert result.arrived and shares[0] == 0.0 and shares[-1] > 0.7, i
+    for recorder in (None, flight_recorder(tmp_path / "a.mcap")):
+        calls: list[tuple[float, float]] = []
+
+        def note(share: float, time: float, calls: list[tuple[float, float]] = calls) -> None:
+            calls.append((share, time))
+
+        result = fly(world, progress=note, recorder=recorder, speed=2.0, **OPTIONS)
+        shares, times = np.array(calls).T
+        assert result.arrived and shares[0] == 0.0 and shares[-1] > 0.7
         assert np.all(np.diff(times) > 0.0) and times[-1] == pytest.approx(result.flight_time_s)
     assert distance_share(world, world.goal) == 1.0

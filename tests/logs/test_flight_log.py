@@ -19,7 +19,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource, fly
-from aero_viz.logs import FlightLog, flight_log, fly_and_log, record
+from aero_viz.logs import FlightLog, flight_log, flight_recorder, record
 from aero_viz.logs.flight_log import new_points
 from aero_viz.recordings import RecordingSource, inspect, open_recording
 from aero_viz.scenes import World, scene
@@ -195,7 +195,7 @@ def test_what_the_page_changes_on_the_way_is_logged(session, tmp_path):
 
 def test_play_sees_the_flight_that_was_logged(tmp_path):
     world = scene("wall", seed=1)
-    result = fly_and_log(world, tmp_path / "a.mcap", config=CONFIG, seed=4, lidar=LIDAR, speed=2.0)
+    result = fly(world, recorder=flight_recorder(tmp_path / "a.mcap"), config=CONFIG, seed=4, lidar=LIDAR, speed=2.0)
     info = inspect(tmp_path / "a.mcap")
     ticks = round(result.flight_time_s / 0.02)
     assert (info.sweeps, info.poses, info.points_topic) == (10 + ticks // 5, ticks + 1, "/sweep")
@@ -213,7 +213,7 @@ def test_play_sees_the_flight_that_was_logged(tmp_path):
 def test_logging_does_not_change_the_flight(tmp_path):
     world = scene("wall", seed=1)
     options = {"config": CONFIG, "seed": 4, "lidar": LIDAR, "speed": 2.0}
-    logged = fly_and_log(world, tmp_path / "a.mcap", trajectory=tmp_path / "a.csv", **options)
+    logged = fly(world, recorder=flight_recorder(tmp_path / "a.mcap"), trajectory=tmp_path / "a.csv", **options)
     plain = fly(world, trajectory=tmp_path / "b.csv", **options)
     assert (logged.reason, logged.smoothness) == (plain.reason, plain.smoothness)
     assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
@@ -296,7 +296,12 @@ def test_a_file_that_cannot_be_written(tmp_path):
         with pytest.raises(UserError, match="Cannot write the flight log /dev/full: No space left on device"):
             FlightLog("/dev/full")
     with pytest.raises(UserError, match="Cannot write"):
-        fly_and_log(scene("wall"), tmp_path / "a.mcap", lidar=LIDAR, trajectory=tmp_path / "none" / "a.csv")
+        fly(
+            scene("wall"),
+            recorder=flight_recorder(tmp_path / "a.mcap"),
+            lidar=LIDAR,
+            trajectory=tmp_path / "none" / "a.csv",
+        )
 
 
 _WRITER = """

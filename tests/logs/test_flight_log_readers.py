@@ -24,8 +24,8 @@ from aero_planner.config.file import load_config
 from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
 from aero_viz.cli import main
 from aero_viz.evaluation.score import load_trajectory, score
-from aero_viz.flight import FlightResult, FlightRules, VehicleModel
-from aero_viz.logs import fly_and_log
+from aero_viz.flight import FlightResult, FlightRules, VehicleModel, fly
+from aero_viz.logs import flight_recorder
 from aero_viz.recordings import inspect
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
@@ -57,7 +57,7 @@ def flown(world: World, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
     lidar = LidarModel("small", points_per_sweep=1000)
     vehicle = VehicleModel(rate_lag=0.02, latency=0.01)
     options: dict[str, Any] = {"config": CONFIG, "seed": 4, "lidar": lidar, "speed": 2.0, "rules": rules}
-    return path, fly_and_log(world, path, vehicle=vehicle, **options)
+    return path, fly(world, recorder=flight_recorder(path), vehicle=vehicle, **options)
 
 
 def raw(path: Path) -> list[tuple[Any, Any, Any]]:
@@ -139,9 +139,9 @@ def test_attachments_repeat_the_flight(flown: tuple[Path, FlightResult], world: 
     assert set(attached) == {"world.json", "flight.json", "config_0.yaml"}
     (tmp_path / "config.yaml").write_text(attached["config_0.yaml"])
     settings = json.loads(attached["flight.json"])
-    repeated = fly_and_log(
+    repeated = fly(
         World.from_dict(json.loads(attached["world.json"])),
-        tmp_path / "again.mcap",
+        recorder=flight_recorder(tmp_path / "again.mcap"),
         config=load_config(tmp_path / "config.yaml"),
         seed=settings["seed"],
         device=settings["device"],

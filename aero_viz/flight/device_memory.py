@@ -1,4 +1,4 @@
-"""How much device memory flights take: what decides how many fit."""
+"""Device memory of flights, which limits the size of a batch."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ __all__ = ["device_bytes", "memory_per_flight"]
 
 
 def device_bytes(owner: Any) -> int:
-    """Return the bytes of the Warp arrays that an object of this project holds, views of the same memory once."""
+    """Return the size of the Warp arrays [bytes] that `owner` refers to; shared memory counts once.
+
+    References are followed through lists, dicts and objects of this project.
+    """
     spans = sorted({(a.ptr, a.ptr + a.capacity) for a in _arrays(owner, set()) if a.ptr})
     total = end = 0
     for first, last in spans:
@@ -28,18 +31,19 @@ def device_bytes(owner: Any) -> int:
 
 
 def memory_per_flight(*, config: PlannerConfig | None = None, lidar: LidarModel | None = None) -> int:
-    """Return the bytes that each flight adds to a `FlightBatch`, worlds apart.
+    """Return the memory that each flight adds to a `FlightBatch`, without its world [bytes].
 
-    Measured, as the difference of a batch of two and of one on the CPU with one thread, which has the layout of a GPU.
+    It is measured as the difference between batches of two flights and of one on the CPU. With one thread, the CPU has
+    the memory layout of a GPU.
 
     Args:
-        config: of the planner; None is the default.
-        lidar: None is the Livox Mid-360. Its sweeps are the largest part.
+        config: configuration of the planner; None is the default.
+        lidar: None is the Livox Mid-360. Its sweeps take the largest part.
     """
     world = World("empty", np.zeros(3), np.array([9.0, 0.0, 0.0]))
     batches = [FlightBatch([world] * count, config=config, lidar=lidar, threads=1) for count in (1, 2)]
-    one, two = (device_bytes(batch) for batch in batches)
-    return two - one
+    single, double = (device_bytes(batch) for batch in batches)
+    return double - single
 
 
 def _arrays(value: Any, seen: set[int]) -> Iterator[wp.array]:

@@ -1,0 +1,140 @@
+"""A single flight, headless and as fast as possible; optionally recorded while it is flown."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aero_planner import PlannerConfig, VehicleState
+from aero_viz.errors import UserError
+from aero_viz.flight.estimate import StateNoise
+from aero_viz.flight.explanation import refuse_impossible
+from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
+from aero_viz.flight.metrics import FlightResult, config_name_of
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.source import FlightSource
+from aero_viz.flight.trajectory import trajectory_file
+from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.scenes.world import World
+from aero_viz.sensors.lidar import LidarModel
+from aero_viz.session import Session
+from aero_viz.session.frame import Frame
+
+__all__ = ["FlightProgress", "FlightRecorder", "distance_share", "fly"]
+
+FlightProgress = Callable[[float, float], None]
+"""Called with the share of the distance to the goal that is covered, 0 to 1, and the simulated time [s]."""
+
+
+class FlightRecorder(Protocol):
+    """Receives a flight while it is flown, such as `aero_viz.logs.FlightLog`."""
+
+    def write(self, frame: Frame) -> None:
+        """Take the frame of a plan."""
+        ...
+
+    def write_pose(self, time: float, state: VehicleState) -> None:
+        """Take the true state at a time [s]: at the start and after every tick."""
+        ...
+
+
+def fly(
+    world: World,
+    *,
+    config: PlannerConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    lidar: LidarModel | None = None,
+    vehicle: VehicleModel | None = None,
+    rules: FlightRules | None = None,
+    noise: StateNoise | None = None,
+    speed: float | None = None,
+    trajectory: str | Path | None = None,
+    recorder: contextlib.AbstractContextManager[FlightRecorder] | None = None,
+    config_name: str | None = None,
+    progress: FlightProgress | None = None,
+) -> FlightResult:
+    """Fly once, headless and as fast as possible. Same seed and device, same flight, with or without a recorder.
+
+    Args:
+        world: where to fly.
+        config: configuration of the planner; None is the default.
+        seed: seed of LiDAR, noise and planner.
+        device: Warp device.
+        lidar, vehicle, rules, noise: as in `FlightBatch`.
+        speed: replaces vehicle.speed_limit of the configuration [m/s].
+        trajectory: CSV file to write during the flight, t,x,y,z,vx,vy,vz at the start and after every tick.
+        recorder: context that is entered when the flight begins, and whose value receives it, such as
+            `aero_viz.logs.flight_recorder(path)`.
+        config_name: name of the configuration in the result; None is the name of an equal preset, or "custom".
+        progress: called after every plan.
+
+    Raises:
+        FlightInterrupted: Ctrl-C was pressed. The exception holds the result so far, and all files are complete up to
+            that tick.
+        UserError: an option is out of range, no flight can arrive, the device does not exist, or a file cannot be
+            written.
+    """
+    config, rules = config or PlannerConfig(), rules or FlightRules()
+    name = config_name or config_name_of(config)
+    try:
+        config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+        refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
+        source = FlightSource(
+            world,
+            lidar=lidar,
+            vehicle=vehicle or VehicleModel.from_config(config),
+            rules=rules,
+            noise=noise,
+            control_step=config.sampling.dt,
+            seed=seed,
+            device=device,
+        )
+        session = Session(source, config=config, device=device, seed=seed)
+    except ValueError as error:
+        raise UserError(f"Cannot fly {world.name!r}: {error}") from error
+    with contextlib.closing(session), contextlib.ExitStack() as stack:
+        active_recorder = None if recorder is None else stack.enter_context(recorder)
+        write_row = stack.enter_context(trajectory_file(trajectory))
+        is_interrupted = stack.enter_context(deferred_interrupt())
+        simulator, drone = source.simulator, source.simulator.vehicle
+
+        def record_tick() -> None:
+            arrays = (drone.position, drone.velocity, drone.quaternion)
+            state = VehicleState(*(np.asarray(array.numpy()[0], dtype=np.float64) for array in arrays))
+            write_row(simulator.time, state.position, state.velocity)
+            if active_recorder is not None:
+                active_recorder.write_pose(simulator.time, state)
+
+        if active_recorder is not None or trajectory is not None:
+            record_tick()
+            simulator.observers.append(record_tick)
+        plan_ms: list[float] = []
+        ended = source.outcome is not None and active_recorder is None  # collided at the start: nothing to plan
+        while not ended:
+            frame = session.tick()
+            plan_ms.append(frame.timings_ms["plan"])
+            if active_recorder is not None:
+                active_recorder.write(frame)
+            if progress is not None:
+                progress(distance_share(world, frame.observation.actual_state.position), frame.time)
+            ended = source.outcome is not None or is_interrupted()
+        median = statistics.median(plan_ms) if plan_ms else None
+        result = dataclasses.replace(source.result(), config=name, plan_ms_median=median)
+    if result.reason is None:
+        raise FlightInterrupted(result)
+    return result
+
+
+def distance_share(world: World, position: ArrayLike) -> float:
+    """Return the share of the distance from start to goal that a drone at `position` [m], [3], has covered, 0 to 1."""
+    whole = float(np.linalg.norm(world.goal - world.start))
+    left = float(np.linalg.norm(world.goal - np.asarray(position, dtype=np.float64)))
+    return max(0.0, 1.0 - left / whole) if whole > 0.0 else 1.0
