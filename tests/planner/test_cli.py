@@ -226,18 +226,20 @@ def test_a_terminal_that_stalls_and_is_lost_does_not_keep_it_from_ending(flight_
 
 HANGING = """
 import sys, threading
+from concurrent.futures import ThreadPoolExecutor
+
 from aero_planner import cli, pipeline
-from aero_planner.onboard import connections
+from aero_planner.onboard import run as node_program
 from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
 
-connections.open_link = lambda *_: StandingLink()
-connections.open_lidar = lambda *_: StandingLidar()
+node_program.open_link = lambda *_: StandingLink()
+node_program.open_lidar = lambda *_: StandingLidar()
 plan = pipeline.Pipeline.run
 
 def run(self):
     if threading.current_thread().name == "aero-planner-planning":
         print("a plan hangs", file=sys.stderr, flush=True)
-        self._executor.submit(threading.Event().wait).result()
+        ThreadPoolExecutor(1).submit(threading.Event().wait).result()
     plan(self)
 
 pipeline.Pipeline.run = run

@@ -14,7 +14,8 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
-from aero_planner.deploy.export import export, makes_graphs, parse_architecture
+from aero_planner.deploy.export import makes_graphs, parse_architecture
+from aero_planner.onboard.bundle_export import export_bundle
 from aero_planner.onboard.settings import load_flight_config
 
 pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
@@ -54,7 +55,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory, processor: str) -> Path:
     place = tmp_path_factory.mktemp("bundle")
     (place / "flight.yaml").write_text(f"onboard:\n  lidar:\n    points_max: {POINTS}\n")
     architectures = [] if processor == "cpu" else [parse_architecture(processor)]
-    manifest = export(
+    manifest = export_bundle(
         place / "bundle", config=place / "flight.yaml", cpu=processor == "cpu", architectures=architectures
     )
     assert manifest["graphs"] == [processor]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
-from aero_planner.config.file import ONBOARD, ConfigFile, format_sections
+from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "TelemetrySettings",
     "ThrustSettings",
     "check_together",
+    "flight_config_from_name",
     "format_onboard",
     "load_any",
     "load_flight_config",
@@ -32,125 +34,193 @@ _ADDRESS = r"[A-Za-z0-9_.:-]+"
 
 @dataclass(frozen=True)
 class LidarSettings(ParameterSection, section="lidar"):
-    """The LiDAR: where its packets arrive, and how it is mounted."""
+    """LiDAR: network addresses, mounting, and the cloud made of its sweeps."""
 
-    host: str = text("0.0.0.0", _ADDRESS, "an address of this computer", "Address on which points arrive; all of them.")
-    port: int = structural(56301, 0, 65535, "UDP port to which the sensor sends its points; 0 takes any free one.")
-    sensor: str = text("any", _ADDRESS, "an address, or any", "Address of the sensor; others are not listened to.")
-    keep_uncertain: bool = switch(True, "Keep points that the sensor thinks perhaps, not likely, to be rain or dust.")
-    mount_x: float = live(0.0, "m", -5.0, 5.0, "Sensor in the body frame, forward of the centre.")
-    mount_y: float = live(0.0, "m", -5.0, 5.0, "Sensor in the body frame, left of the centre.")
-    mount_z: float = live(0.0, "m", -5.0, 5.0, "Sensor in the body frame, above the centre.")
-    mount_roll: float = live(0.0, "deg", -180.0, 180.0, "Sensor turned about the body's x axis; 180 hangs upside down.")
-    mount_pitch: float = live(0.0, "deg", -180.0, 180.0, "Sensor turned about the y axis; positive looks down.")
-    mount_yaw: float = live(0.0, "deg", -180.0, 180.0, "Sensor turned about the z axis; positive looks left.")
-    sweeps: int = structural(10, 1, 50, "Sweeps that make up the cloud.")
-    sweep_period: float = live(0.1, "s", 0.01, 1.0, "Duration of a sweep: 10 sweeps per second.")
-    points_max: int = structural(
-        200_000, 100, 5_000_000, "Points of the cloud at most, the oldest go first; a Mid-360 measures 20 000 a sweep."
+    host: str = text(
+        "0.0.0.0", _ADDRESS, "an address of this computer",
+        "Local address on which the packets of the sensor arrive; 0.0.0.0 stands for all addresses.",
+        label="Local address",
+    )  # fmt: skip
+    port: int = structural(
+        56301, 0, 65535, "UDP port to which the sensor sends its points; 0 uses any free port.", label="UDP port"
     )
+    sensor: str = text(
+        "any", _ADDRESS, "an address, or any", "Address of the sensor; packets from other addresses are ignored.",
+        label="Sensor address",
+    )  # fmt: skip
+    keep_uncertain: bool = switch(
+        True, "Keep points that the sensor rates as possibly, but not probably, rain or dust.",
+        label="Keep uncertain points",
+    )  # fmt: skip
+    mount_x: float = live(0.0, "m", -5.0, 5.0, "Position of the sensor in the body frame, forward.", label="Mount x")
+    mount_y: float = live(0.0, "m", -5.0, 5.0, "Position of the sensor in the body frame, left.", label="Mount y")
+    mount_z: float = live(0.0, "m", -5.0, 5.0, "Position of the sensor in the body frame, up.", label="Mount z")
+    mount_roll: float = live(
+        0.0, "deg", -180.0, 180.0, "Rotation of the sensor about the body x axis; 180 for a sensor upside down."
+    )
+    mount_pitch: float = live(
+        0.0, "deg", -180.0, 180.0, "Rotation of the sensor about the y axis; positive values look down."
+    )
+    mount_yaw: float = live(
+        0.0, "deg", -180.0, 180.0, "Rotation of the sensor about the z axis; positive values look left."
+    )
+    sweeps: int = structural(10, 1, 50, "Number of sweeps in the cloud.", label="Sweeps in the cloud")
+    sweep_period: float = live(0.1, "s", 0.01, 1.0, "Duration of a sweep; 0.1 for 10 sweeps per second.")
+    points_max: int = structural(
+        200_000, 100, 5_000_000, "Largest number of points in the cloud; beyond it, the oldest are dropped. A Mid-360 "
+        "measures 20 000 points per sweep.",
+        label="Maximum number of points",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class MavlinkSettings(ParameterSection, section="mavlink"):
-    """The autopilot."""
+    """Connection to the autopilot."""
 
     url: str = text(
         "udpin:127.0.0.1:14540", r"[A-Za-z0-9_./:,-]+", "a connection such as udpin:0.0.0.0:14540 or /dev/ttyTHS1",
-        "Where the autopilot is, as pymavlink writes it: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT or a serial device.",
+        "Connection in the notation of pymavlink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, or a serial device.",
+        label="Connection",
     )  # fmt: skip
-    baud: int = structural(921_600, 1200, 12_500_000, "Bits per second of a serial device.")
-    system: int = structural(1, 1, 255, "System id of the autopilot, and ours: this computer is part of the vehicle.")
-    component: int = structural(191, 1, 255, "Component id of this computer; 191 is the first onboard computer.")
-    state_rate: float = live(100.0, "Hz", 0.0, 500.0, "States that the autopilot is asked for; 0 asks for nothing.")
+    baud: int = structural(921_600, 1200, 12_500_000, "Bits per second of a serial device.", label="Baud rate")
+    system: int = structural(
+        1, 1, 255, "System id of the autopilot, which this computer shares as a part of the vehicle.", label="System id"
+    )
+    component: int = structural(
+        191, 1, 255, "Component id of this computer; 191 is the first onboard computer.", label="Component id"
+    )
+    state_rate: float = live(
+        100.0, "Hz", 0.0, 500.0, "Rate at which the autopilot is asked to send its state; 0 sends no request."
+    )
 
 
 @dataclass(frozen=True)
 class RateSettings(ParameterSection, section="rates"):
-    """How often things happen."""
+    """Rates of control and planning."""
 
-    control: float = live(50.0, "Hz", 10.0, 200.0, "Commands per second.")
-    replan: float = live(20.0, "Hz", 1.0, 100.0, "Plans per second, as far as planning is fast enough.")
-    compensate: bool = switch(
-        True, "Plan from where the drone will be when the plan is ready, not from where it was when planning began."
+    control: float = live(50.0, "Hz", 10.0, 200.0, "Commands per second.", label="Control rate")
+    replan: float = live(
+        20.0, "Hz", 1.0, 100.0, "Plans per second, if planning is fast enough.", label="Replanning rate"
     )
+    compensate: bool = switch(
+        True, "Plan from the state that the drone will have when the plan is ready, not from its state when planning "
+        "starts.",
+        label="Compensate for the planning time",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ThrustSettings(ParameterSection, section="thrust"):
-    """From newton to the autopilot's thrust of 0 to 1."""
+    """Conversion of the thrust from newton to the 0 to 1 of the autopilot."""
 
     hover_thrust: float = live(
-        0.5, "", 0.05, 0.95, "Thrust of 0 to 1 at which the drone hovers: the autopilot's MPC_THR_HOVER, measured."
+        0.5,
+        "",
+        0.05,
+        0.95,
+        "Thrust from 0 to 1 at which the drone hovers: the measured MPC_THR_HOVER of the autopilot.",
     )
     curve: float = live(
-        0.0, "", 0.0, 1.0, "Share of the square in thrust over command: 0 where the autopilot makes it linear itself, "
-        "its THR_MDL_FAC set to fit the motors; the motors' own only where that is 0.",
+        0.0, "", 0.0, 1.0, "Quadratic share of the thrust as a function of the command: 0 if the autopilot linearizes "
+        "it, with THR_MDL_FAC set to fit the motors; the share of the motors only if THR_MDL_FAC is 0.",
+        label="Thrust curve",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LimitSettings(ParameterSection, section="limits"):
-    """What may go on, and for how long."""
+    """Limits for flying on: ages of the data, times and the geofence."""
 
-    state_age: float = live(0.2, "s", 0.02, 2.0, "Age of the vehicle's state above which the drone brakes.")
-    cloud_age: float = live(0.5, "s", 0.05, 5.0, "Age of the newest point above which the drone brakes.")
-    plan_age: float = live(0.3, "s", 0.05, 2.0, "Age of a plan above which it is not flown any more.")
+    state_age: float = live(
+        0.2, "s", 0.02, 2.0, "Age of the vehicle state above which the drone brakes.", label="Maximum state age"
+    )
+    cloud_age: float = live(
+        0.5, "s", 0.05, 5.0, "Age of the newest point above which the drone brakes.", label="Maximum cloud age"
+    )
+    plan_age: float = live(
+        0.3, "s", 0.05, 2.0, "Age above which a plan is not flown any more.", label="Maximum plan age"
+    )
     heartbeat_age: float = live(
-        3.0, "s", 0.2, 10.0, "Time without heartbeat after which the link counts as lost; PX4 sends one per second."
-    )
+        3.0, "s", 0.2, 10.0, "Time without a heartbeat after which the link counts as lost; PX4 sends one per second.",
+        label="Heartbeat timeout",
+    )  # fmt: skip
     deadline: float = live(
-        0.1, "s", 0.02, 1.0, "Time for which the control loop may stand still; the watchdog then brakes in its place."
-    )
+        0.1, "s", 0.02, 1.0, "Time without a tick of the control loop after which the watchdog brakes in its place.",
+        label="Control loop deadline",
+    )  # fmt: skip
     blind_time: float = live(
-        1.5,
-        "s",
-        0.0,
-        5.0,
-        "Time for which the drone is braked and levelled by dead reckoning before it is handed back.",
+        1.5, "s", 0.0, 5.0, "Time for which a drone without a state estimate is braked and levelled by dead reckoning "
+        "before it is handed back.",
+        label="Dead reckoning time",
+    )  # fmt: skip
+    brake_time: float = live(
+        5.0, "s", 0.5, 30.0, "Time within which the drone must come to rest.", label="Braking time"
     )
-    brake_time: float = live(5.0, "s", 0.5, 30.0, "Time in which the drone must have come to rest.")
-    hold_time: float = live(10.0, "s", 0.0, 600.0, "Time for which the drone waits at rest for a way to go on.")
-    speed_stopped: float = live(0.3, "m/s", 0.05, 2.0, "Speed below which the drone counts as at rest.")
-    arrival_radius: float = live(0.5, "m", 0.05, 10.0, "Distance from the goal at which it is reached.")
-    fence_radius: float = live(100.0, "m", 1.0, 1e5, "Horizontal distance from the local origin not to be exceeded.")
+    hold_time: float = live(10.0, "s", 0.0, 600.0, "Time for which the drone waits at rest until it can fly on.")
+    speed_stopped: float = live(
+        0.3, "m/s", 0.05, 2.0, "Speed below which the drone counts as at rest.", label="Speed at rest"
+    )
+    arrival_radius: float = live(0.5, "m", 0.05, 10.0, "Distance from the goal at which the goal is reached.")
+    fence_radius: float = live(
+        100.0, "m", 1.0, 1e5, "Largest horizontal distance from the local origin.", group="Geofence"
+    )
     fence_height_min: float = live(
-        0.3, "m", -1e4, 1e4, "Height above the local origin not to be undercut; a drone on the ground is below it."
+        0.3, "m", -1e4, 1e4, "Smallest height above the local origin; a drone on the ground is below it.",
+        label="Minimum fence height", group="Geofence",
+    )  # fmt: skip
+    fence_height_max: float = live(
+        30.0, "m", -1e4, 1e4, "Largest height above the local origin.", label="Maximum fence height", group="Geofence"
     )
-    fence_height_max: float = live(30.0, "m", -1e4, 1e4, "Height above the local origin not to be exceeded.")
-    fence_x_min: float = live(-1e5, "m", -1e5, 1e5, "Box around the local origin: least x (north).")
-    fence_x_max: float = live(1e5, "m", -1e5, 1e5, "Box around the local origin: largest x (north).")
-    fence_y_min: float = live(-1e5, "m", -1e5, 1e5, "Box around the local origin: least y (west).")
-    fence_y_max: float = live(1e5, "m", -1e5, 1e5, "Box around the local origin: largest y (west).")
+    fence_x_min: float = live(
+        -1e5, "m", -1e5, 1e5, "Box around the local origin: smallest x (north).",
+        label="Minimum fence x", group="Geofence",
+    )  # fmt: skip
+    fence_x_max: float = live(
+        1e5, "m", -1e5, 1e5, "Box around the local origin: largest x (north).",
+        label="Maximum fence x", group="Geofence",
+    )  # fmt: skip
+    fence_y_min: float = live(
+        -1e5, "m", -1e5, 1e5, "Box around the local origin: smallest y (west).",
+        label="Minimum fence y", group="Geofence",
+    )  # fmt: skip
+    fence_y_max: float = live(
+        1e5, "m", -1e5, 1e5, "Box around the local origin: largest y (west).",
+        label="Maximum fence y", group="Geofence",
+    )  # fmt: skip
     join_armed: bool = switch(
-        False, "Take part in a flight that is under way when the node starts. Off, the drone must be seen disarmed "
-        "first, so that a node that was restarted in the air stays silent.",
+        False, "Take part in a flight that is under way when the node starts. Off, the node sends nothing until it has "
+        "seen the drone disarmed, so that a restart in the air stays silent.",
+        label="Join a flight under way",
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class BrakeSettings(ParameterSection, section="brake"):
-    """How the drone is stopped and held where no plan is flown."""
+    """Controller that stops and holds the drone while no plan is flown."""
 
-    acceleration: float = live(6.0, "m/s^2", 0.5, 20.0, "Largest deceleration.")
-    time_constant: float = live(0.4, "s", 0.1, 5.0, "Time in which the last of the speed falls to a third.")
-    position_gain: float = live(1.5, "1/s^2", 0.0, 10.0, "Pull back to the place to hold.")
+    acceleration: float = live(6.0, "m/s^2", 0.5, 20.0, "Largest deceleration.", label="Maximum deceleration")
+    time_constant: float = live(0.4, "s", 0.1, 5.0, "Time within which the last of the speed falls to a third.")
+    position_gain: float = live(1.5, "1/s^2", 0.0, 10.0, "Acceleration per distance from the position to hold.")
     attitude_gain: float = live(8.0, "1/s", 1.0, 30.0, "Body rate per angle of tilt to be corrected.")
 
 
 @dataclass(frozen=True)
 class TelemetrySettings(ParameterSection, section="telemetry"):
-    """What the desk sees."""
+    """Live view of the flight for the desk."""
 
     enabled: bool = switch(True, "Serve the live plan to `aero-viz connect`.")
     host: str = text(
         "127.0.0.1", _ADDRESS, "an address of this computer",
-        "Address to listen on; 0.0.0.0 lets everyone in the network watch, and nobody steer.",
+        "Local address to listen on; with 0.0.0.0, everyone in the network can watch, but nobody can steer.",
+        label="Local address",
     )  # fmt: skip
-    port: int = structural(14650, 0, 65535, "TCP port to listen on; 0 takes any free one.")
-    rate: float = live(10.0, "Hz", 0.1, 50.0, "Frames per second at most.")
-    points_max: int = structural(20_000, 0, 1_000_000, "Points per frame at most; of more, every n-th is sent.")
-    clients_max: int = structural(4, 1, 64, "Viewers at a time.")
+    port: int = structural(14650, 0, 65535, "TCP port to listen on; 0 uses any free port.", label="TCP port")
+    rate: float = live(10.0, "Hz", 0.1, 50.0, "Largest number of frames per second.", label="Frame rate")
+    points_max: int = structural(
+        20_000, 0, 1_000_000, "Largest number of points per frame; of a larger cloud, every n-th point is sent.",
+        label="Maximum number of points",
+    )  # fmt: skip
+    clients_max: int = structural(4, 1, 64, "Largest number of viewers.", label="Maximum number of viewers")
 
 
 @dataclass(frozen=True)
@@ -158,7 +228,7 @@ class OnboardConfig(SectionedConfig):
     """All settings of the node.
 
     Raises:
-        ValueError: a setting is outside its bounds or contradicts another one; names it, its value and the range.
+        ValueError: a setting is out of bounds or contradicts another one; names setting, value and range.
     """
 
     noun: ClassVar[str] = "setting"
@@ -182,7 +252,7 @@ class OnboardConfig(SectionedConfig):
         if self.limits.plan_age * self.rates.replan < 2.0:
             raise ValueError(
                 f"limits.plan_age is {self.limits.plan_age}; at {self.rates.replan:g} plans per second it must be at "
-                f"least {2.0 / self.rates.replan:g} s, or every plan is too old before the next one is there."
+                f"least {2.0 / self.rates.replan:g} s, or every plan is too old before the next one is ready."
             )
         if self.limits.deadline * self.rates.control < 2.0:
             raise ValueError(
@@ -192,7 +262,7 @@ class OnboardConfig(SectionedConfig):
 
 
 def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
-    """Raise ValueError when the planner's configuration and the node's contradict each other."""
+    """Raise ValueError if the configurations of planner and node contradict each other."""
     if onboard.limits.plan_age >= planner.horizon:
         raise ValueError(
             f"limits.plan_age is {onboard.limits.plan_age}; it must be less than the planner's horizon, "
@@ -213,6 +283,17 @@ def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, Onb
     """
     file = ConfigFile.read(path)
     return file.planner_config(), file.change(OnboardConfig(), file.onboard_entries() or ())
+
+
+def flight_config_from_name(name_or_path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
+    """Return a preset with the default settings of the node or, if there is none of this name, what a file holds.
+
+    Raises:
+        ValueError: there is neither, or the file is wrong; lists the presets.
+    """
+    if str(name_or_path) not in PlannerConfig.presets() and Path(name_or_path).exists():
+        return load_flight_config(name_or_path)
+    return config_from_name(name_or_path), OnboardConfig()
 
 
 def load_onboard(path: str | os.PathLike[str]) -> OnboardConfig:

@@ -15,7 +15,8 @@ import pytest
 import warp as wp
 
 from aero_planner.cli import main
-from aero_planner.deploy.export import export, makes_graphs, parse_architecture
+from aero_planner.deploy.export import makes_graphs, parse_architecture
+from aero_planner.onboard.bundle_export import export_bundle
 
 CONFIG = """# tuned in the forest
 costs:
@@ -126,7 +127,7 @@ def test_a_planner_needs_nothing_else_and_plans_the_same(tmp_path: Path, device:
         bundle = request.getfixturevalue("bundle")
     else:
         bundle = tmp_path / "here"
-        export(bundle, architectures=[int(wp.get_device(device).arch)])
+        export_bundle(bundle, architectures=[int(wp.get_device(device).arch)])
     cache = tmp_path / "cache"
     (compiled_here,) = plan(device, None)
     assert plan(device, bundle, cache=cache) == [compiled_here, "0"] and compiled_here.startswith("OK ")
@@ -174,7 +175,7 @@ def test_preflight_checks_the_bundle(bundle: Path, tmp_path: Path):
 def test_a_tar_file_replaces_the_older_one(tmp_path: Path, config: Path):
     out = tmp_path / "drone.tar"
     out.write_text("older")
-    manifest = export(out, config=config, cpu=True)
+    manifest = export_bundle(out, config=config, cpu=True)
     assert out.stat().st_size > 100_000
     assert manifest["graphs"] == (["cpu"] if makes_graphs() else [])
     assert os.listdir(tmp_path) == ["drone.tar"]

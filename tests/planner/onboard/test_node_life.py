@@ -14,11 +14,11 @@ import pytest
 from numpy.typing import ArrayLike
 
 from aero_planner import Planner, VehicleState
-from aero_planner.cli import fly
 from aero_planner.onboard.failsafe_table import Reaction, State
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.point_source import PointCounters, PointPacket
+from aero_planner.onboard.run import fly_until_signal
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.vehicle_link import VehicleSample
 from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, in_flight
@@ -219,7 +219,7 @@ def test_a_lost_terminal_brakes_however_often_it_is_told_and_a_second_signal_end
     thread = threading.Thread(target=pilot)
     began = time.monotonic()
     thread.start()
-    assert fly(node, config)
+    assert fly_until_signal(node, config)
     thread.join()
     assert told == [True] * 4 and time.monotonic() - began < config.limits.brake_time
     np.testing.assert_allclose(link.last, [9.81, 0.0, 0.0, 0.0])
