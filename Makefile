@@ -1,4 +1,4 @@
-# `make demo` and `make test` are all that a newcomer needs; each sets up .venv first.
+# A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
 .PHONY: help demo test test-lowest check format bench rig setup setup-dev clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
@@ -6,38 +6,38 @@ ARGS ?=
 help:            ## show this help
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
 
-setup:           ## install what the product needs into .venv
+setup:           ## install the product into .venv
 	@scripts/setup run
 
-setup-dev:       ## the same with the test tools and a Chromium
+setup-dev:       ## install the product, the test tools and a Chromium
 	@scripts/setup dev
 
-demo: setup      ## fly the forest in the browser
+demo: setup      ## fly through the forest in the browser
 	@.venv/bin/aero-viz demo $(ARGS)
 
-test: setup-dev check  ## all checks and tests
+test: setup-dev check  ## run all checks and tests
 	$(PYTHON_BIN) -m pytest $(ARGS)
 	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest)
 
-test-lowest: setup-dev  ## the planner's tests with the lowest versions that its wheel allows
+test-lowest: setup-dev  ## run the planner's tests with the lowest versions that its wheel allows
 	@$(PYTHON_BIN) scripts/lowest.py $(ARGS)
 
-check: setup-dev  ## style, types, and the direction of imports
+check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/pyright
 	.venv/bin/lint-imports
 
-format: setup-dev  ## rewrite the sources in the project's style
+format: setup-dev  ## apply the project's style to the sources
 	.venv/bin/ruff check --fix .
 	.venv/bin/ruff format .
 
-bench: setup     ## planner benchmark on this machine
+bench: setup     ## measure the planner's speed on this machine
 	$(PYTHON_BIN) -m aero_planner.benchmark $(ARGS)
 	$(PYTHON_BIN) -m benchmarks.guard
 	$(PYTHON_BIN) -m benchmarks.floors
 
-rig: setup-dev    ## tests that fly the onboard stack over sockets, in real time
+rig: setup-dev    ## run the tests that fly the onboard node over sockets, in real time
 	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)
 
 clean:           ## remove .venv and caches
