@@ -27,4 +27,4 @@ def inspect(
     from aero_viz.recordings import inspect as inspect_recording
 
     info = inspect_recording(file, points_topic=points_topic, pose_topic=pose_topic)
-    print(json_module.dumps(info.to_json(), allow_nan=False) if json else info.format_table())
+    print(json_module.dumps(info.to_dict(), allow_nan=False) if json else info.format_table())

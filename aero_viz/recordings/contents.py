@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from aero_viz.recordings.transforms import PoseSamples, TransformTree
 __all__ = ["CloudEntry", "Contents", "Topic", "TopicContents", "read_contents"]
 
 
-class Topic(NamedTuple):
+@dataclass(frozen=True)
+class Topic:
     """A topic as reported to the user."""
 
     name: str
@@ -28,7 +29,8 @@ class Topic(NamedTuple):
     """Number of messages."""
 
 
-class CloudEntry(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class CloudEntry:
     """Location of a cloud in the recording."""
 
     stamp: int

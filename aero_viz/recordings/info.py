@@ -46,9 +46,9 @@ class RecordingInfo:
     problems: tuple[str, ...]
     """What keeps sweeps from being played, and what else the user should know, one sentence each."""
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the report as plain values for `json.dumps`."""
-        return {**asdict(self), "topics": [topic._asdict() for topic in self.topics], "problems": list(self.problems)}
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain values for JSON."""
+        return asdict(self)
 
     def format_table(self) -> str:
         """Return the report as text for a terminal."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,7 +55,8 @@ class RecordedPath:
         return np.array([np.interp(length, self._lengths, axis) for axis in self._vertices.T])
 
 
-class _Checkpoint(NamedTuple):
+@dataclass(frozen=True)
+class _Checkpoint:
     index: int
     outcome: str | None
     goal: NDArray[np.float64] | None
@@ -152,7 +153,8 @@ class RecordingSource:
         """Continue from a checkpoint of this source."""
         if not isinstance(checkpoint, _Checkpoint):
             raise TypeError(f"expected a checkpoint of a RecordingSource, got {type(checkpoint).__name__}")
-        self._index, self.outcome, self._goal, self._goal_ahead = checkpoint
+        self._index, self.outcome = checkpoint.index, checkpoint.outcome
+        self._goal, self._goal_ahead = checkpoint.goal, checkpoint.goal_ahead
 
     def seek(self, time: float) -> None:
         """Go to the tick at or before `time` [s], or to the first or last one if there is none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -32,7 +33,7 @@ def test_report_of_every_format(written, bags):
     info = inspect(written([*bags.drive(), bags.text(0.95)]))
     assert info.sweeps == 10 and info.poses == 37 and info.problems == ()
     assert info.duration_s == pytest.approx(0.95)
-    assert [topic._asdict() for topic in info.topics] == [
+    assert [dataclasses.asdict(topic) for topic in info.topics] == [
         {"name": "/note", "type": "std_msgs/msg/String", "count": 1},
         {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 37},
         {"name": "/points", "type": "sensor_msgs/msg/PointCloud2", "count": 10},

@@ -8,7 +8,7 @@ from aero_viz.recordings import inspect
 
 
 def test_json_has_the_documented_keys(bags, mcap_of):
-    report = json.loads(json.dumps(inspect(mcap_of(bags.drive())).to_json()))
+    report = json.loads(json.dumps(inspect(mcap_of(bags.drive())).to_dict()))
     assert {"format", "duration_s", "topics", "sweeps", "poses", "points_per_sweep", "problems"} <= set(report)
     assert report["topics"][0] == {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 37}
     assert report["points_per_sweep"] == {"min": 200, "median": 200, "max": 200}
