@@ -1,7 +1,7 @@
-"""Kernels before they are needed: loaded into this process, or compiled into a folder for another one.
+"""Ahead-of-time compilation of kernels, into this process or into a folder for another one.
 
-Warp compiles a kernel at its first launch and keeps the binary in its cache, so that the first planner on a machine
-takes seconds to appear and every later one a fraction of one.
+Warp compiles a kernel at its first launch and keeps the binary in its cache. The first planner on a machine therefore
+takes seconds to start, and every later one a fraction of a second.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from aero_planner.planner import Planner, _find_device
 __all__ = ["compile_ahead", "kernels_in", "warmup"]
 
 _BLOCK_DIMS = (32, 64, 128, 256)
-"""Sizes of block on CUDA, each of which gives a binary of its own."""
+"""CUDA block sizes; each one has its own binary."""
 
 
 def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
-    """Compile and load every kernel that plans with `config`'s structure need, so that the first plan is fast.
+    """Compile and load every kernel that planning with the structure of `config` needs, so that the first plan is fast.
 
     Args:
         config: parameters; None for the default.
         device: as for `Planner`.
 
     Returns:
-        The time it took [s].
+        The time this took [s].
 
     Raises:
         ValueError: as for `Planner`.
@@ -51,8 +51,8 @@ def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
 
 @contextmanager
 def kernels_in(folder: str | Path) -> Iterator[Path]:
-    """Let Warp keep its kernels in a folder, as it does with WARP_CACHE_PATH; yields where exactly."""
-    _find_device("cpu")  # initialises Warp, which names its cache then
+    """Make Warp keep its kernels in a folder, as with WARP_CACHE_PATH; yields the subfolder that Warp uses."""
+    _find_device("cpu")  # initialises Warp, which then sets its cache folder
     cache = Path(folder).resolve() / wp.config.version
     cache.mkdir(parents=True, exist_ok=True)
     before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(cache)
@@ -69,16 +69,17 @@ def compile_ahead(
     cpu: bool = True,
     config: PlannerConfig | None = None,
 ) -> list[Path]:
-    """Fill a folder with the kernels of this machine's CPU and of CUDA architectures, such as 87 for a Jetson Orin.
+    """Compile all kernels into a folder, for this machine's CPU and for CUDA architectures, such as 87 for an Orin.
 
-    No GPU is needed. A process started with the folder in the environment variable WARP_CACHE_PATH compiles nothing, if
-    its Warp has the same version. Call this in a fresh process: kernels that are loaded already are not compiled again.
+    No GPU is needed. A process that is started with the folder in the environment variable WARP_CACHE_PATH compiles
+    nothing, if its Warp has the same version. Call this in a new process: kernels that are already loaded are not
+    compiled again.
 
     Args:
-        folder: where the binaries go; made where it does not exist.
-        architectures: compute capabilities without the dot.
-        cpu: whether the CPU's are wanted.
-        config: parameters, for the structure that the CPU's kernels depend on; None for the default.
+        folder: folder for the binaries; created if it does not exist.
+        architectures: GPU compute capabilities without the dot.
+        cpu: True to compile for the CPU.
+        config: parameters, on whose structure the kernels for the CPU depend; None for the default.
 
     Returns:
         All binaries in the folder.
@@ -112,7 +113,7 @@ def _compile_for_cuda(architecture: int) -> None:
 
 
 def _cuda_modules() -> Iterator[tuple[Any, Iterable[int]]]:
-    """Every Warp module of the package, those made for CUDA's widths included, and its sizes of block there."""
+    """Yield every Warp module of the package, including generated ones for CUDA, with its CUDA block sizes."""
     names = [name for name in sys.modules if name.startswith("aero_planner.")]
     content = {id(value): value for name in names for value in vars(sys.modules[name]).values()}.values()
     written = {id(value.module): value.module for value in content if isinstance(value, wp.Kernel)}

@@ -1,12 +1,12 @@
-"""Bundles: what a drone needs to plan without a compiler, in one folder or tar file.
+"""Bundles: a folder or tar file with everything that a drone needs to plan without a compiler.
 
-    manifest.json     what it is for, and size and SHA-256 of every other file
-    config.yaml       the configuration, as it was given
-    kernels/..        compiled kernels, as Warp's cache lays them out
-    graph/cpu, sm_..  the plan as a sequence of launches for the C++ host, where the exporting machine could capture it
+    manifest.json     versions and processors that the bundle is for, and size and SHA-256 of every other file
+    config.yaml       the configuration, unchanged
+    kernels/..        compiled kernels in the layout of Warp's cache
+    graph/cpu, sm_..  the plan as a sequence of launches for the C++ host, if the exporting machine could capture it
 
-`open_bundle` trusts none of it: whatever does not fit is refused with the reason, and what fits is copied to a folder
-of its own, so that neither the bundle nor what is loaded from it can change afterwards.
+`open_bundle` trusts nothing in a bundle. It refuses what does not fit, with the reason, and copies what fits to a
+private folder, so that later changes of the bundle have no effect.
 """
 
 from __future__ import annotations
@@ -49,98 +49,102 @@ __all__ = [
 FORMAT = 1
 MANIFEST, CONFIG, KERNELS, GRAPH = "manifest.json", "config.yaml", "kernels", "graph"
 
-_MOST_FILES = 4096
-_MOST_BYTES = 512 * 2**20
-_MOST_MANIFEST = 4 * 2**20
-_PIECE = 2**20
+_MAX_FILES = 4096
+_MAX_BYTES = 512 * 2**20
+_MAX_MANIFEST_BYTES = 4 * 2**20
+_CHUNK = 2**20
 _BLOCK = tarfile.BLOCKSIZE
 
 _NAME = re.compile(r"(?!\.\.?(/|$))[\w.+-]+(/(?!\.\.?(/|$))[\w.+-]+){0,5}", re.ASCII)
-_ANEW = "export it again with 'aero-planner export'"
+_EXPORT_AGAIN = "export it again with 'aero-planner export'"
 
 
 @dataclass(eq=False)
 class Bundle:
-    """A bundle whose files are what its manifest says; `fit` says whether they are of use here."""
+    """A bundle whose files match its manifest. `fit` checks that it suits this machine and configuration."""
 
     source: str
-    """Where it came from, as named in errors."""
+    """Path of the bundle, as named in errors."""
     folder: Path
-    """Private copy of configuration and kernels; gone after `close`."""
+    """Private copy of configuration and kernels, which `close` removes."""
     warp: str
+    """Version of Warp."""
     planner: str
-    """See `planner_digest`."""
+    """Digest of the planner's sources, see `planner_digest`."""
     architectures: tuple[int, ...]
-    """Compute capabilities without the dot."""
+    """GPU compute capabilities without the dot."""
     cpu: str | None
-    """See `cpu_target`; None where there are no kernels for a CPU."""
+    """Name of the CPU, see `cpu_target`; None if there are no kernels for a CPU."""
     structure: dict[str, Any]
-    """Values of the structural parameters, by path."""
+    """Values of the structural parameters by path."""
     created: str
+    """Date of the export."""
     files: frozenset[str] = field(repr=False)
     _cache: str | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        self._end = weakref.finalize(self, shutil.rmtree, self.folder, True)
+        self._remove = weakref.finalize(self, shutil.rmtree, self.folder, True)
 
     @property
     def config_file(self) -> Path:
-        """The configuration that it was exported with."""
+        """File with the configuration that the bundle was exported with."""
         return self.folder / CONFIG
 
     def describe(self) -> str:
-        """Return what it is for, in a few words."""
-        targets = [f"sm_{one}" for one in self.architectures] + (["CPU"] if self.cpu else [])
+        """Return the processors, the version of Warp and the date of the export in a few words."""
+        targets = [f"sm_{number}" for number in self.architectures] + (["CPU"] if self.cpu else [])
         return f"kernels for {', '.join(targets)}, Warp {self.warp}, exported {self.created}"
 
     def fit(self, config: PlannerConfig, device: str) -> None:
-        """Make Warp load kernels from here instead of its cache; call it before the first planner of the process.
+        """Make Warp load kernels from this bundle instead of its cache; call it before creating the first planner.
 
         Raises:
             ValueError: the kernels are for another Warp, planner, structure of the configuration, or processor.
         """
-        here = _find_device(device)
-        for what, its, ours in (
+        target = _find_device(device)
+        for name, exported, local in (
             ("Warp", self.warp, wp.config.version), ("state of aero-planner", self.planner, planner_digest()),
         ):  # fmt: skip
-            if its != ours:
+            if exported != local:
                 raise ValueError(
-                    f"the bundle {self.source} is for another {what} ({its[:12]}; here is {ours[:12]}): {_ANEW} with "
-                    "the versions of this machine."
+                    f"the bundle {self.source} is for another {name} ({exported[:12]}; here is {local[:12]}): "
+                    f"{_EXPORT_AGAIN} with the versions of this machine."
                 )
-        wanted = structure_of(config)
-        for path in sorted(wanted.keys() | self.structure.keys()):
-            if wanted.get(path) != self.structure.get(path):
+        structure = structure_of(config)
+        for path in sorted(structure.keys() | self.structure.keys()):
+            if structure.get(path) != self.structure.get(path):
                 raise ValueError(
                     f"the bundle {self.source} is for {path} = {self.structure.get(path)!r}, the configuration says "
-                    f"{wanted.get(path)!r}: {_ANEW} with this configuration."
+                    f"{structure.get(path)!r}: {_EXPORT_AGAIN} with this configuration."
                 )
-        self._check_processor(here.arch if here.is_cuda else None)
+        self.check_processor(target.arch if target.is_cuda else None)
         self._cache = self._cache or wp.config.kernel_cache_dir
         wp.config.kernel_cache_dir = str(self.folder / KERNELS)
 
-    def _check_processor(self, architecture: int | None) -> None:
-        """Raise ValueError where there are no kernels for a GPU of `architecture`, or None: for this CPU."""
+    def check_processor(self, architecture: int | None) -> None:
+        """Raise ValueError if there are no kernels for a GPU of `architecture`, or for this CPU if it is None."""
         if architecture is None and self.cpu != cpu_target():
-            found = f"another CPU ({self.cpu}; here is {cpu_target()})" if self.cpu else "GPUs only"
-            raise ValueError(f"the bundle {self.source} has kernels for {found}: {_ANEW} --cpu on this machine.")
-        if architecture is not None and architecture not in self.architectures:
-            found = ", ".join(f"sm_{one}" for one in self.architectures) or "a CPU only"
+            targets = f"another CPU ({self.cpu}; here is {cpu_target()})" if self.cpu else "GPUs only"
             raise ValueError(
-                f"the bundle {self.source} has kernels for {found}, the device is an sm_{architecture}: {_ANEW} "
-                f"--arch sm_{architecture}."
+                f"the bundle {self.source} has kernels for {targets}: {_EXPORT_AGAIN} --cpu on this machine."
+            )
+        if architecture is not None and architecture not in self.architectures:
+            targets = ", ".join(f"sm_{number}" for number in self.architectures) or "a CPU only"
+            raise ValueError(
+                f"the bundle {self.source} has kernels for {targets}, the device is an sm_{architecture}: "
+                f"{_EXPORT_AGAIN} --arch sm_{architecture}."
             )
 
     def compiled(self) -> list[str]:
-        """Return what the compiler has added since; empty when the bundle had every kernel that was needed."""
-        found = (path for path in self.folder.rglob("*") if path.is_file())
-        return sorted({path.relative_to(self.folder).as_posix() for path in found} - self.files)
+        """Return the files that Warp has compiled since `fit`; empty if the bundle had every kernel."""
+        present = (path for path in self.folder.rglob("*") if path.is_file())
+        return sorted({path.relative_to(self.folder).as_posix() for path in present} - self.files)
 
     def close(self) -> None:
-        """Remove the copy, and let Warp use its own cache again."""
+        """Remove the private copy, and make Warp use its own cache again."""
         if self._cache is not None:
             wp.config.kernel_cache_dir, self._cache = self._cache, None
-        self._end()
+        self._remove()
 
     def __enter__(self) -> Bundle:
         return self
@@ -150,11 +154,11 @@ class Bundle:
 
 
 def open_bundle(path: str | os.PathLike[str]) -> Bundle:
-    """Check a bundle, a folder or a tar file, and copy what a planner needs of it.
+    """Check a bundle, a folder or a tar file, and copy what a planner needs.
 
     Raises:
-        ValueError: it can't be read, is no bundle, of another format, damaged or incomplete, or larger than any bundle
-            (4096 files, 512 MiB).
+        ValueError: the bundle can't be read, has another format, is damaged or incomplete, or is too large (more than
+            4096 files or 512 MiB).
     """
     source = Path(path)
     copy = Path(tempfile.mkdtemp(prefix="aero-planner-"))
@@ -174,7 +178,7 @@ def open_bundle(path: str | os.PathLike[str]) -> Bundle:
         raise ValueError(f"the bundle {path} can't be read: {error.strerror or error}.") from error
     except ValueError as error:
         shutil.rmtree(copy, True)
-        raise ValueError(f"the bundle {path} {error}: {_ANEW}, or copy it anew.") from error
+        raise ValueError(f"the bundle {path} {error}: {_EXPORT_AGAIN}, or copy it again.") from error
     except BaseException:
         shutil.rmtree(copy, True)
         raise
@@ -182,7 +186,7 @@ def open_bundle(path: str | os.PathLike[str]) -> Bundle:
 
 @functools.cache
 def planner_digest() -> str:
-    """Return a digest of everything in this package that kernels are made of."""
+    """Return a digest of the names of all parameters and of every source file with Warp kernels."""
     digest = hashlib.sha256("\n".join(info.path for info in parameters()).encode())
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         content = path.read_bytes()
@@ -192,17 +196,17 @@ def planner_digest() -> str:
 
 
 def structure_of(config: PlannerConfig) -> dict[str, Any]:
-    """Return the structural parameters by path: buffers, graph and kernels depend on them."""
+    """Return the values of the structural parameters, on which buffers, graph and kernels depend, by path."""
     return {info.path: config.get(info.path) for info in parameters() if not info.live}
 
 
 def cpu_target() -> str:
-    """Return what names this machine's CPU, its features included, to the kernels compiled for it."""
+    """Return the name of this machine's CPU and its features, as far as compiled kernels depend on them."""
     _find_device("cpu")
     key = getattr(wp, "get_cpu_kernel_cache_key", None)
     if key is not None:
         return str(key())
-    # Warps before 1.19 name no CPU, and compile for the features of the one that they run on.
+    # Versions of Warp before 1.19 do not name the CPU, and compile for the features of the one that they run on.
     features = b""
     with contextlib.suppress(OSError):
         features = b"".join(re.findall(rb"(?m)^(?:flags|Features)\s*:.*$", Path("/proc/cpuinfo").read_bytes())[:1])
@@ -211,10 +215,11 @@ def cpu_target() -> str:
 
 
 def _unpack(file: IO[bytes], folder: Path) -> None:
-    """Write the files of an uncompressed tar file below `folder`, block by block.
+    """Write the files of an uncompressed tar file to `folder`, block by block.
 
-    Only plain files under plain names get through; links, devices, and extensions for what plain names can't say do
-    not, so that nothing in it is taken for a place to write to or an amount of memory to allocate.
+    Only plain files with plain names are accepted. Links, devices and extension headers are refused, so that no entry
+    decides where a file is written or how much memory is allocated. `tarfile.data_filter` is less strict: it accepts
+    links and absolute names, and extension headers of any size are read before it is called.
     """
     count = total = 0
     while True:
@@ -224,59 +229,59 @@ def _unpack(file: IO[bytes], folder: Path) -> None:
         try:
             entry = tarfile.TarInfo.frombuf(header, "ascii", "strict")
         except (tarfile.HeaderError, ValueError, OverflowError) as error:
-            what = "is truncated" if count and len(header) < _BLOCK else "is neither a folder nor a whole tar file"
-            raise ValueError(what) from error
+            is_cut = count and len(header) < _BLOCK
+            raise ValueError("is truncated" if is_cut else "is neither a folder nor a whole tar file") from error
         count += 1
         name = entry.name.removeprefix("./").rstrip("/")
         if entry.type == tarfile.DIRTYPE:
             if name not in ("", ".") and not _NAME.fullmatch(name):
-                raise ValueError(f"holds the name {entry.name[:80]!r}, which leads elsewhere or means nothing")
+                raise ValueError(f"holds the name {entry.name[:80]!r}, which is not a plain relative path")
             continue
         if entry.type not in (tarfile.REGTYPE, tarfile.AREGTYPE):
-            raise ValueError(f"holds {entry.name[:80]!r}, which is a link or something else that is no file")
+            raise ValueError(f"holds {entry.name[:80]!r}, which is a link or another special file")
         if not _NAME.fullmatch(name):
-            raise ValueError(f"holds the name {entry.name[:80]!r}, which leads elsewhere or means nothing")
+            raise ValueError(f"holds the name {entry.name[:80]!r}, which is not a plain relative path")
         total += max(entry.size, 0)
-        if entry.size < 0 or total > _MOST_BYTES or count > _MOST_FILES:
+        if entry.size < 0 or total > _MAX_BYTES or count > _MAX_FILES:
             raise ValueError("is larger than any bundle")
         target = folder / name
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             with target.open("xb") as output:
-                for piece in _pieces(file, entry.size):
-                    output.write(piece)
+                for chunk in _chunks(file, entry.size):
+                    output.write(chunk)
         except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
             raise ValueError(f"holds {name!r} twice") from error
         file.read(-entry.size % _BLOCK)
 
 
-def _pieces(file: IO[bytes], size: int) -> Iterator[bytes]:
-    """Yield the next `size` bytes of a file in pieces; ValueError where it ends before."""
+def _chunks(file: IO[bytes], size: int) -> Iterator[bytes]:
+    """Yield the next `size` bytes of a file in chunks; raises ValueError if the file is shorter."""
     while size > 0:
-        piece = file.read(min(size, _PIECE))
-        if not piece:
+        chunk = file.read(min(size, _CHUNK))
+        if not chunk:
             raise ValueError("is truncated")
-        size -= len(piece)
-        yield piece
+        size -= len(chunk)
+        yield chunk
 
 
 def _check(folder: Path, copy: Path, source: str) -> Bundle:
-    """Compare a folder with its manifest; what a planner needs of it is copied on the way."""
-    manifest = _manifest(folder)
+    """Compare a folder with its manifest, and copy what a planner needs to `copy`."""
+    manifest = _read_manifest(folder)
     files: dict[str, Any] = _field(manifest, "files", dict)
     if CONFIG not in files:
         raise ValueError(f"has no {CONFIG}")
-    if len(files) > _MOST_FILES:
+    if len(files) > _MAX_FILES:
         raise ValueError("is larger than any bundle")
     copied, total = set[str](), 0
-    for name, said in files.items():
-        size, digest = (said.get("size"), said.get("sha256")) if isinstance(said, dict) else (None, None)
+    for name, entry in files.items():
+        size, digest = (entry.get("size"), entry.get("sha256")) if isinstance(entry, dict) else (None, None)
         if not _NAME.fullmatch(name) or name == MANIFEST:
-            raise ValueError(f"holds the name {name[:80]!r}, which leads elsewhere or means nothing")
+            raise ValueError(f"holds the name {name[:80]!r}, which is not a plain relative path")
         if type(size) is not int or size < 0 or not isinstance(digest, str):
             raise ValueError(f"has a manifest that does not say size and sha256 of {name}")
         total += size
-        if total > _MOST_BYTES:
+        if total > _MAX_BYTES:
             raise ValueError("is larger than any bundle")
         target = None
         if name == CONFIG or name.startswith(f"{KERNELS}/"):
@@ -285,7 +290,7 @@ def _check(folder: Path, copy: Path, source: str) -> Bundle:
         if _digest(folder, name, size, target) != digest:
             raise ValueError(f"is damaged: {name} has another checksum than its manifest says")
     architectures = _field(manifest, "architectures", list)
-    if not all(type(one) is int for one in architectures):
+    if not all(type(number) is int for number in architectures):
         raise ValueError("has a manifest with other than whole numbers in 'architectures'")
     cpu = manifest.get("cpu")
     return Bundle(
@@ -296,18 +301,18 @@ def _check(folder: Path, copy: Path, source: str) -> Bundle:
     )  # fmt: skip
 
 
-def _manifest(folder: Path) -> dict[str, Any]:
+def _read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file() or path.is_symlink():
         raise ValueError(f"has no {MANIFEST}")
     with path.open("rb") as file:
-        content = file.read(_MOST_MANIFEST + 1)
+        content = file.read(_MAX_MANIFEST_BYTES + 1)
     try:
-        manifest = json.loads(content) if len(content) <= _MOST_MANIFEST else None
+        manifest = json.loads(content) if len(content) <= _MAX_MANIFEST_BYTES else None
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"has a {MANIFEST} that is no JSON") from error
+        raise ValueError(f"has a {MANIFEST} that is not JSON") from error
     if not isinstance(manifest, dict) or "format" not in manifest:
-        raise ValueError(f"has a {MANIFEST} that is none of a bundle")
+        raise ValueError(f"has a {MANIFEST} that does not describe a bundle")
     if manifest["format"] != FORMAT or type(manifest["format"]) is not int:
         raise ValueError(f"has format {str(manifest['format'])[:20]!r}; this aero-planner reads format {FORMAT}")
     return manifest
@@ -321,20 +326,20 @@ def _field(manifest: dict[str, Any], name: str, kind: type) -> Any:
 
 
 def _digest(folder: Path, name: str, size: int, target: Path | None) -> str:
-    """Return the SHA-256 of a file of exactly `size` bytes, and copy it where there is a target."""
+    """Return the SHA-256 of a file of exactly `size` bytes, and copy it to `target` unless that is None."""
     path = folder
     for part in name.split("/"):
         path = path / part
         if path.is_symlink():
-            raise ValueError(f"holds {name!r}, which is a link or something else that is no file")
+            raise ValueError(f"holds {name!r}, which is a link or another special file")
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError as error:
         raise ValueError(f"is incomplete: {name} is missing") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise ValueError(f"holds {name!r}, which is a link or something else that is no file")
-    if found.st_size != size:
-        raise ValueError(f"is damaged: {name} has {found.st_size} bytes, its manifest says {size}")
+    if not stat.S_ISREG(status.st_mode):
+        raise ValueError(f"holds {name!r}, which is a link or another special file")
+    if status.st_size != size:
+        raise ValueError(f"is damaged: {name} has {status.st_size} bytes, its manifest says {size}")
     digest = hashlib.sha256()
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(path.open("rb"))
@@ -342,8 +347,8 @@ def _digest(folder: Path, name: str, size: int, target: Path | None) -> str:
         if target is not None:
             target.parent.mkdir(parents=True, exist_ok=True)
             output = stack.enter_context(target.open("wb"))
-        for piece in _pieces(file, size):
-            digest.update(piece)
+        for chunk in _chunks(file, size):
+            digest.update(chunk)
             if output is not None:
-                output.write(piece)
+                output.write(chunk)
     return digest.hexdigest()

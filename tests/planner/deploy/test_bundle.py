@@ -112,9 +112,9 @@ def test_what_does_not_fit_is_refused(folder: Path, fields: dict[str, object], p
 
 def test_another_gpu_is_refused(folder: Path):
     with open_bundle(folder) as bundle:
-        bundle._check_processor(87)
+        bundle.check_processor(87)
         with pytest.raises(ValueError, match=r"has kernels for sm_87, the device is an sm_90: .* --arch sm_90"):
-            bundle._check_processor(90)
+            bundle.check_processor(90)
 
 
 def cut(folder: Path) -> None:
@@ -147,10 +147,13 @@ def list_file(name: str, said: object) -> Callable[[Path], None]:
     ("damage", "problem"),
     [
         (lambda folder: (folder / "manifest.json").unlink(), "has no manifest.json"),
-        (lambda folder: (folder / "manifest.json").write_text("{"), "has a manifest.json that is no JSON"),
-        (lambda folder: (folder / "manifest.json").write_text("[" * 100_000), "has a manifest.json that is no JSON"),
-        (lambda folder: (folder / "manifest.json").write_text("[1]"), "has a manifest.json that is none of a bundle"),
-        (lambda folder: (folder / "manifest.json").write_text(" " * 5_000_000), "manifest.json that is none"),
+        (lambda folder: (folder / "manifest.json").write_text("{"), "has a manifest.json that is not JSON"),
+        (lambda folder: (folder / "manifest.json").write_text("[" * 100_000), "has a manifest.json that is not JSON"),
+        (
+            lambda folder: (folder / "manifest.json").write_text("[1]"),
+            "manifest.json that does not describe a bundle",
+        ),
+        (lambda folder: (folder / "manifest.json").write_text(" " * 5_000_000), "manifest.json that does not describe"),
         (lambda folder: changed(folder, format=2), "has format '2'; this aero-planner reads format 1"),
         (lambda folder: changed(folder, files=[]), "has a manifest without a proper 'files'"),
         (lambda folder: changed(folder, files={}), "has no config.yaml"),
@@ -162,13 +165,13 @@ def list_file(name: str, said: object) -> Callable[[Path], None]:
         (flip, f"is damaged: {CUBIN} has another checksum"),
         (link, "which is a link"),
         (link_above, "which is a link"),
-        (list_file("kernels/../../secret", {"size": 1, "sha256": ""}), "leads elsewhere"),
-        (list_file("/etc/passwd", {"size": 1, "sha256": ""}), "leads elsewhere"),
-        (list_file("kernels/a\nb", {"size": 1, "sha256": ""}), "leads elsewhere"),
+        (list_file("kernels/../../secret", {"size": 1, "sha256": ""}), "is not a plain relative path"),
+        (list_file("/etc/passwd", {"size": 1, "sha256": ""}), "is not a plain relative path"),
+        (list_file("kernels/a\nb", {"size": 1, "sha256": ""}), "is not a plain relative path"),
         (list_file("kernels/a", {"size": "1", "sha256": ""}), "does not say size and sha256 of kernels/a"),
         (list_file("kernels/a", None), "does not say size and sha256 of kernels/a"),
         (list_file("kernels/a", {"size": 2**40, "sha256": ""}), "is larger than any bundle"),
-        (list_file("kernels", {"size": 4096, "sha256": ""}), "is a link or something else that is no file"),
+        (list_file("kernels", {"size": 4096, "sha256": ""}), "is a link or another special file"),
     ],
 )
 def test_damaged_folders_are_refused(
@@ -178,7 +181,7 @@ def test_damaged_folders_are_refused(
     with pytest.raises(ValueError) as error:
         open_bundle(folder)
     assert problem in str(error.value) and "\n" not in str(error.value)
-    assert str(error.value).endswith(": export it again with 'aero-planner export', or copy it anew.")
+    assert str(error.value).endswith(": export it again with 'aero-planner export', or copy it again.")
     assert not rest(temporary)
 
 
@@ -201,17 +204,17 @@ def entry(name: str, kind: bytes = tarfile.REGTYPE, *, size: int = 0, to: str = 
 @pytest.mark.parametrize(
     ("trick", "problem"),
     [
-        (entry("../escaped"), "leads elsewhere"),
-        (entry("kernels/../../escaped"), "leads elsewhere"),
-        (entry("/escaped"), "leads elsewhere"),
-        (entry("..", tarfile.DIRTYPE), "leads elsewhere"),
-        (entry("/escaped", tarfile.DIRTYPE), "leads elsewhere"),
+        (entry("../escaped"), "is not a plain relative path"),
+        (entry("kernels/../../escaped"), "is not a plain relative path"),
+        (entry("/escaped"), "is not a plain relative path"),
+        (entry("..", tarfile.DIRTYPE), "is not a plain relative path"),
+        (entry("/escaped", tarfile.DIRTYPE), "is not a plain relative path"),
         (entry("kernels", tarfile.SYMTYPE, to="/tmp"), "is a link"),
         (entry("config.yaml", tarfile.LNKTYPE, to="/etc/passwd"), "is a link"),
-        (entry("pipe", tarfile.FIFOTYPE), "is a link or something else that is no file"),
-        (entry("device", tarfile.CHRTYPE), "is a link or something else that is no file"),
-        (entry("sparse", tarfile.GNUTYPE_SPARSE), "is a link or something else that is no file"),
-        (entry("a" * 120), "is a link or something else that is no file"),  # GNU's extension for long names
+        (entry("pipe", tarfile.FIFOTYPE), "is a link or another special file"),
+        (entry("device", tarfile.CHRTYPE), "is a link or another special file"),
+        (entry("sparse", tarfile.GNUTYPE_SPARSE), "is a link or another special file"),
+        (entry("a" * 120), "is a link or another special file"),  # GNU's extension for long names
         (entry("config.yaml"), "holds 'config.yaml' twice"),
         (entry("kernels"), "holds 'kernels/"),
     ],

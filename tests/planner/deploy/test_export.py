@@ -167,7 +167,7 @@ def test_preflight_checks_the_bundle(bundle: Path, tmp_path: Path):
     environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     found = {check["name"]: check for check in json.loads(done.stdout)["checks"]}
-    assert found["bundle"]["ok"] and "kernels for sm_87, CPU" in found["bundle"]["found"]
+    assert found["bundle"]["ok"] and "kernels for sm_87, CPU" in found["bundle"]["finding"]
     assert done.returncode == 2 and not found["LiDAR"]["ok"]  # nothing is connected
 
 
