@@ -1,4 +1,4 @@
-"""A real forest, a real planner, the real page in a real Chromium."""
+"""A real forest, a real planner, and the real page in a real Chromium."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from tests.browser.desk import Desk, open_desk
 
 @pytest.fixture(scope="module")
 def desk(browser: Browser) -> Iterator[Desk]:
-    """1 s into the forest with the literal planner of the paper: 15 instances."""
+    """1 s into the forest with the literal planner of the paper: 15 instances. Shared by the tests of a module."""
     with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper")) as desk:
         yield desk
 
 
 @pytest.fixture
 def fresh_desk(browser: Browser) -> Iterator[Desk]:
-    """A desk that a test may spoil."""
-    with open_desk(browser, ticks=10) as desk:
+    """0.2 s into the forest, for one test. Only the drone is visible, which is quick to draw."""
+    with open_desk(browser, ticks=10, layers=["drone"]) as desk:
         yield desk

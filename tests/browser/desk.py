@@ -1,4 +1,4 @@
-"""A session, its dashboard, and the page that shows it, with what a user's hand and eye do there."""
+"""A session, its dashboard and the page that shows it, with the actions of a user."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import io
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import imageio.v3 as iio
@@ -23,12 +23,14 @@ from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Session
 from aero_viz.session.source import Source
-from tests.browser.pictures import Image, project
+from tests.browser.pictures import Image, differing, project
 
 __all__ = ["Desk", "open_desk"]
 
 LEFT, RIGHT = 330, 355
-"""Columns of the page that its panels take [pixels]."""
+"""Columns at either side of the page that panels cover [pixels]."""
+TIMEOUT = 90.0
+"""Longest wait for anything [s]. It is only reached when a test fails, also on a machine that is busy."""
 
 
 @dataclass
@@ -40,13 +42,15 @@ class Desk:
     page: Page
     console: list[str] = field(default_factory=list)
 
-    def wait_for(self, condition: Callable[[], bool], what: str, timeout: float = 20.0) -> None:
-        deadline = time.monotonic() + timeout
+    def wait_for(self, condition: Callable[[], bool], description: str) -> None:
+        """Wait until `condition` holds."""
+        deadline = time.monotonic() + TIMEOUT
         while not condition():
-            assert time.monotonic() < deadline, f"waited {timeout} s for {what}"
+            assert time.monotonic() < deadline, f"waited {TIMEOUT} s for {description}"
             self.page.wait_for_timeout(30)
 
     def click(self, name: str) -> None:
+        """Click the button with this name."""
         self.page.get_by_role("button", name=name, exact=True).click()
 
     def control(self, label: str) -> Locator:
@@ -63,6 +67,7 @@ class Desk:
         return self.parameter(path).locator("xpath=../following-sibling::*[1]")
 
     def open_tab(self, name: str) -> None:
+        """Open a tab of the control panel."""
         self.page.get_by_role("tab", name=name).click()
 
     def open_folder(self, name: str, content: str) -> None:
@@ -73,19 +78,38 @@ class Desk:
             control.wait_for()
 
     def checkbox(self, label: str) -> Locator:
+        """The checkbox with this label."""
         return self.control(label).get_by_role("checkbox")
 
     def refusal(self, words: str) -> Locator:
-        """The notification of what did not work, with these words."""
-        said = self.page.locator(".mantine-Notification-root", has_text="That did not work")
-        return said.filter(has_text=words)
+        """The error notification that contains these words."""
+        errors = self.page.locator(".mantine-Notification-root", has_text="That did not work")
+        return errors.filter(has_text=words)
+
+    def dismiss(self, notification: Locator) -> None:
+        """Close a notification, so that a later one is not mistaken for it."""
+        notification.get_by_role("button").click()
+        notification.wait_for(state="detached")
 
     def screenshot(self) -> Image:
-        """What is on the screen between the panels, shape [height, width, 3]."""
+        """The part of the page between the panels, shape [height, width, 3]."""
         return iio.imread(io.BytesIO(self.page.screenshot()))[:, LEFT:-RIGHT, :3]
 
+    def settled_screenshot(self) -> Image:
+        """The same, once the page has drawn everything that was sent and no longer changes."""
+        self.render((0.0, 0.0, 5.0), (1.0, 0.0, 5.0), width=16, height=16)  # the page answers after all that was sent
+        images = [self.screenshot()]
+
+        def is_settled() -> bool:
+            self.page.wait_for_timeout(200)
+            images.append(self.screenshot())
+            return differing(images[-1], images[-2]) == 0
+
+        self.wait_for(is_settled, "a picture that no longer changes")
+        return images[-1]
+
     def place_on_page(self, point: ArrayLike) -> tuple[float, float]:
-        """Where the page's camera shows a point of the world, from the left and from the top [pixels]."""
+        """Position of a point of the world on the page, from the left and from the top [pixels]."""
         camera = next(iter(self.dashboard.server.get_clients().values())).camera
         canvas = self.page.locator("canvas").first.bounding_box()
         assert canvas is not None
@@ -94,10 +118,10 @@ class Desk:
         return canvas["x"] + float(column), canvas["y"] + float(row)
 
     def drag(self, start: tuple[float, float], by: tuple[float, float]) -> None:
-        """Press the mouse there, move it in steps, and let go."""
+        """Press the mouse button at `start`, move the mouse in steps, and release the button."""
         mouse = self.page.mouse
         mouse.move(*start)
-        self.page.wait_for_timeout(300)  # the page looks what is under the mouse once per picture
+        self.page.wait_for_timeout(300)  # the page looks for an object under the mouse once per picture
         mouse.down()
         for share in np.linspace(0.0, 1.0, 9)[1:]:
             mouse.move(start[0] + share * by[0], start[1] + share * by[1])
@@ -105,13 +129,13 @@ class Desk:
         mouse.up()
 
     def render(self, position: ArrayLike, look_at: ArrayLike, *, width: int = 640, height: int = 600) -> Image:
-        """What the page's camera sees from there, shape [height, width, 4]; alpha is 0 where nothing is."""
+        """Render the scene from `position`, shape [height, width, 4]; alpha is 0 where nothing is drawn."""
         assert self.dashboard.drain()
         client = next(iter(self.dashboard.server.get_clients().values()))
         position, look_at = np.asarray(position, dtype=np.float64), np.asarray(look_at, dtype=np.float64)
-        look = orientation(position, look_at)
+        attitude = orientation(position, look_at)
         return client.get_render(
-            height, width, wxyz=look, position=position, fov=FIELD_OF_VIEW, transport_format="png", timeout=30.0
+            height, width, wxyz=attitude, position=position, fov=FIELD_OF_VIEW, transport_format="png", timeout=TIMEOUT
         )
 
 
@@ -123,14 +147,27 @@ def open_desk(
     ticks: int,
     config: PlannerConfig | None = None,
     size: tuple[int, int] = (1000, 600),
+    layers: Sequence[str] | None = None,
 ) -> Iterator[Desk]:
+    """Open the page of a paused session.
+
+    Args:
+        browser: browser to open it in.
+        source: source to show; None is the forest.
+        ticks: number of ticks before the page opens.
+        config: configuration of the planner; None is the default.
+        size: width and height of the page.
+        layers: names of the visible layers; None shows those that are on by default.
+    """
     session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
     for _ in range(ticks):
         session.tick()
     session.start(play=False)
-    choices = [(f"{name}: {about}", name) for name, about in source_choices().items()]
+    choices = [(f"{name}: {description}", name) for name, description in source_choices().items()]
     dashboard = Dashboard(session, port=0, open_source=open_source, choices=choices)
+    dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
+    context.set_default_timeout(1e3 * TIMEOUT)
     page = context.new_page()
     desk = Desk(session, dashboard, page)
     page.on("console", lambda message: desk.console.append(message.text) if message.type == "error" else None)

@@ -99,11 +99,10 @@ def test_a_malformed_file_is_refused_with_a_reason(desk, tmp_path, content, word
     desk.open_tab("Tune")
     upload(desk, path)
     notice = desk.refusal(words)
-    notice.wait_for(timeout=10_000)
+    notice.wait_for()
     assert desk.session.config == before
     assert desk.session.frame.config_version == version
-    notice.get_by_role("button").click()  # so that the next one is not taken for it
-    notice.wait_for(state="detached", timeout=10_000)
+    desk.dismiss(notice)
 
 
 def test_a_structure_applied_in_the_form_rebuilds_the_planner(fresh_desk):

@@ -4,23 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from playwright.sync_api import Locator
 
 from tests.browser.desk import Desk, open_desk
 
 
-@pytest.fixture
-def near(browser):
-    """A goal that was typed in, 6 m ahead of the drone, with its arrows."""
-    with open_desk(browser, ticks=10, size=(1280, 720)) as desk:
-        ahead = desk.control("Goal").locator("input").first
-        ahead.fill("6")
-        ahead.press("Enter")
-        desk.wait_for(lambda: goal_of(desk)[0] == 6.0, "the goal that was typed in")
+@pytest.fixture(scope="module")
+def desk(browser):
+    """A page with the arrows that move the goal, shared by the tests of this module."""
+    with open_desk(browser, ticks=10, size=(1280, 720), layers=["goal", "drone"]) as desk:
         desk.checkbox("Drag the goal").click()
-        desk.dashboard.show_only(["goal", "drone"])
-        desk.wait_for(lambda: arrow_tip(desk) > 0, "the arrows")
         yield desk
         assert desk.console == []
+
+
+@pytest.fixture
+def near(desk):
+    """A goal that was typed in, at x = 6 m, with its arrows."""
+    desk.session.set_goal((10.0, 0.0, 2.0)).result()
+    desk.wait_for(lambda: [box.input_value() for box in coordinates(desk)] == ["10", "0", "2"], "the goal in numbers")
+    x = coordinates(desk)[0]
+    x.fill("6")
+    x.press("Enter")
+    desk.wait_for(lambda: goal_of(desk).tolist() == [6.0, 0.0, 2.0], "the goal that was typed in")
+    desk.page.mouse.move(600.0, 650.0)  # an arrow under the mouse would be yellow
+    tip = desk.place_on_page(np.add(goal_of(desk), (0.0, 0.0, 1.8)))
+
+    def arrows_are_at_the_goal() -> bool:
+        desk.dashboard.refresh()  # for a moment after a drag, the page leaves the arrows where they were dropped
+        return abs(arrow_tip(desk) - tip[1]) < 25
+
+    desk.wait_for(arrows_are_at_the_goal, "the arrows")
+    return desk
+
+
+def coordinates(desk: Desk) -> list[Locator]:
+    """The number fields of the goal: x, y and z."""
+    return desk.control("Goal").locator("input").all()
 
 
 def goal_of(desk: Desk) -> np.ndarray:
@@ -28,7 +48,7 @@ def goal_of(desk: Desk) -> np.ndarray:
 
 
 def arrow_tip(desk: Desk) -> int:
-    """Topmost row of the window with the blue of the arrow that points upward, 0 where there is none."""
+    """Topmost row of the page with the blue of the arrow that points upward, 0 if there is none."""
     image = desk.screenshot().astype(int)
     blue = (image[..., 2] > 200) & (image[..., 0] < 90) & (image[..., 1] < 170)
     return int(blue.any(axis=1).argmax())
@@ -42,7 +62,7 @@ def test_dragging_an_arrow_moves_the_goal_along_it_and_the_plan_with_it(near):
     after = goal_of(near)
     np.testing.assert_allclose(after[:2], before[:2], atol=1e-3)
     assert not np.array_equal(near.session.frame.plan.positions, plan.positions)
-    # The numbers follow, though time stands still.
+    # The numbers follow although time stands still.
     shown = near.control("Goal").locator("input").last
     near.wait_for(lambda: abs(float(shown.input_value()) - goal_of(near)[2]) < 0.06, "the number to follow")
 
@@ -51,23 +71,27 @@ def test_a_goal_dragged_into_the_ground_is_refused_and_the_arrows_return(near):
     before = goal_of(near)
     tip = near.place_on_page(np.add(before, (0.0, 0.0, 1.8)))
     near.drag(tip, (0.0, 300.0))
-    near.refusal("below the ground").wait_for(timeout=10_000)
+    refusal = near.refusal("below the ground")
+    refusal.wait_for()
+    near.dismiss(refusal)
     after = goal_of(near)
-    assert 0.0 <= after[2] < before[2], "the last free place on the way"
-    near.page.mouse.move(600.0, 650.0)  # what the mouse is over is yellow
+    assert 0.0 <= after[2] < before[2], "the last free position of the drag"
+    near.page.mouse.move(600.0, 650.0)  # an arrow under the mouse would be yellow
     tip = near.place_on_page(np.add(after, (0.0, 0.0, 1.8)))
-    near.wait_for(lambda: abs(arrow_tip(near) - tip[1]) < 25, "the arrows to return to the goal that stays")
+    near.wait_for(lambda: abs(arrow_tip(near) - tip[1]) < 25, "the arrows to return to the previous goal")
     index = near.session.frame.index
     near.click("+1")
-    near.wait_for(lambda: near.session.frame.index == index + 1, "the flight to go on")
+    near.wait_for(lambda: near.session.frame.index == index + 1, "the next tick")
 
 
 @pytest.mark.parametrize(("value", "words"), [("1e30", "lies outside the bounds"), ("-900", "lies outside the bounds")])
 def test_a_goal_beyond_the_world_is_refused_and_the_numbers_return(near, value, words):
     before = goal_of(near)
-    ahead = near.control("Goal").locator("input").first
-    ahead.fill(value)
-    ahead.press("Enter")
-    near.refusal(words).wait_for(timeout=10_000)
+    x = coordinates(near)[0]
+    x.fill(value)
+    x.press("Enter")
+    refusal = near.refusal(words)
+    refusal.wait_for()
+    near.dismiss(refusal)
     np.testing.assert_array_equal(goal_of(near), before)
-    near.wait_for(lambda: float(ahead.input_value()) == 6.0, "the number to return")
+    near.wait_for(lambda: float(x.input_value()) == 6.0, "the number to return")

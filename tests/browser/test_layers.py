@@ -94,15 +94,8 @@ def bare(browser):
             if layer.on_by_default:
                 box.click()
         desk.wait_for(lambda: not any(layer.visible for layer in switches), "all layers to be off")
-        before = [desk.screenshot()]
-
-        def settled() -> bool:
-            desk.page.wait_for_timeout(500)
-            before.append(desk.screenshot())
-            return differing(before[-1], before[-2]) == 0 and before[-1].max() < 100
-
-        desk.wait_for(settled, "an empty scene")
-        yield desk, before[-1]
+        desk.wait_for(lambda: desk.settled_screenshot().max() < 100, "an empty scene")
+        yield desk, desk.settled_screenshot()
         assert desk.console == []
 
 

@@ -20,12 +20,12 @@ def test_the_page_tells_that_a_source_is_being_opened_until_it_is(fresh_desk, tm
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")
     told = desk.page.locator(".mantine-Notification-root", has_text=f"Opening {path}")
-    told.wait_for(timeout=10_000)
+    told.wait_for()
     desk.page.wait_for_timeout(1000)
     assert told.is_visible()
     path.write_bytes(whole.read_bytes())
     desk.wait_for(lambda: desk.session.frame.source.name == "poles", "the world from the pipe")
-    told.wait_for(state="detached", timeout=10_000)
+    told.wait_for(state="detached")
     assert desk.console == []
     assert desk.dashboard.failures == 0
 
@@ -36,7 +36,7 @@ def test_the_page_does_not_go_on_telling_of_a_source_that_cannot_be_opened(fresh
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")
     told = desk.page.locator(".mantine-Notification-root", has_text=f"Opening {path}")
-    told.wait_for(timeout=10_000)
+    told.wait_for()
     path.write_text("{")
-    desk.refusal("is not JSON").wait_for(timeout=10_000)
-    told.wait_for(state="detached", timeout=10_000)
+    desk.refusal("is not JSON").wait_for()
+    told.wait_for(state="detached")

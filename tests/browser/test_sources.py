@@ -31,7 +31,7 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     desk = fresh_desk
     forest = solids(desk)
     choose(desk, "pillars")
-    desk.page.get_by_text("A room with 6 pillars").wait_for(timeout=10_000)
+    desk.page.get_by_text("A room with 6 pillars").wait_for()
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
     room = solids(desk)
     assert differing(room, forest) > 20_000
@@ -51,7 +51,7 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")
     desk.wait_for(lambda: desk.session.frame.source.name == "two posts", "the world of the file")
-    desk.page.get_by_text("two posts").first.wait_for(timeout=10_000)
+    desk.page.get_by_text("two posts").first.wait_for()
     assert differing(solids(desk), room) > 20_000
     assert desk.console == []
     assert desk.dashboard.failures == 0
@@ -80,17 +80,17 @@ def test_a_world_whose_start_is_in_an_obstacle_says_why_it_ends_at_once(fresh_de
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")
     words = re.compile("The start .*inside an obstacle")
-    desk.page.get_by_text(words).first.wait_for(timeout=20_000)  # beside the outcome
+    desk.page.get_by_text(words).first.wait_for()  # beside the outcome
     desk.click("Play")
     said = desk.page.locator(".mantine-Notification-root", has_text=words)
-    said.first.wait_for(timeout=10_000)
+    said.first.wait_for()
     assert "collided with an obstacle" in said.first.inner_text()
 
 
 @pytest.fixture(scope="module")
 def recording(browser, shared_datasets):
     """A real recording, opened in the page of another source, with the literal planner of the paper."""
-    with open_desk(browser, ticks=1, config=PlannerConfig.preset("paper"), size=(1280, 720)) as desk:
+    with open_desk(browser, ticks=1, config=PlannerConfig.preset("paper"), size=(1280, 720), layers=["drone"]) as desk:
         desk.control("Path").locator("input").fill(str(shared_datasets / "hilti_os0_A_mcap"))
         desk.click("Open path")
         desk.wait_for(lambda: not desk.session.source.closed_loop, "the recording")
@@ -101,13 +101,13 @@ def recording(browser, shared_datasets):
 
 
 def test_a_recording_says_that_its_loop_is_open(recording):
-    recording.page.get_by_text("Open loop: the plan is displayed but not flown").wait_for(timeout=10_000)
-    recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for(timeout=10_000)
+    recording.page.get_by_text("Open loop: the plan is displayed but not flown").wait_for()
+    recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for()
 
 
 def test_a_recordings_cloud_is_on_the_screen(recording):
     recording.dashboard.show_only([])
-    empty = recording.screenshot()
+    empty = recording.settled_screenshot()
     recording.dashboard.show_only(["cloud"])
     recording.wait_for(lambda: differing(recording.screenshot(), empty) > 5000, "the cloud")
 
@@ -131,8 +131,8 @@ def test_a_recording_has_the_layers_it_can_have(recording):
         recording.wait_for(lambda: recording.checkbox(title).is_visible() == there, title)  # noqa: B023
     box = recording.checkbox("Recorded path")
     recording.dashboard.show_only([])
-    empty = recording.screenshot()
     recording.wait_for(lambda: not box.is_checked(), "the switch to be off")
+    empty = recording.settled_screenshot()
     box.click()
     recording.wait_for(lambda: differing(recording.screenshot(), empty) > 50, "the recorded path")
     box.click()
@@ -143,7 +143,7 @@ def test_a_recording_plays_to_its_end(recording):
     recording.dashboard.show_only(["rollouts", "drone"])
     recording.session.set_speed(4.0)
     recording.click("Play")
-    recording.page.get_by_text("end of the recording").first.wait_for(timeout=30_000)
+    recording.page.get_by_text("end of the recording").first.wait_for()
     recording.wait_for(lambda: recording.session.frame.outcome == "end", "the end")
     assert recording.session.frame.time == pytest.approx(11.5, abs=0.1)
     recording.click("-1")
