@@ -118,8 +118,8 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
 
 def suggest_other_clouds(contents: Contents, topic: TopicContents) -> str:
     """Return advice, to be appended to an error, for a topic whose clouds cannot be used."""
-    others = [candidate for candidate in contents.topics_with(CLOUD_TYPES) if candidate is not topic]
-    return _suggest(others) or ": check that the driver publishes the sensor's points there"
+    alternatives = [candidate for candidate in contents.topics_with(CLOUD_TYPES) if candidate is not topic]
+    return _suggest(alternatives) or ": check that the driver publishes the sensor's points there"
 
 
 def _pose_topics(contents: Contents, frame: str, name: str | None) -> list[TopicContents]:

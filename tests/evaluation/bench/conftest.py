@@ -1,4 +1,4 @@
-"""Flights that take a tenth of a second: what is tested is the runner, not the planner."""
+"""A small benchmark with flights of 0.2 s, which tests the runner rather than the planner."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONFIG = PlannerConfig().replace({"sampling.samples": 8, "sampling.steps": 10})
 
 @pytest.fixture
 def benchmark_of_three() -> Benchmark:
-    """Two rows that fly in one batch with a row of another structure between them."""
+    """Two rows that fly in one batch, and between them a row with another structure."""
     return Benchmark(
         "small",
         "A small benchmark",
@@ -34,7 +34,7 @@ def benchmark_of_three() -> Benchmark:
 
 @pytest.fixture
 def fly(benchmark_of_three: Benchmark, tmp_path: Path) -> Callable[..., Run]:
-    """Run the small benchmark into a folder of this name."""
+    """Return a function that runs the small benchmark and writes the results into a folder with the given name."""
 
     def run(name: str = "out", benchmark: Benchmark = benchmark_of_three, **options: Any) -> Run:
         defaults: dict[str, Any] = {

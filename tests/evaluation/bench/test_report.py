@@ -73,7 +73,7 @@ def test_report_with_bars_and_without_external_flights(fly, tmp_path, benchmark_
     run = fly(benchmark=replace(benchmark_of_three, x_label=""))
     write_report(replace(run, flights=run.flights[:3]), tmp_path / "out")
     assert (tmp_path / "out" / "success.png").read_bytes().startswith(PNG)
-    assert (tmp_path / "out" / "speed.png").read_bytes().startswith(PNG)  # beside the published planners
+    assert (tmp_path / "out" / "speed.png").read_bytes().startswith(PNG)  # with the published results
     report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
     assert "(success.png)" in report and "(speed.png)" in report
     assert "Incomplete: 3 of 6" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
@@ -90,9 +90,9 @@ def test_external_trajectory_is_scored(tmp_path, benchmark_of_three):
     scene("forest", seed=3, count=4).save(tmp_path / "w.json")
     rows = [f"{t / 50},{t / 10},0,2" for t in range(100)]
     (tmp_path / "a.csv").write_text("t,x,y,z\n" + "\n".join(rows), encoding="utf-8")
-    (other,) = load_external_results([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
-    assert (other.planner, other.world_kind) == ("IPC", "forest-4")
-    assert other.flights[0]["mean_speed"] == pytest.approx(5.0)
+    (external,) = load_external_results([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
+    assert (external.planner, external.world_kind) == ("IPC", "forest-4")
+    assert external.flights[0]["mean_speed"] == pytest.approx(5.0)
 
 
 def test_unusable_external_results_are_refused(tmp_path, table, benchmark_of_three):
@@ -127,8 +127,8 @@ def test_table_of_another_kind_is_not_appended_to(tmp_path):
 def test_flights_of_another_run_can_be_external_results(fly, tmp_path):
     run = fly()
     write_report(run, tmp_path / "out")
-    others = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
-    assert {other.world_kind: len(other.flights) for other in others} == {"forest-4": 4, "verticals-5": 2}
+    results = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
+    assert {result.world_kind: len(result.flights) for result in results} == {"forest-4": 4, "verticals-5": 2}
 
 
 def test_table_keeps_its_columns_when_a_flight_is_appended(tmp_path, benchmark_of_three):
@@ -139,6 +139,6 @@ def test_table_keeps_its_columns_when_a_flight_is_appended(tmp_path, benchmark_o
     kept = [i for i in reversed(range(len(header))) if header[i] != "explanation"]
     file.write_text("".join(",".join(row[i] for i in kept) + "\n" for row in (header, line)), encoding="utf-8")
     append_to_table(replace(result("forest-4-101", speed=9.0), explanation="It ends, somewhere."), file)
-    (other,) = load_external_results([f"EGO={file}"], benchmark_of_three)
-    assert [flight["mean_speed"] for flight in other.flights] == [2.0, 9.0]
-    assert [flight["scene"] for flight in other.flights] == ["forest-4-100", "forest-4-101"]
+    (external,) = load_external_results([f"EGO={file}"], benchmark_of_three)
+    assert [flight["mean_speed"] for flight in external.flights] == [2.0, 9.0]
+    assert [flight["scene"] for flight in external.flights] == ["forest-4-100", "forest-4-101"]

@@ -27,11 +27,11 @@ def test_worlds_are_named_as_their_rows_say(name):
 
 
 def test_every_ablation_changes_the_first_row():
-    first, *others = BENCHMARKS["ablation"].rows
+    first, *variants = BENCHMARKS["ablation"].rows
     assert first.preset is None and first.changes == {"costs.use_ground": True}
     configured = PlannerConfig().replace(first.changes)
-    same = {"K = 128", "N = 25"}  # the default's own place on the two curves
-    for row in others:
+    same = {"K = 128", "N = 25"}  # the default values
+    for row in variants:
         base = PlannerConfig() if row.preset is None else PlannerConfig.preset(row.preset)
         assert (base.replace(row.changes) == configured) == (row.label in same)
 

@@ -35,7 +35,7 @@ def test_points_cover_a_primitive_evenly(tables, area):
     np.fill_diagonal(distances, np.inf)
     nearest = distances.min(axis=1)
     assert np.quantile(nearest, 0.99) < 0.13 and nearest.max() < 0.16  # no holes
-    assert np.quantile(nearest, 0.05) > 0.05  # no heaps
+    assert np.quantile(nearest, 0.05) > 0.05  # no clusters
 
 
 def test_buried_points_are_left_out():
