@@ -1,7 +1,8 @@
 """Run the planner's tests with the lowest versions that its wheel allows: scripts/lowest.py [arguments of pytest].
 
-Builds the wheel and installs it into .venv-lowest: what the wheel bounds from below at that bound, all else as in
-constraints.txt. Nothing is installed again while it stays the same. PYTHON=python3.13 takes another interpreter.
+The script builds the wheel and installs it into .venv-lowest. Dependencies with a lower bound are installed at that
+bound, or at the lowest version above it that has a binary for this Python; all others as in constraints.txt. Nothing is
+reinstalled while the sources and requirements stay the same. PYTHON=python3.13 selects another interpreter.
 """
 
 from __future__ import annotations
@@ -27,21 +28,24 @@ CONSTRAINTS = ROOT / "constraints.txt"
 HOME = ROOT / ".venv-lowest"
 INTERPRETER = HOME / "bin" / "python"
 PINS = HOME / "constraints.txt"
-"""What is installed there; tests/planner/test_distribution.py compares."""
+"""Installed versions, which tests/planner/test_distribution.py checks."""
 EXTRAS = ("log", "mavlink", "test")
-"""Of the wheel: what its tests need."""
+"""Extras of the wheel that its tests need."""
 
 
 class InstallError(Exception):
-    """Something could not be installed; says what, and what pip says about it."""
+    """Something could not be installed; the message names the command and the error of pip."""
 
 
 class UnreachableError(InstallError):
-    """.. because the package registry did not answer."""
+    """The package registry did not answer."""
 
 
 def main() -> int:
-    """Return pytest's exit code, or 2 when nothing could be installed, for want of a registry in CI only."""
+    """Run the tests; return the exit code of pytest, or 2 if the installation failed.
+
+    Outside CI, an unreachable package registry is not an error.
+    """
     try:
         install()
     except InstallError as error:
@@ -52,7 +56,7 @@ def main() -> int:
 
 
 def install() -> None:
-    """Bring .venv-lowest up to date.
+    """Update .venv-lowest.
 
     Raises:
         InstallError: pip failed.
@@ -81,7 +85,7 @@ def install() -> None:
 
 
 def build_wheel() -> Path:
-    """Build the planner's wheel from a copy, as setuptools leaves its traces beside what it builds."""
+    """Build the wheel of the planner from a copy, because setuptools leaves files next to the sources."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "planner"
         shutil.copytree(SOURCES, copy, ignore=shutil.ignore_patterns("build", "*.egg-info", "__pycache__"))
@@ -92,19 +96,19 @@ def build_wheel() -> Path:
 
 
 def lowest_versions(wheel: Path) -> list[str]:
-    """Install what the wheel bounds from below at the lowest version with a binary for this Python; return the pins."""
-    (folder,) = (one for one in ZipPath(wheel).iterdir() if one.name.endswith(".dist-info"))
+    """Install every dependency with a lower bound at its lowest version; return the pins."""
+    (folder,) = (path for path in ZipPath(wheel).iterdir() if path.name.endswith(".dist-info"))
     pins = []
-    for text in PathDistribution(folder).requires or []:  # type: ignore[arg-type]  # a path of a zip file is one, too
+    for text in PathDistribution(folder).requires or []:  # type: ignore[arg-type]  # a zipfile.Path works, too
         requirement = Requirement(text)
-        wanted = requirement.marker is None or any(requirement.marker.evaluate({"extra": one}) for one in EXTRAS)
-        if wanted and any(part.operator == ">=" for part in requirement.specifier):
+        applies = requirement.marker is None or any(requirement.marker.evaluate({"extra": extra}) for extra in EXTRAS)
+        if applies and any(part.operator == ">=" for part in requirement.specifier):
             pins.append(install_lowest(requirement))
     return pins
 
 
 def install_lowest(requirement: Requirement) -> str:
-    """Install the lowest version that a requirement allows and that has a binary; return the pin."""
+    """Install the lowest version that a requirement allows and that has a binary for this Python; return the pin."""
     listed = re.search(r"Available versions: (.+)", pip("index", "versions", requirement.name))
     assert listed is not None
     for version in sorted(requirement.specifier.filter(map(Version, listed[1].split(", ")))):
@@ -120,15 +124,15 @@ def install_lowest(requirement: Requirement) -> str:
 
 
 def pip(*arguments: str | Path) -> str:
-    """Run the environment's pip; return what it prints."""
+    """Run pip in .venv-lowest; return its output."""
     return run(INTERPRETER, "-m", "pip", "--disable-pip-version-check", *arguments)
 
 
 def run(*command: str | Path) -> str:
-    """Run a command and return what it prints.
+    """Run a command and return its output.
 
     Raises:
-        InstallError: it failed.
+        InstallError: the command failed.
     """
     words = " ".join(map(str, command))
     try:
@@ -136,7 +140,9 @@ def run(*command: str | Path) -> str:
     except OSError as error:
         raise InstallError(f"{words}: {error.strerror or error}") from error
     if "connection broken by" in done.stderr and done.returncode:
-        raise UnreachableError("the package registry can't be reached; connect to it or name another to pip.")
+        raise UnreachableError(
+            "the package registry can't be reached; check the connection, or configure another one for pip."
+        )
     if done.returncode:
         lines = done.stderr.strip().splitlines()
         problem = next((line for line in lines if line.startswith("ERROR:")), lines[-1] if lines else "it failed")
@@ -145,7 +151,7 @@ def run(*command: str | Path) -> str:
 
 
 def digest(files: list[Path], more: str) -> str:
-    """Return a hash of the files' names and content."""
+    """Return a hash of `more` and of the names and content of files."""
     value = hashlib.sha256(more.encode())
     for file in files:
         value.update(f"{file.relative_to(ROOT)}\0".encode() + file.read_bytes())
@@ -153,13 +159,13 @@ def digest(files: list[Path], more: str) -> str:
 
 
 def stamp(name: str) -> str | None:
-    """Return what stands in a file of the environment."""
+    """Return the content of a file in .venv-lowest, or None if it does not exist."""
     file = HOME / name
     return file.read_text() if file.exists() else None
 
 
 def say(text: str) -> None:
-    """Tell on stderr."""
+    """Print to stderr."""
     print(text, file=sys.stderr, flush=True)
 
 

@@ -1,4 +1,4 @@
-"""`python -m aero_planner` is `aero-planner`."""
+"""Entry point of `python -m aero_planner`, which is the same as `aero-planner`."""
 
 from __future__ import annotations
 

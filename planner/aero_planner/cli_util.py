@@ -1,4 +1,4 @@
-"""How a program of the command line ends, whatever it does. Nothing heavy is imported here."""
+"""Exit codes and ends of command-line programs. This module imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ INTERRUPTED = 130
 
 
 def abandon_output() -> int:
-    """Drop what is left of stdout, whose reader, such as `head`, has gone; return the exit code that says so."""
-    # Python would complain once more when it flushes at exit.
+    """Discard the rest of stdout, whose reader, such as `head`, has closed it; return the exit code for that."""
+    # Python would report the error again when it flushes stdout at exit.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 141
 
 
 def run_command(command: Callable[[Sequence[str] | None], int]) -> None:
-    """Run the `main` of a module and exit; a mistake of the user's is one line and exit code 2."""
+    """Run the `main` function of a module and exit; a ValueError or OSError becomes one line on stderr and code 2."""
     try:
         code = command(None)
         sys.stdout.flush()

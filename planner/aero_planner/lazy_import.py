@@ -1,4 +1,4 @@
-"""Package exports that are imported on first use, so that importing a package stays cheap."""
+"""Exports of a package that are imported on first use, so that importing the package is fast."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["lazy_exports"]
 def lazy_exports(
     package: str, modules: Mapping[str, tuple[str, ...]]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of a package that imports its exports on first use.
+    """Return `__getattr__` and `__dir__` for a package that imports its exports on first use.
 
     Args:
-        package: name of the package, its `__name__`.
-        modules: exported names by the submodule that defines them.
+        package: `__name__` of the package.
+        modules: names to export, by the submodule that defines them.
     """
     module_of = {name: module for module, names in modules.items() for name in names}
 

@@ -1,4 +1,4 @@
-"""Which planner is tested: the source, or by scripts/lowest.py the installed wheel with its lowest dependencies."""
+"""The tested planner: the source, or under scripts/lowest.py the installed wheel with its lowest dependencies."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ def test_the_planner_is_the_one_meant():
 @pytest.mark.skipif(not PINS, reason="these are not the lowest versions: make test-lowest")
 def test_dependencies_are_the_lowest():
     pins = dict(line.split("==") for line in Path(PINS or "").read_text().split())
-    bounded = [one for one in map(Requirement, metadata.requires("aero-planner") or []) if one.specifier]
-    assert {"numpy", "warp-lang"} < {one.name for one in bounded}
-    for one in bounded:
-        assert metadata.version(one.name) == pins[one.name]
-        # Exactly the bound, save where there is no binary for this Python.
-        lowest = next(part.version for part in one.specifier if part.operator == ">=")
-        assert one.name == "numpy" or f"{pins[one.name]}.".startswith(f"{lowest}.")
+    requirements = map(Requirement, metadata.requires("aero-planner") or [])
+    bounded = [requirement for requirement in requirements if requirement.specifier]
+    assert {"numpy", "pyyaml", "warp-lang"} < {requirement.name for requirement in bounded}
+    for requirement in bounded:
+        name = requirement.name
+        assert metadata.version(name) == pins[name]
+        # Exactly the bound, unless there is no binary for this Python.
+        lowest = next(part.version for part in requirement.specifier if part.operator == ">=")
+        assert name == "numpy" or f"{pins[name]}.".startswith(f"{lowest}.")

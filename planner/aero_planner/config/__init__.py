@@ -1,4 +1,4 @@
-"""Every parameter of the planner, and the file format that stores a configuration."""
+"""Parameters of the planner, the base classes of all configurations, and configuration files."""
 
 from __future__ import annotations
 

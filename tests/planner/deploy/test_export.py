@@ -148,7 +148,8 @@ def test_a_node_starts_from_a_bundle_without_a_compiler(bundle: Path, tmp_path: 
     command = [sys.executable, "-m", "aero_planner", "run", "--bundle", str(bundle), "--goal", "5", "0", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stderr is not None
-        lines = []
+        lines: list[str] = []
+        kernels: set[str] = set()
         for line in process.stderr:
             lines.append(line)
             if "waiting for states, points and a goal" in line:
