@@ -1,32 +1,41 @@
-"""From what a user names, a scene, a world file or a recording, to a source."""
+"""Sources and worlds by name: scenes, world files, maps and recordings."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aero_planner.config import find_parameter
 from aero_viz.errors import UserError
 from aero_viz.session.source import Source
 
+if TYPE_CHECKING:
+    from aero_viz.scenes import World
+
 __all__ = ["is_map", "load_world", "open_source", "source_choices"]
 
 
 def source_choices() -> dict[str, str]:
-    """Return what can be opened without a file: label by name."""
+    """Return the descriptions of the sources that need no file, by name."""
     from aero_viz.scenes import SCENES
 
     return {name: kind.description for name, kind in SCENES.items()}
 
 
 def is_map(spec: str) -> bool:
-    """Return whether `spec` is the name of a file of points."""
+    """Return True if `spec` is the file name of a point map or a mesh."""
     from aero_viz.scenes.map_files import MAP_SUFFIXES
 
     return Path(spec).suffix.lower() in MAP_SUFFIXES and not Path(spec).is_dir()
 
 
-def load_world(spec: str, *, seed: int = 0, count: int | None = None):
-    """Return the `World` of a scene's name, of a JSON file or of a map of points (PCD, PLY, LAS, LAZ, NPY).
+def load_world(spec: str, *, seed: int = 0, count: int | None = None) -> World:
+    """Return the world of a scene, a JSON file, a point map or a mesh.
+
+    Args:
+        spec: name of a scene, or path of a file.
+        seed: seed of a scene.
+        count: number of obstacles of a scene; None is its default.
 
     Raises:
         UserError: there is no such scene or file, or the file is malformed.
@@ -35,7 +44,7 @@ def load_world(spec: str, *, seed: int = 0, count: int | None = None):
 
     if is_map(spec) or spec.endswith(".json") or "/" in spec:
         if count is not None:
-            raise UserError(f"--count belongs to a scene's generator, and {spec} is a file; leave it out.")
+            raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
         return load_map(spec) if is_map(spec) else World.load(spec)
     return scene(spec, seed=seed, count=count)
 
@@ -51,19 +60,19 @@ def open_source(
     pose_topic: str | None = None,
     goal_ahead: float = 15.0,
 ) -> Source:
-    """Open a scene's name, a world's JSON file, a map of points, or a recording.
+    """Open a scene, a world's JSON file, a map, or a recording.
 
     Args:
-        spec: name or path.
-        seed: of the scene, the LiDAR and its noise.
+        spec: name of a scene, or path of a file.
+        seed: seed of the scene, the LiDAR and its noise.
         device: Warp device of the simulation.
-        count: number of obstacles of a scene; None is the scene's own.
-        lidar: model of a flight, see `aero_viz.sensors.lidar.lidar_model`.
-        points_topic, pose_topic: of a recording; None finds them by type.
-        goal_ahead: of a recording [m].
+        count: number of obstacles of a scene; None is its default.
+        lidar: LiDAR model of a flight, see `aero_viz.sensors.lidar.lidar_model`.
+        points_topic, pose_topic: topics of a recording; None finds them by type.
+        goal_ahead: distance from the drone to the goal of a recording [m].
 
     Raises:
-        UserError: what is named does not exist or cannot be used, or no flight there can arrive.
+        UserError: the source does not exist or cannot be used, or no flight in it can arrive.
     """
     from aero_viz.scenes import SCENES
 
@@ -74,7 +83,7 @@ def open_source(
         from aero_viz.sensors import lidar_model
 
         world = load_world(spec, seed=seed, count=count)
-        # The configuration comes later: refused is only what none of them can reach.
+        # The configuration is not known yet: refuse only what no configuration can reach.
         refuse_impossible(world, rules=FlightRules(), speed_limit=find_parameter("vehicle.speed_limit").high)
         return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
     from aero_viz.recordings import RecordingSource, open_recording

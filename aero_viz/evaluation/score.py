@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
-from aero_viz.flight.explanation import explain
 from aero_viz.flight.metrics import flight_results, judge_trajectory
 from aero_viz.scenes import World
 
@@ -113,24 +112,8 @@ def score(
     clearance = world.distance(step_positions).reshape(count + 1, steps)
     record, outcome = judge_trajectory(world, positions, velocities, clearance, rules=rules)
     ticks = int(record["ticks"][0])
-    explanation = explain(
-        outcome,
-        world,
-        positions[ticks],
-        time=round(ticks * period, 9),
-        clearance=float(record["clearance_min"][0]),
-        goal=world.goal,
-        rules=rules,
-    )
     return flight_results(
-        record,
-        [outcome],
-        period=period,
-        seeds=[0],
-        scenes=[world.name],
-        configs=[planner],
-        plan_ms=None,
-        explanations=[explanation],
+        record, [outcome], [world], positions[ticks][None], rules=rules, seeds=[0], configs=[planner], plan_ms=None
     )[0]
 
 

@@ -12,7 +12,6 @@ import warp as wp
 
 from aero_planner import Planner, PlannerConfig
 from aero_viz.flight.estimate import StateNoise
-from aero_viz.flight.explanation import explain
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.metrics import FlightResult, config_name_of, flight_results
@@ -178,29 +177,15 @@ class FlightBatch:
     def results(self) -> list[FlightResult]:
         """Return the result of each flight so far."""
         self._collect_times()
-        records, outcomes, rules = self.simulator.records(), self.simulator.outcomes(), self.simulator.rules
-        positions = self.simulator.vehicle.position.numpy()
-        explanations = [
-            explain(
-                outcome,
-                world,
-                position,
-                time=float(record["ticks"]) * rules.period,
-                clearance=float(record["clearance_min"]),
-                goal=record["goal"],
-                rules=rules,
-            )
-            for outcome, world, position, record in zip(outcomes, self._worlds, positions, records, strict=True)
-        ]
         return flight_results(
-            records,
-            outcomes,
-            period=rules.period,
+            self.simulator.records(),
+            self.simulator.outcomes(),
+            self._worlds,
+            self.simulator.vehicle.position.numpy(),
+            rules=self.simulator.rules,
             seeds=self._seeds,
-            scenes=[world.name for world in self._worlds],
             configs=self._config_names,
             plan_ms=statistics.median(self._plan_ms) if self._plan_ms else None,
-            explanations=explanations,
         )
 
     def _count_finished(self) -> int:

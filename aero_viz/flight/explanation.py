@@ -1,4 +1,4 @@
-"""Sentences about flights: what ended one, and what keeps one from being flown at all."""
+"""Sentences on how flights ended, and checks that refuse flights that cannot arrive."""
 
 from __future__ import annotations
 
@@ -22,47 +22,48 @@ def explain(
     goal: ArrayLike,
     rules: FlightRules,
 ) -> str | None:
-    """Return in one sentence what ended a flight, None for an arrival.
+    """Return one sentence on how a flight ended, None for an arrival.
 
     Args:
-        reason: outcome of the flight; None when it was not over.
+        reason: outcome of the flight; None if it was not over.
         world: where it was flown.
-        position: last position [m], shape [3].
-        time: at which it ended [s].
-        clearance: least distance to a surface [m]; of a collision, the one that ended it.
-        goal: that was flown to [m], shape [3].
-        rules: of the flight.
+        position: last position [m], [3].
+        time: flight time [s].
+        clearance: smallest distance to a surface [m]; for a collision, the one that ended the flight.
+        goal: goal at the end [m], [3].
+        rules: rules of the flight.
     """
     place = np.asarray(position, dtype=np.float64)
-    left = float(np.linalg.norm(np.asarray(goal, dtype=np.float64) - place))
+    remaining = float(np.linalg.norm(np.asarray(goal, dtype=np.float64) - place))
+    where = f"at {_point(place)}"
     if reason == "arrived":
         return None
     if reason == "collision":
         solid = world.nearest(place)[1]
-        who = "The start is" if time == 0.0 else f"After {time:.2f} s the drone was"
+        subject = "The start is" if time == 0.0 else f"After {time:.2f} s the drone was"
         if clearance < 0.0:
-            return f"{who} inside an obstacle, {-clearance:.3f} m deep in {solid}, at {_point(place)}."
-        return (
-            f"{who} {clearance:.3f} m from {solid}, nearer than the radius of {rules.radius:g} m, at {_point(place)}."
-        )
+            return f"{subject} inside an obstacle, {-clearance:.3f} m deep in {solid}, {where}."
+        return f"{subject} {clearance:.3f} m from {solid}, closer than the radius of {rules.radius:g} m, {where}."
     if reason == "stall":
         return (
-            f"The drone came no {rules.stall_distance:g} m nearer to the goal within {rules.stall_time:g} s and is at "
-            f"{_point(place)}, {left:.1f} m before it."
+            f"The drone came less than {rules.stall_distance:g} m closer to the goal within {rules.stall_time:g} s; "
+            f"it stalled {where}, {remaining:.1f} m from the goal."
         )
     if reason == "out_of_bounds":
-        return f"The drone left the world's bounds, {_box(world.bounds)}, at {_point(place)}."
+        return f"The drone left the world's bounds, {_box(world.bounds)}, {where}."
     if reason == "timeout":
-        return f"The {rules.time_limit:g} s to reach the goal were over {left:.1f} m before it, at {_point(place)}."
-    return f"It ends after {time:.2f} s, {left:.1f} m before the goal, at {_point(place)}."
+        return f"The time limit of {rules.time_limit:g} s expired {where}, {remaining:.1f} m from the goal."
+    return f"The flight was not over after {time:.2f} s, {where}, {remaining:.1f} m from the goal."
 
 
 def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
-    """Return why nobody can fly to a goal [m], shape [3], such as "The goal (9, 0, -2) lies 2.00 m below the ground of
-    the world 'forest'"; None when nothing is in the way."""
+    """Return why no drone can fly to a goal [m], [3]; None if nothing prevents it.
+
+    An example is "The goal (9, 0, -2) lies 2.00 m below the ground of the world 'forest'".
+    """
     where = _outside(world, goal)
     if where is None:
-        depth, (distance, solid) = _below_ground(world, goal), world.nearest(goal)
+        depth, (distance, solid) = _depth_below_ground(world, goal), world.nearest(goal)
         if depth > 0.0:
             where = f"{depth:.2f} m below the ground of the world {world.name!r}"
         elif distance < 0.0:
@@ -71,26 +72,27 @@ def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
 
 
 def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -> None:
-    """Refuse a world in which no flight can arrive, whoever flies. A start in an obstacle is not refused: it collides.
+    """Refuse a world in which no planner can arrive. A start inside an obstacle is allowed: that flight collides.
 
     Args:
         world: where to fly.
         rules: when the flight ends.
-        speed_limit: of the planner [m/s].
+        speed_limit: speed limit of the planner [m/s].
 
     Raises:
-        UserError: the goal lies in an obstacle or too far to be reached in time, or an end lies outside the bounds.
+        UserError: the goal lies in an obstacle or is too far away for the time limit, or start or goal lies outside the
+            bounds.
     """
     if where := _outside(world, world.start):
         raise UserError(f"The start {_point(world.start)} lies {where}; give another start.")
     if problem := goal_problem(world, world.goal):
         raise UserError(f"{problem}; give another goal.")
-    way = float(np.linalg.norm(world.goal - world.start)) - rules.arrival_radius
-    time_limit = max(rules.time_limit, FlightRules().time_limit)  # who sets a shorter one wants a piece of the flight
-    if way > speed_limit * time_limit:
+    distance = float(np.linalg.norm(world.goal - world.start))
+    time_limit = max(rules.time_limit, FlightRules().time_limit)  # a shorter limit asks for a part of the flight
+    if distance - rules.arrival_radius > speed_limit * time_limit:
         raise UserError(
-            f"The goal {_point(world.goal)} of the world {world.name!r} is {way + rules.arrival_radius:.0f} m away: "
-            f"{speed_limit:g} m/s do not reach it within the flight's {time_limit:g} s; "
+            f"The goal {_point(world.goal)} of the world {world.name!r} is {distance:.0f} m away and cannot be reached "
+            f"at {speed_limit:g} m/s within the time limit of {time_limit:g} s; "
             "give a nearer goal, or raise the time limit or the speed."
         )
 
@@ -101,16 +103,16 @@ def _point(place: NDArray[np.float64]) -> str:
 
 def _outside(world: World, place: NDArray[np.float64]) -> str | None:
     lower, upper = world.bounds
-    inside = bool(((place >= lower) & (place <= upper)).all())
-    return None if inside else f"outside the bounds of the world {world.name!r}, {_box(world.bounds)}"
+    is_inside = bool(((place >= lower) & (place <= upper)).all())
+    return None if is_inside else f"outside the bounds of the world {world.name!r}, {_box(world.bounds)}"
 
 
-def _below_ground(world: World, place: NDArray[np.float64]) -> float:
-    """Return how far the top of the ground is above a place that lies over or under it [m]; negative above."""
+def _depth_below_ground(world: World, place: NDArray[np.float64]) -> float:
+    """Return how far a place lies below the top of the ground [m]; negative above it, -inf beside it."""
     depth = -np.inf
     for x, y, z, length, width, height, yaw in world.boxes[world.ground]:
-        c, s, along, across = np.cos(yaw), np.sin(yaw), place[0] - x, place[1] - y
-        if abs(c * along + s * across) <= 0.5 * length and abs(c * across - s * along) <= 0.5 * width:
+        c, s, dx, dy = np.cos(yaw), np.sin(yaw), place[0] - x, place[1] - y
+        if abs(c * dx + s * dy) <= 0.5 * length and abs(c * dy - s * dx) <= 0.5 * width:
             depth = max(depth, z + 0.5 * height - place[2])
     return float(depth)
 

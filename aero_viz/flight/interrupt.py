@@ -1,4 +1,4 @@
-"""Ctrl-C as a question that a loop asks between two ticks, so that it leaves whole ticks and whole files behind."""
+"""Deferred Ctrl-C: a loop checks for it between two ticks, so that ticks and files are complete."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["FlightInterrupted", "deferred_interrupt"]
 
 
 class FlightInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a flight.
+    """Ctrl-C was pressed during a flight.
 
     Attributes:
-        result: what was flown so far; its reason is None.
+        result: metrics of the flight so far; its reason is None.
     """
 
     def __init__(self, result: FlightResult) -> None:
@@ -27,23 +27,23 @@ class FlightInterrupted(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Let the context ask whether Ctrl-C was pressed; the second one interrupts at once, as ever.
+    """Give the context a function that returns True once Ctrl-C was pressed; a second Ctrl-C interrupts immediately.
 
-    Outside of the main thread, which alone gets signals, the answer is always no.
+    Only the main thread receives signals; in other threads the function always returns False.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
     pressed = False
 
-    def note(number: int, frame: FrameType | None) -> None:
+    def handle(number: int, frame: FrameType | None) -> None:
         nonlocal pressed
         if pressed:
             raise KeyboardInterrupt
         pressed = True
 
-    before = signal.signal(signal.SIGINT, note)
+    previous = signal.signal(signal.SIGINT, handle)
     try:
         yield lambda: pressed
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)

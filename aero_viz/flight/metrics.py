@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
 from aero_planner.warp_init import quieten
+from aero_viz.flight.explanation import explain
 from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_trajectory_kernel
 from aero_viz.flight.rules import OUTCOMES, FlightRules
 from aero_viz.scenes.world import World
@@ -63,47 +64,61 @@ class FlightResult:
 def flight_results(
     records: NDArray[Any],
     outcomes: Sequence[str | None],
+    worlds: Sequence[World],
+    positions: ArrayLike,
     *,
-    period: float,
+    rules: FlightRules,
     seeds: Sequence[int],
-    scenes: Sequence[str],
     configs: Sequence[str],
     plan_ms: float | None,
-    explanations: Sequence[str | None],
 ) -> list[FlightResult]:
     """Return one result per flight.
 
     Args:
         records: `FlightRecord` of each flight, structured array [B].
         outcomes: [B].
-        period: duration of a tick [s].
-        seeds, scenes, configs, explanations: fields of the results, [B].
+        worlds: [B].
+        positions: last position of each flight [m], [B, 3].
+        rules: of all flights.
+        seeds: [B].
+        configs: names of the configurations, [B].
         plan_ms: field `plan_ms_median` of all results.
     """
-    results = []
-    for record, outcome, seed, scene, config, explanation in zip(
-        records, outcomes, seeds, scenes, configs, explanations, strict=True
-    ):
-        time, length = round(int(record["ticks"]) * period, 9), float(record["length"])
-        results.append(
-            FlightResult(
-                arrived=outcome == "arrived",
-                reason=outcome,
-                flight_time_s=time,
-                mean_speed=length / time if time > 0.0 else 0.0,
-                max_speed=float(record["speed_max"]),
-                smoothness=float(record["smoothness"]),
-                length_m=length,
-                mean_clearance=_finite(record["clearance_sum"] / record["clearance_count"]),
-                min_clearance=_finite(record["clearance_min"]),
-                plan_ms_median=plan_ms,
-                seed=seed,
-                scene=scene,
-                config=config,
-                explanation=explanation,
-            )
-        )
-    return results
+    flights = zip(records, outcomes, worlds, np.asarray(positions), seeds, configs, strict=True)
+    return [
+        _flight_result(record, outcome, world, position, rules, seed, config, plan_ms)
+        for record, outcome, world, position, seed, config in flights
+    ]
+
+
+def _flight_result(
+    record: Any,
+    outcome: str | None,
+    world: World,
+    position: ArrayLike,
+    rules: FlightRules,
+    seed: int,
+    config: str,
+    plan_ms: float | None,
+) -> FlightResult:
+    time, length = round(int(record["ticks"]) * rules.period, 9), float(record["length"])
+    clearance = float(record["clearance_min"])
+    return FlightResult(
+        arrived=outcome == "arrived",
+        reason=outcome,
+        flight_time_s=time,
+        mean_speed=length / time if time > 0.0 else 0.0,
+        max_speed=float(record["speed_max"]),
+        smoothness=float(record["smoothness"]),
+        length_m=length,
+        mean_clearance=_finite(record["clearance_sum"] / record["clearance_count"]),
+        min_clearance=_finite(clearance),
+        plan_ms_median=plan_ms,
+        seed=seed,
+        scene=world.name,
+        config=config,
+        explanation=explain(outcome, world, position, time=time, clearance=clearance, goal=record["goal"], rules=rules),
+    )
 
 
 def config_name_of(config: PlannerConfig) -> str:

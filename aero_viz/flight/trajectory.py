@@ -1,4 +1,4 @@
-"""The trajectory file of a flight: CSV with t,x,y,z,vx,vy,vz, a row per tick, SI units, world frame."""
+"""Trajectory files: CSV with t,x,y,z,vx,vy,vz, one row per tick, SI units, world frame."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import csv
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from aero_viz.errors import UserError
@@ -18,9 +19,9 @@ WriteRow = Callable[[float, ArrayLike, ArrayLike], None]
 
 @contextlib.contextmanager
 def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
-    """Give the context a function that appends time [s], position [m] and velocity [m/s]; it does nothing for None.
+    """Give the context a function that appends a row: time [s], position [m], velocity [m/s]. For None it does nothing.
 
-    Rows are on disk at once: a flight that is killed leaves a readable file.
+    Every row is flushed, so that a killed flight leaves a readable file.
 
     Raises:
         UserError: the file cannot be written.
@@ -29,7 +30,7 @@ def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
         yield lambda time, position, velocity: None
         return
     try:
-        file = open(path, "w", newline="", encoding="utf-8")  # noqa: SIM115 (closed below, opened with its own error)
+        file = open(path, "w", newline="", encoding="utf-8")  # noqa: SIM115 (closed below; opening has its own error)
     except OSError as error:
         raise _failed(path, error) from error
     with file:
@@ -43,7 +44,7 @@ def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
                 raise _failed(path, error) from error
 
         def write_row(time: float, position: ArrayLike, velocity: ArrayLike) -> None:
-            write(*(f"{value:.6f}" for value in (time, *position, *velocity)))  # type: ignore[misc]
+            write(*(f"{value:.6f}" for value in (time, *np.asarray(position), *np.asarray(velocity))))
 
         write("t", "x", "y", "z", "vx", "vy", "vz")
         yield write_row

@@ -1,4 +1,4 @@
-"""Flight logs: every tick of a session as standard ROS 2 messages in an MCAP file."""
+"""Flight logs: MCAP files that hold every tick of a session as standard ROS 2 messages."""
 
 from __future__ import annotations
 

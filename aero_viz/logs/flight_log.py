@@ -1,4 +1,4 @@
-"""The flight log: an MCAP file, written in chunks while flying, so that a crash costs the last second at most."""
+"""The flight log: an MCAP file that is flushed every second, so that a crash loses no more than that."""
 
 from __future__ import annotations
 
@@ -29,21 +29,23 @@ __all__ = ["FlightLog", "flight_recorder", "new_points", "record"]
 _log = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 1 << 20
-_FLUSH_PERIOD = 1.0  # of wall time [s]: a killed process loses no more than this
-_SWEEP_STEP = 1000  # between the sweeps of a cloud that is logged whole [ns]
-_PATIENCE = 10.0  # with a disk that is behind at the end [s]
+_FLUSH_PERIOD = 1.0  # wall time [s]; a killed process loses no more than this
+_SWEEP_STEP = 1000  # [ns] between the stamps of the sweeps of a cloud that is logged as a whole
+_JUMP_STEP = 20_000_000  # [ns] between the stamps before and after a jump of the source's time
+_CLOSE_TIMEOUT = 10.0  # [s] for a slow disk to catch up at the end
 
 
 class FlightLog:
-    """Writes frames to an MCAP file with the messages of the drone's own log.
+    """Writes frames to an MCAP file, with the messages of the drone's own log.
 
-    Attachments hold each configuration, and for each source its world and settings: world.json and flight.json of the
-    first, world_1.json and flight_1.json of the next. The goal is written at the start and whenever it moves. Time in
-    the file starts at the wall time of opening and runs on where the source's jumps back. A sweep is written once, when
-    it is new; of the cloud at the start (and after a jump) all sweeps are. Use it from one thread.
+    Attachments hold every configuration, and the world and settings of every source: world.json and flight.json for the
+    first, world_1.json and flight_1.json for the next. The goal is written at the start and whenever it moves. A sweep
+    is written once, when it is new; at the start and after a jump in time, all sweeps of the cloud are written. Stamps
+    start at the wall time of opening, and continue to increase if the time of the source jumps back. A log must be used
+    from one thread.
 
     Args:
-        path: file to write; replaced.
+        path: file to write; an existing file is replaced.
 
     Raises:
         UserError: the file cannot be written.
@@ -52,14 +54,14 @@ class FlightLog:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.frames = 0
-        """Frames written so far."""
+        """Number of frames written so far."""
         self._channels: dict[str, int] = {}
-        self._base = self._stamp = time.time_ns()
+        self._base = self._stamp = time.time_ns()  # stamps of source time 0 and of the last frame
         self._last: Frame | None = None
-        self._sources = 0  # so far
+        self._sources = 0
         self._pose: tuple[int, float, VehicleState] | None = None  # epoch, time [s] and state of the last pose
-        self._torn = False
-        self._cloud: NDArray[np.float32] | None = None
+        self._failed = False
+        self._cloud: NDArray[np.float32] | None = None  # of the last frame
         try:
             self._file = self.path.open("wb")
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -69,29 +71,38 @@ class FlightLog:
             raise UserError(f"Cannot write the flight log {path}: {error.strerror or error}.") from error
 
     def write(self, frame: Frame) -> None:
-        """Append a frame; raises OSError when the disk does not take it, after which only `close` makes sense."""
+        """Append a frame.
+
+        Raises:
+            OSError: the file cannot be written; only `close` may be called then.
+        """
         try:
             self._write(frame)
         except OSError:
-            self._torn = True
+            self._failed = True
             raise
 
     def write_pose(self, time: float, state: VehicleState) -> None:
-        """Append where the drone is between two frames, `time` [s] being the source's, after that of the last frame."""
+        """Append the pose of the drone between two frames.
+
+        Args:
+            time: source time, later than that of the last frame [s].
+            state: true state.
+        """
         if self._last is not None:
             self._write_pose(time, state, self._base + round(1e9 * time), epoch=self._last.epoch)
 
     def _write(self, frame: Frame) -> None:
-        before = self._last
+        last = self._last
         stamp = self._next_stamp(frame)
-        if before is None or before.source is not frame.source:
+        if last is None or last.source is not frame.source:
             self._attach_source(frame.source)
-        if before is None or before.config is not frame.config:
+        if last is None or last.config is not frame.config:
             self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(frame.config))
-        if before is None or before.epoch != frame.epoch or before.time != frame.time:
+        if last is None or last.epoch != frame.epoch or last.time != frame.time:
             self._write_pose(frame.time, frame.observation.actual_state, stamp, epoch=frame.epoch)
             self._write_sweeps(frame, stamp)
-        if before is None or not np.array_equal(before.observation.goal.position, frame.observation.goal.position):
+        if last is None or not np.array_equal(last.observation.goal.position, frame.observation.goal.position):
             self._add(encode_goal(frame, stamp), stamp)
         for message in encode_plan(frame, stamp):
             self._add(message, stamp)
@@ -100,21 +111,25 @@ class FlightLog:
         if time.monotonic() - self._flushed > _FLUSH_PERIOD:
             self._flush()
 
-    def _write_pose(self, at: float, state: VehicleState, stamp: int, *, epoch: int) -> None:
-        """Write a pose once; body rates are the mean ones since the pose before, zero after a jump in time."""
+    def _write_pose(self, time: float, state: VehicleState, stamp: int, *, epoch: int) -> None:
+        """Write a pose once. Its body rates are the mean rates since the last pose, or zero after a jump in time."""
         rates = np.zeros(3)
         if self._pose is not None and self._pose[0] == epoch:
-            if self._pose[1] >= at:
+            if self._pose[1] >= time:
                 return
-            rates = body_rates(self._pose[2], state, at - self._pose[1])
-        self._pose = (epoch, at, state)
+            rates = body_rates(self._pose[2], state, time - self._pose[1])
+        self._pose = (epoch, time, state)
         for message in pose_messages(state, stamp, rates=rates):
             self._add(message, stamp)
 
     def close(self, *, dropped: int = 0) -> None:
-        """Finish the file; `dropped` frames never reached it, which its metadata says. A torn file just ends."""
+        """Finish the file, unless writing it has failed.
+
+        Args:
+            dropped: number of frames that were not written, for the metadata.
+        """
         try:
-            if not self._torn:
+            if not self._failed:
                 self._writer.add_metadata("flight_log", {"frames": str(self.frames), "dropped": str(dropped)})
                 self._writer.finish()
         finally:
@@ -123,8 +138,8 @@ class FlightLog:
     def _next_stamp(self, frame: Frame) -> int:
         stamp = self._base + round(1e9 * frame.time)
         if self._last is not None and frame.epoch != self._last.epoch:
-            self._base += self._stamp + 20_000_000 - stamp
-            stamp = self._stamp + 20_000_000
+            self._base += self._stamp + _JUMP_STEP - stamp
+            stamp = self._stamp + _JUMP_STEP
             self._cloud = None
         self._stamp = stamp
         return stamp
@@ -133,9 +148,9 @@ class FlightLog:
         cloud = frame.observation.points
         if cloud is self._cloud:
             return
-        added, whole = new_points(self._cloud, cloud)
+        added, is_whole = new_points(self._cloud, cloud)
         self._cloud = cloud
-        parts = np.array_split(added, max(frame.observation.sweep_count, 1)) if whole else [added]
+        parts = np.array_split(added, max(frame.observation.sweep_count, 1)) if is_whole else [added]
         for i, part in enumerate(parts):
             if len(part):
                 self._add(encode_sweep(frame, part, stamp + i * _SWEEP_STEP), stamp + i * _SWEEP_STEP)
@@ -164,9 +179,13 @@ class FlightLog:
 
 
 def new_points(before: NDArray[np.float32] | None, cloud: NDArray[np.float32]) -> tuple[NDArray[np.float32], bool]:
-    """Return what an accumulated cloud holds beyond the one before it, and whether that is all of it.
+    """Return the points of a cloud that are not in the previous cloud, and True if these are all its points.
 
-    A cloud is made of sweeps, oldest first; from one to the next, sweeps leave at the front and join at the end.
+    A cloud consists of sweeps, oldest first. From one cloud to the next, sweeps leave at the front and join at the end.
+
+    Args:
+        before: previous cloud [m], [P, 3]; None if there is none.
+        cloud: [m], [Q, 3].
     """
     if before is None or not len(before) or not len(cloud):
         return cloud, True
@@ -179,47 +198,47 @@ def new_points(before: NDArray[np.float32] | None, cloud: NDArray[np.float32]) -
 
 @contextlib.contextmanager
 def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
-    """Log every frame of a session from a thread of its own, while the context lasts.
+    """Log every frame of a session on a separate thread while the context is open.
 
-    The engine never waits: frames that the disk cannot keep up with are dropped, counted in the file and announced. A
-    disk that takes no more is announced, too, and ends the log, not the flight. At the end, a disk that is behind has
-    ten seconds to catch up; frames that wait even then are dropped like the others.
+    The engine never waits for the disk. If the disk is too slow, frames are dropped, counted in the file and reported
+    by a notice. If writing fails, a notice reports it, and the log ends, but not the flight. At the end, a slow disk
+    has ten seconds to catch up; frames that still wait then are dropped.
     """
     log = FlightLog(path)
-    sinks: list[Sink[Frame]] = []  # empty while the first frame may already be on its way
-    failed = announced = False
+    sinks: list[Sink[Frame]] = []  # empty if the first frame arrives before `subscribe` returns
+    has_failed = has_announced = False
 
     def write(frame: Frame) -> None:
-        nonlocal failed, announced
-        if failed:
+        nonlocal has_failed, has_announced
+        if has_failed:
             return
         try:
             log.write(frame)
         except OSError as error:
-            failed = True
+            has_failed = True
             session.notify(f"The flight log {path} ends here: {error.strerror or error}.", level="error")
-        if sinks and sinks[0].dropped and not announced:
-            announced = True
-            session.notify(f"The flight log {path} cannot keep up: frames are left out.", level="error")
+        if sinks and sinks[0].dropped and not has_announced:
+            has_announced = True
+            session.notify(f"The flight log {path} cannot keep up: frames are dropped.", level="error")
 
     sink = session.subscribe(write, every=True, name="flight-log")
     sinks.append(sink)
     try:
         yield log
     finally:
-        session.unsubscribe(sink, timeout=_PATIENCE)
-        sink.close(timeout=None)  # until the last write has ended, the file is that thread's
+        session.unsubscribe(sink, timeout=_CLOSE_TIMEOUT)
+        sink.close(timeout=None)  # the file belongs to the sink's thread until its last write ends
         if sink.dropped:
             text = f"The flight log {path} lacks {sink.dropped} frames: the disk was too slow for them."
             session.notify(text, level="error")
-            _log.warning(text)  # the page may be closed by now
+            _log.warning(text)  # the page may be closed already
         with contextlib.suppress(OSError):
             log.close(dropped=sink.dropped)
 
 
 @contextlib.contextmanager
 def flight_recorder(path: str | Path) -> Iterator[FlightLog]:
-    """Open a flight log for `aero_viz.flight.fly`, which writes every tick to it and drops none.
+    """Open a flight log as a recorder of `aero_viz.flight.fly`, which writes every tick and drops none.
 
     Raises:
         UserError: the file cannot be written.

@@ -1,4 +1,4 @@
-"""A frame as messages of the flight log, whose topics, types and bytes are those of the drone's own log."""
+"""Messages of the flight log. Their topics, types and encoding are those of the drone's own log."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["body_rates", "encode_goal", "encode_plan", "encode_sweep"]
 
 
 def body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArray[np.float64]:
-    """Return the constant body rates [rad/s], shape [3], that turn one attitude into the other within `time` [s]."""
+    """Return the constant body rates [rad/s], [3], that rotate one attitude into the other within `time` [s]."""
     (w0, *v0), (w1, *v1) = np.asarray(before.quaternion, float), np.asarray(after.quaternion, float)
     w = w0 * w1 + np.dot(v0, v1)  # conj(q0) (x) q1
     v = (w0 * np.array(v1) - w1 * np.array(v0) - np.cross(v0, v1)) * (1.0 if w >= 0.0 else -1.0)
@@ -25,22 +25,27 @@ def body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArra
 
 
 def encode_sweep(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encoded:
-    """Return /sweep: `points` [m], shape [P, 3], world frame, as the drone sees them at `stamp` [ns].
+    """Return the message on /sweep: points in the body frame at the time of the frame.
 
-    They have no times of their own: where they lie no longer depends on when each was measured, and a reader that
-    moved them once more would smear them.
+    The message has no per-point times: motion within the sweep is already compensated, and a reader that deskewed the
+    points again would smear them.
+
+    Args:
+        frame: frame with the state of the drone.
+        points: [m], [P, 3], world frame.
+        stamp: [ns].
     """
     state = frame.observation.actual_state
-    seen = (points - np.asarray(state.position, float)) @ rotation_matrix(np.asarray(state.quaternion, float))
-    return sweep(seen.astype(np.float32), stamp)
+    in_body = (points - np.asarray(state.position, float)) @ rotation_matrix(np.asarray(state.quaternion, float))
+    return sweep(in_body.astype(np.float32), stamp)
 
 
 def encode_goal(frame: Frame, stamp: int) -> Encoded:
-    """Return /goal: where the plan leads to; `stamp` in [ns]."""
+    """Return the message on /goal; `stamp` in [ns]."""
     return goal_message(frame.observation.goal, stamp)
 
 
 def encode_plan(frame: Frame, stamp: int) -> Iterator[Encoded]:
-    """Yield what was planned, with guides and rollouts; `stamp` in [ns]."""
+    """Yield the messages of the plan, with guides and rollouts; `stamp` in [ns]."""
     plan_ms = float(frame.timings_ms.get("plan", 0.0))
     return plan_messages(frame.plan, stamp, plan_ms=plan_ms, config_version=frame.config_version)

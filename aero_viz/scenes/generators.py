@@ -1,4 +1,4 @@
-"""Seeded synthetic scenes: 40 m x 40 m of obstacles between a start and a goal 45 m apart; all scenes by name."""
+"""Seeded synthetic scenes, 40 m x 40 m of obstacles between a start and a goal 45 m apart, and the scene registry."""
 
 from __future__ import annotations
 
@@ -20,27 +20,29 @@ __all__ = ["SCENES", "SceneKind", "density", "forest", "inclines", "scene", "ver
 START = (0.0, 0.0, 2.0)
 GOAL = (45.0, 0.0, 2.0)
 AREA = ((2.5, 42.5), (-20.0, 20.0))
-"""Where obstacles stand: x and y ranges [m]."""
+"""Ranges of x and y in which obstacles stand [m]."""
 CLEAR_RADIUS = 2.5
-COUNT_MAX = 20_000  # more take minutes to place, and memory without bound
 """Free distance around start and goal [m]."""
+COUNT_MAX = 20_000
+"""Largest number of obstacles; more take minutes to place and unbounded memory."""
 GROUND = (22.5, 0.0, -0.5, 85.0, 80.0, 1.0, 0.0)
-"""The ground: a box whose top is z = 0, at least 20 m wider on each side than start, goal and area."""
+"""Box of the ground: its top is z = 0, and it extends 20 m or more beyond start, goal and area."""
 
 Rows = NDArray[np.float64]
 
 
 def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool = True) -> World:
-    """Return a forest: each tree a tilted trunk that carries a canopy of spheres.
+    """Return a forest of trees with tilted trunks and canopies of spheres.
 
-    A tree of scale s, uniform in [0.7, 1.3], has a trunk of radius 0.12 .. 0.3 m times s and height 5 .. 8 m times s,
-    and four canopy spheres of radius 0.8 .. 1.4 m times s near its top, none below 3 m: flight at 2 m is among trunks.
+    A tree of scale s, uniform in [0.7, 1.3], has a trunk of radius 0.12 to 0.3 m times s and height 5 to 8 m times s,
+    and four canopy spheres of radius 0.8 to 1.4 m times s near its top. No canopy reaches below 3 m, so that a drone at
+    2 m flies among trunks.
 
     Args:
         seed: same seed, same forest.
         count: number of trees.
-        tilt_max: largest angle of a trunk to the vertical [deg], uniform from 0.
-        ground: add the ground, a box whose top is z = 0.
+        tilt_max: largest angle between a trunk and the vertical [deg]; the angle is uniform from 0.
+        ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
     canopies: list[Rows] = []
@@ -49,7 +51,7 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
         scale = rng.uniform(0.7, 1.3)
         axis = _axis(rng, tilt_max)
         height = scale * rng.uniform(5.0, 8.0)
-        base = _place(rng)
+        base = _position(rng)
         radius = scale * rng.uniform(0.8, 1.4, size=4)
         spread = rng.uniform(-1.0, 1.0, size=(4, 3)) * scale * np.array([0.8, 0.8, 0.6])
         centre = base + height * axis + spread
@@ -71,19 +73,19 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
 def verticals(
     *, seed: int, count: int = 1000, width: tuple[float, float] = (0.4, 1.1), height: float = 6.0, ground: bool = True
 ) -> World:
-    """Return vertical cylinders.
+    """Return a world of vertical cylinders.
 
     Args:
         seed: same seed, same world.
         count: number of cylinders.
-        width: range of the diameters [m], uniform.
-        height: of every cylinder, from z = 0 [m].
-        ground: add the ground, a box whose top is z = 0.
+        width: range of the uniform diameters [m].
+        height: height of every cylinder [m].
+        ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
 
     def draw() -> Rows:
-        return np.concatenate([_place(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(*width), height]])
+        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(*width), height]])
 
     return _world(f"verticals-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
 
@@ -97,20 +99,20 @@ def inclines(
     height: float = 10.0,
     ground: bool = True,
 ) -> World:
-    """Return inclined cylinders that stand on z = 0 and lean in all directions.
+    """Return a world of cylinders that stand on z = 0 and lean in all directions.
 
     Args:
         seed: same seed, same world.
         count: number of cylinders.
-        tilt_max: largest angle to the vertical [deg], uniform from 0.
-        radius: range of the radii [m], uniform.
+        tilt_max: largest angle between a cylinder and the vertical [deg]; the angle is uniform from 0.
+        radius: range of the uniform radii [m].
         height: length of every cylinder [m].
-        ground: add the ground, a box whose top is z = 0.
+        ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
 
     def draw() -> Rows:
-        return np.concatenate([_place(rng), _axis(rng, tilt_max), [rng.uniform(*radius), height]])
+        return np.concatenate([_position(rng), _axis(rng, tilt_max), [rng.uniform(*radius), height]])
 
     return _world(f"inclines-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
 
@@ -123,22 +125,22 @@ def density(
     height: tuple[float, float] = (1.0, 6.0),
     ground: bool = True,
 ) -> World:
-    """Return vertical cylinders of random heights, for success over the number of obstacles.
+    """Return a world of vertical cylinders of random heights, for benchmarks over the number of obstacles.
 
-    Heights do not change where obstacles stand: of one seed, the random and the fixed heights share places and widths.
+    Positions and widths depend on the seed only: worlds with random and with fixed heights share them.
 
     Args:
         seed: same seed, same world.
         count: number of cylinders, 200 to 1000 in the paper.
-        width: range of the diameters [m], uniform.
-        height: range of the heights from z = 0 [m], uniform; (6, 6) is the fixed height of `density-6m`.
-        ground: add the ground, a box whose top is z = 0.
+        width: range of the uniform diameters [m].
+        height: range of the uniform heights [m]; (6, 6) is the fixed height of `density-6m`.
+        ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
 
     def draw() -> Rows:
         radius = 0.5 * rng.uniform(*width)
-        return np.concatenate([_place(rng), [0.0, 0.0, 1.0], [radius, rng.uniform(*height)]])
+        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [radius, rng.uniform(*height)]])
 
     kind = f"density-{height[0]:g}m" if height[0] == height[1] else "density"
     return _world(f"{kind}-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
@@ -146,29 +148,29 @@ def density(
 
 @dataclass(frozen=True)
 class SceneKind:
-    """One entry of the registry."""
+    """Entry of the scene registry."""
 
     description: str
     """One sentence for the user."""
     generate: Callable[..., World]
-    """Takes seed, ground and, where `counted`, count."""
+    """Function of seed, ground and, if `counted`, count."""
     clear_radius: float = CLEAR_RADIUS
-    """Free distance around start and goal, the ground left out [m]."""
+    """Free distance around start and goal, apart from the ground [m]."""
     counted: bool = True
-    """Whether the number of obstacles can be chosen."""
+    """True if the number of obstacles can be chosen."""
 
 
 _room = partial(SceneKind, clear_radius=rooms.CLEAR_RADIUS)
 SCENES: dict[str, SceneKind] = {
-    "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m of ground.", forest),
+    "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m.", forest),
     "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide.", verticals),
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees.", inclines),
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide.", density),
     "density-6m": SceneKind("The cylinders of density, all 6 m high.", partial(density, height=(6.0, 6.0))),
     "pillars": _room("A room with 6 pillars; the goal is 3.75 m ahead at 0.8 m.", rooms.pillars),
-    "wall": _room("A room with a wall across the straight way, open at both ends.", rooms.wall, counted=False),
+    "wall": _room("A room with a wall across the direct line, open at both ends.", rooms.wall, counted=False),
     "double_wall_trap": _room(
-        "A room with two walls whose passages lie on opposite sides, under a low ceiling.",
+        "A room with two walls whose passages are on opposite sides, under a low ceiling.",
         rooms.double_wall_trap,
         counted=False,
     ),
@@ -177,10 +179,16 @@ SCENES: dict[str, SceneKind] = {
 
 
 def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = True) -> World:
-    """Return the scene `name` of the registry `SCENES`, with `count` obstacles, or the scene's own number for None.
+    """Return a scene of the registry `SCENES`.
+
+    Args:
+        name: key of the registry.
+        seed: same seed, same world.
+        count: number of obstacles; None is the default of the scene.
+        ground: True adds the ground.
 
     Raises:
-        UserError: no such scene, a negative seed, a count out of range, or a count where there is none to choose.
+        UserError: there is no such scene, the seed is negative, or the count is out of range or cannot be chosen.
     """
     if name not in SCENES:
         close = difflib.get_close_matches(name, SCENES, n=1)
@@ -193,12 +201,12 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     if count is not None and count > COUNT_MAX:
         raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be at most {COUNT_MAX}.")
     if count is not None and not SCENES[name].counted:
-        raise UserError(f"The scene {name!r} has no number of obstacles to choose; leave the count out.")
+        raise UserError(f"The number of obstacles of the scene {name!r} is fixed; leave the count out.")
     options = {} if count is None else {"count": count}
     return SCENES[name].generate(seed=seed, ground=ground, **options)
 
 
-def _place(rng: np.random.Generator) -> Rows:
+def _position(rng: np.random.Generator) -> Rows:
     return np.array([rng.uniform(*AREA[0]), rng.uniform(*AREA[1]), 0.0])
 
 

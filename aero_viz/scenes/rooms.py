@@ -1,7 +1,7 @@
-"""The paper's four indoor rooms: seeded, at 0.8 m height, with a goal 3.75 m ahead.
+"""The paper's four indoor rooms, seeded, with start and goal 3.75 m apart at a height of 0.8 m.
 
-The paper shows the rooms and gives no measures; those here are chosen so that every passage is at least 0.55 m wide,
-which a drone of radius 0.25 m can pass.
+The paper shows the rooms but gives no dimensions. These are chosen so that every passage is at least 0.55 m wide, which
+is enough for a drone of radius 0.25 m.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ GOAL = (3.75, 0.0, 0.8)
 CLEAR_RADIUS = 0.6
 """Free distance around start and goal [m]."""
 LOWER, UPPER = (-1.25, -2.0), (5.0, 2.0)
-"""Inner corners of the room, x and y [m]."""
+"""Inner corners of the room in x and y [m]."""
 HEIGHT = 2.5
-"""Of the room's own walls and of what reaches up to the ceiling where there is none [m]."""
+"""Height of the outer walls, and of full-height obstacles in a room without a ceiling [m]."""
 THICKNESS = 0.1
-"""Of all walls and of the ceiling [m]."""
-_GAP = 0.6  # [m] between two obstacles
-_TRIES = 10_000
+"""Thickness of walls and ceiling [m]."""
+_GAP = 0.6  # [m] between obstacles
+_ATTEMPTS = 10_000
 
 Rows = NDArray[np.float64]
 
@@ -34,17 +34,17 @@ def pillars(
     *, seed: int, count: int = 6, radius: tuple[float, float] = (0.08, 0.15), ceiling: float | None = None,
     ground: bool = True,
 ) -> World:  # fmt: skip
-    """Return a room with pillars at least 0.6 m apart, the first of them in the straight way.
+    """Return a room with pillars at least 0.6 m apart, the first of them on the direct line from start to goal.
 
     Args:
         seed: same seed, same room.
         count: number of pillars.
-        radius: range of the radii [m], uniform.
-        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
-        ground: add the floor, a box whose top is z = 0.
+        radius: range of the uniform radii [m].
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open at the top.
+        ground: True adds the floor, a box whose top is z = 0.
 
     Raises:
-        UserError: there is no room for so many.
+        UserError: so many do not fit.
     """
     rng = np.random.default_rng(seed)
     height = ceiling or HEIGHT
@@ -57,13 +57,13 @@ def pillars(
 def wall(
     *, seed: int, width: tuple[float, float] = (1.6, 2.2), ceiling: float | None = None, ground: bool = True
 ) -> World:
-    """Return a room with a wall across the straight way; the wider of the two ways around it is at least 0.9 m wide.
+    """Return a room with a wall across the direct line; the wider of the two passages beside it is at least 0.9 m wide.
 
     Args:
-        seed: same seed, same room: the wall's place, within 0.3 m of the middle, and its width.
-        width: range of the wall's width [m], uniform.
-        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
-        ground: add the floor, a box whose top is z = 0.
+        seed: same seed, same room; it determines the position of the wall, within 0.3 m of the centre, and its width.
+        width: range of the uniform width of the wall [m].
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open at the top.
+        ground: True adds the floor, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
     height = ceiling or HEIGHT
@@ -80,16 +80,17 @@ def double_wall_trap(
     ceiling: float | None = 1.6,
     ground: bool = True,
 ) -> World:
-    """Return a room with two walls from side to side, each with a passage at one end, on opposite sides.
+    """Return a room with two walls across it, each with a passage at one end, on opposite sides.
 
-    The passage of the first wall leads in front of the second; the walls reach the ceiling: none can be flown over.
+    The passage of the first wall leads to the closed part of the second. The walls reach the ceiling.
 
     Args:
-        seed: same seed, same room: the side of the first passage, the walls' places and the passages' widths.
-        passage: range of the passages' widths [m], uniform.
-        spacing: range of the distance between the walls [m], uniform.
-        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
-        ground: add the floor, a box whose top is z = 0.
+        seed: same seed, same room; it determines the side of the first passage, the positions of the walls and the
+            widths of the passages.
+        passage: range of the uniform widths of the passages [m].
+        spacing: range of the uniform distance between the walls [m].
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open at the top.
+        ground: True adds the floor, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
     height = ceiling or HEIGHT
@@ -107,27 +108,27 @@ def random_clutter(
     *, seed: int, count: int = 9, size: tuple[float, float] = (0.1, 0.22), ceiling: float | None = None,
     ground: bool = True,
 ) -> World:  # fmt: skip
-    """Return a room with boxes, leaning poles and balls in the air, seen from above at least 0.6 m apart.
+    """Return a room with boxes, leaning poles and floating balls, horizontally at least 0.6 m apart.
 
     Args:
         seed: same seed, same room.
-        count: number of things; box, pole and ball in turn.
-        size: range of the radius around a thing, seen from above [m], uniform.
-        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open above.
-        ground: add the floor, a box whose top is z = 0.
+        count: number of obstacles: box, pole and ball in turn.
+        size: range of the uniform horizontal radius of an obstacle [m].
+        ceiling: height of the ceiling, 1.4 m or more; None leaves the room open at the top.
+        ground: True adds the floor, a box whose top is z = 0.
 
     Raises:
-        UserError: there is no room for so many.
+        UserError: so many do not fit.
     """
     rng = np.random.default_rng(seed)
     boxes, cylinders, spheres = [], [], []
-    for i, (x, y, radius) in enumerate(_spread(rng, count, size, "things")):
+    for i, (x, y, radius) in enumerate(_spread(rng, count, size, "obstacles")):
         if i % 3 == 0:
             height, aspect = rng.uniform(0.6, 1.8), rng.uniform(0.5, 0.8)
             edges = 2.0 * radius * np.array([aspect, np.sqrt(1.0 - aspect**2)])
             boxes.append([x, y, 0.5 * height, *edges, height, rng.uniform(-np.pi, np.pi)])
         elif i % 3 == 1:
-            # From one rim of the disc to the other, so that the pole leans and stays within it.
+            # The pole leans from one rim of its disc to the opposite one.
             thickness, heading = 0.04, rng.uniform(-np.pi, np.pi)
             lean = (radius - thickness) * np.array([np.cos(heading), np.sin(heading)])
             axis = np.array([*(2.0 * lean), 2.0])
@@ -140,11 +141,11 @@ def random_clutter(
     )
 
 
-def _spread(rng: np.random.Generator, count: int, radius: tuple[float, float], what: str) -> Rows:
-    """Return discs x, y, radius [count, 3] between start and goal, 0.6 m apart, the first in the straight way."""
+def _spread(rng: np.random.Generator, count: int, radius: tuple[float, float], noun: str) -> Rows:
+    """Return discs x, y, radius [count, 3], 0.6 m apart and from start and goal, the first on the direct line."""
     discs = np.zeros((0, 3))
     ends = np.array([[*START[:2], CLEAR_RADIUS - _GAP], [*GOAL[:2], CLEAR_RADIUS - _GAP]])
-    for _ in range(_TRIES):
+    for _ in range(_ATTEMPTS):
         if len(discs) == count:
             return discs
         if len(discs) == 0:
@@ -152,10 +153,10 @@ def _spread(rng: np.random.Generator, count: int, radius: tuple[float, float], w
         else:
             place = [rng.uniform(0.4, 3.4), rng.uniform(LOWER[1] + 0.1, UPPER[1] - 0.1)]
         disc = np.array([*place, rng.uniform(*radius)])
-        others = np.vstack([ends, discs])
-        if np.all(np.hypot(*(others - disc)[:, :2].T) >= others[:, 2] + disc[2] + _GAP):
+        placed = np.vstack([ends, discs])
+        if np.all(np.hypot(*(placed - disc)[:, :2].T) >= placed[:, 2] + disc[2] + _GAP):
             discs = np.vstack([discs, disc])
-    raise UserError(f"The room holds {len(discs)} {what} with {_GAP:g} m between them, not {count}; ask for fewer.")
+    raise UserError(f"The room holds {len(discs)} {noun} with {_GAP:g} m between them, not {count}; ask for fewer.")
 
 
 def _room(name: str, ceiling: float | None, ground: bool, **tables: Rows) -> World:
@@ -175,6 +176,6 @@ def _room(name: str, ceiling: float | None, ground: bool, **tables: Rows) -> Wor
     if ceiling is not None:
         boxes.append([x, y, ceiling + 0.5 * t, x1 - x0 + 2 * t, y1 - y0 + 2 * t, t, 0.0])
     tables["boxes"] = np.vstack([tables.get("boxes", np.zeros((0, 7))).reshape(-1, 7), boxes])
-    # Whoever flies over the walls has left the room.
+    # A drone above the walls has left the room.
     bounds = np.array([[x0, y0, -0.5], [x1, y1, height]])
     return World(name, np.array(START), np.array(GOAL), bounds=bounds, **tables)

@@ -1,4 +1,4 @@
-"""Simulated sensors: ray casting in Warp and LiDAR models."""
+"""Simulated sensors: LiDAR models and ray casting in Warp."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def test_ctrl_c_prints_the_result_so_far(tmp_path: Path, is_logged: bool) -> Non
     )
     result = dict(line.split(maxsplit=1) for line in printed.splitlines())
     assert code == 130 and result["arrived"] == "False" and "reason" not in result
-    assert result["explanation"].startswith("It ends after")
+    assert result["explanation"].startswith("The flight was not over after")
     rows = list(csv.DictReader((tmp_path / "t.csv").open()))
     assert float(rows[-1]["t"]) == pytest.approx(float(result["flight_time_s"]), abs=1e-3)
     if is_logged:

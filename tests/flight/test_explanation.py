@@ -28,10 +28,10 @@ def world(**tables) -> World:
         ({"spheres": [[5, 5, 2, 1], [0, 0, 2.5, 1]]},
          'The start is inside an obstacle, 0.500 m deep in "spheres" row 1, at (0, 0, 2).'),
         ({"spheres": [[0, 0, 3.2, 1]]},
-         'The start is 0.200 m from "spheres" row 0, nearer than the radius of 0.25 m, at (0, 0, 2).'),
+         'The start is 0.200 m from "spheres" row 0, closer than the radius of 0.25 m, at (0, 0, 2).'),
     ],
 )  # fmt: skip
-def test_a_start_in_an_obstacle_is_a_collision_that_says_so(tables, sentence) -> None:
+def test_a_start_in_an_obstacle_is_reported_as_a_collision(tables, sentence) -> None:
     result = fly(world(**tables), lidar=LidarModel("small", points_per_sweep=100))
     assert (result.reason, result.flight_time_s, result.explanation) == ("collision", 0.0, sentence)
 
@@ -40,28 +40,29 @@ def test_a_start_in_an_obstacle_is_a_collision_that_says_so(tables, sentence) ->
     ("reason", "clearance", "sentence"),
     [
         ("arrived", 1.0, None),
-        ("collision", 0.21, "After 3.00 s the drone was 0.210 m from the ground, nearer than the radius of 0.25 m, "
+        ("collision", 0.21, "After 3.00 s the drone was 0.210 m from the ground, closer than the radius of 0.25 m, "
          "at (3, 0, 0.2)."),
-        ("stall", 1.0, "The drone came no 1 m nearer to the goal within 5 s and is at (3, 0, 0.2), 6.3 m before it."),
+        ("stall", 1.0, "The drone came less than 1 m closer to the goal within 5 s; it stalled at (3, 0, 0.2), "
+         "6.3 m from the goal."),
         ("out_of_bounds", 1.0, "The drone left the world's bounds, x -35 to 45, y -40 to 40, z -11 to 12, "
          "at (3, 0, 0.2)."),
-        ("timeout", 1.0, "The 60 s to reach the goal were over 6.3 m before it, at (3, 0, 0.2)."),
-        (None, 1.0, "It ends after 3.00 s, 6.3 m before the goal, at (3, 0, 0.2)."),
+        ("timeout", 1.0, "The time limit of 60 s expired at (3, 0, 0.2), 6.3 m from the goal."),
+        (None, 1.0, "The flight was not over after 3.00 s, at (3, 0, 0.2), 6.3 m from the goal."),
     ],
 )  # fmt: skip
-def test_every_end_has_its_sentence(reason, clearance, sentence) -> None:
+def test_every_outcome_has_its_sentence(reason, clearance, sentence) -> None:
     place, goal = np.array([3.0, 0.0, 0.2]), np.array([9.0, 0.0, 2.0])
-    told = explain(reason, world(boxes=[GROUND]), place, time=3.0, clearance=clearance, goal=goal, rules=RULES)
-    assert told == sentence
+    explanation = explain(reason, world(boxes=[GROUND]), place, time=3.0, clearance=clearance, goal=goal, rules=RULES)
+    assert explanation == sentence
 
 
-def test_a_collision_names_what_was_hit() -> None:
+def test_a_collision_names_the_obstacle() -> None:
     wall = world(boxes=[GROUND, [1.0, 0.0, 2.0, 0.2, 40.0, 12.0, 0.0]])
     config = PlannerConfig.preset("fast-cpu").replace({"costs.penalty": 0.0, "costs.soft_weight": 0.0})
     config = config.replace({"candidates.prefer_safe": False, "candidates.safe_clearance": 0.0})
     result = fly(wall, config=config, lidar=LidarModel("blind", points_per_sweep=1, dropout=1.0))
     assert result.reason == "collision" and result.explanation is not None
-    assert 'm from "boxes" row 1, nearer than' in result.explanation
+    assert 'm from "boxes" row 1, closer than' in result.explanation
 
 
 @pytest.mark.parametrize(
@@ -70,10 +71,13 @@ def test_a_collision_names_what_was_hit() -> None:
         ({"spheres": [[9, 0, 2.5, 1]]}, r'goal \(9, 0, 2\) lies inside an obstacle .* 0\.50 m deep in "spheres" row 0'),
         ({"bounds": [[-1, -1, 0], [5, 5, 5]]}, r"goal \(9, 0, 2\) lies outside the bounds .* x -1 to 5"),
         ({"bounds": [[1, -1, 0], [9, 5, 5]]}, r"start \(0, 0, 2\) lies outside the bounds"),
-        ({"goal": (5000, 0, 2)}, r"5000 m away: 7 m/s do not reach it within the flight's 60 s; give a nearer goal"),
+        (
+            {"goal": (5000, 0, 2)},
+            r"5000 m away and cannot be reached at 7 m/s within the time limit of 60 s; give a nearer goal",
+        ),
     ],
 )
-def test_what_nobody_can_fly_is_refused(tables, message) -> None:
+def test_impossible_flights_are_refused(tables, message) -> None:
     for refuse in (
         lambda: refuse_impossible(world(**tables), rules=RULES, speed_limit=7.0),
         lambda: fly(world(**tables)),
@@ -82,11 +86,11 @@ def test_what_nobody_can_fly_is_refused(tables, message) -> None:
             refuse()
 
 
-def test_a_far_goal_is_a_matter_of_speed_and_time() -> None:
+def test_a_far_goal_is_refused_depending_on_speed_and_time() -> None:
     far = world(goal=(500, 0, 2))
     refuse_impossible(far, rules=RULES, speed_limit=8.4)
     refuse_impossible(far, rules=FlightRules(time_limit=100.0), speed_limit=7.0)
-    refuse_impossible(world(), rules=FlightRules(time_limit=0.1), speed_limit=7.0)  # a piece of a flight
+    refuse_impossible(world(), rules=FlightRules(time_limit=0.1), speed_limit=7.0)  # a part of a flight
     with pytest.raises(UserError, match="500 m away"):
         refuse_impossible(far, rules=RULES, speed_limit=8.2)
 

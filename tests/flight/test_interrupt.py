@@ -63,7 +63,7 @@ def test_what_was_flown_is_in_the_exception_and_in_the_file(tmp_path) -> None:
         fly(world, trajectory=tmp_path / "a.csv", progress=press_at(0.3), **OPTIONS)
     result = caught.value.result
     assert (result.reason, result.arrived) == (None, False) and result.flight_time_s == pytest.approx(0.3)
-    assert result.explanation is not None and result.explanation.startswith("It ends after 0.30 s")
+    assert result.explanation is not None and result.explanation.startswith("The flight was not over after 0.30 s")
     trajectory = load_trajectory(tmp_path / "a.csv")
     assert trajectory.times[-1] == pytest.approx(0.3) and len(trajectory.times) == 16
     assert np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum() == pytest.approx(

@@ -12,7 +12,7 @@ import pytest
 from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, FlightSource, StateNoise
-from aero_viz.flight.source import KEPT_BYTES
+from aero_viz.flight.source import CACHED_BYTES
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 from aero_viz.session.source import Source
@@ -88,7 +88,7 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
 @pytest.mark.parametrize("noise", [None, StateNoise(position=0.2, velocity=0.1, attitude=1.0)], ids=["exact", "noisy"])
 @pytest.mark.parametrize("ticks", [0, 33])  # looking back to before the start, and within the seventh sweep
 def test_forgotten_points_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
-    monkeypatch.setattr("aero_viz.flight.source.KEPT_BYTES", 0)  # only the last ten sweeps
+    monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)  # only the last ten sweeps
     mounted = LidarModel(
         "mounted", points_per_sweep=2000, mount_position=(0.1, 0.0, 0.05), mount_angles=(0.0, 20.0, 0.0)
     )
@@ -107,7 +107,7 @@ def test_forgotten_points_are_measured_again_bit_for_bit(planner, monkeypatch, t
 
 
 def test_the_marks_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
-    monkeypatch.setattr("aero_viz.flight.source.KEPT_BYTES", 0)
+    monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)
     tracemalloc.start()
     try:
         source, marks = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4), []
@@ -121,7 +121,7 @@ def test_the_marks_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
         each = (tracemalloc.get_traced_memory()[0] - before) / len(marks)
     finally:
         tracemalloc.stop()
-    assert 30_000 * each + KEPT_BYTES < 128e6
+    assert 30_000 * each + CACHED_BYTES < 128e6
 
 
 def test_checkpoints_share_their_clouds(source, planner):
@@ -132,8 +132,8 @@ def test_checkpoints_share_their_clouds(source, planner):
     assert all(a is b for a, b in zip(first.sweeps, second.sweeps, strict=True))
 
 
-def test_restore_refuses_what_is_no_checkpoint(source):
-    with pytest.raises(TypeError, match="dict is no checkpoint"):
+def test_restore_refuses_an_object_that_is_not_a_checkpoint(source):
+    with pytest.raises(TypeError, match="dict is not a checkpoint"):
         source.restore({})
 
 
@@ -162,7 +162,10 @@ def test_impossible_goals_are_refused(source, goal):
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        ([10.0, 5.0, 3.0], r"\(10, 5, 3\) lies inside an obstacle .* 0\.\d+ m deep in .*; the goal before stays"),
+        (
+            [10.0, 5.0, 3.0],
+            r"\(10, 5, 3\) lies inside an obstacle .* 0\.\d+ m deep in .*\. The goal stays",
+        ),
         ([10.0, 5.0, -0.4], r"lies 0\.40 m below the ground"),
         ([10.0, 5.0, -4.0], r"lies 4\.00 m below the ground"),
         ([1e30, 0.0, 2.0], r"\(1e\+30, 0, 2\) lies outside the bounds .* x -?\d+ to \d+"),

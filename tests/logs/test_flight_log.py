@@ -254,7 +254,7 @@ def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path, 
 
 
 def test_frames_that_wait_at_the_end_for_too_long_are_counted_and_announced(session, tmp_path, monkeypatch):
-    monkeypatch.setattr(flight_log, "_PATIENCE", 0.1)
+    monkeypatch.setattr(flight_log, "_CLOSE_TIMEOUT", 0.1)
     notices = []
     session.subscribe_notices(notices.append)
     gate, path = threading.Event(), tmp_path / "a.mcap"

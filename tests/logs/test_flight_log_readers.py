@@ -193,7 +193,7 @@ def test_killed_while_flying_from_the_command_line(tmp_path: Path, capsys: pytes
 
     main(["score", str(path), "--world", "forest", "--count", "20", "--seed", "2", "--json"])
     scored = json.loads(capsys.readouterr().out)
-    assert scored["reason"] is None and scored["explanation"].startswith("It ends after")
+    assert scored["reason"] is None and scored["explanation"].startswith("The flight was not over after")
     flown_so_far = load_trajectory(csv_path)
     logged = load_trajectory(path)
     assert 0.4 < scored["flight_time_s"] <= flown_so_far.times[-1] + 1e-6
