@@ -10,7 +10,7 @@ from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, in_flight
 
 
 class Records(Observer):
-    """Keeps what the node tells of its plans."""
+    """Keeps the records of the node's plans."""
 
     def __init__(self) -> None:
         self.plans: list[PlanRecord] = []
@@ -21,7 +21,7 @@ class Records(Observer):
 
 @pytest.fixture(scope="package")
 def small_planner() -> Iterator[Planner]:
-    """A planner with few samples, for all tests."""
+    """A planner with few samples, shared by all tests."""
     planner = Planner(SMALL, seed=1)
     yield planner
     planner.close()
@@ -29,7 +29,7 @@ def small_planner() -> Iterator[Planner]:
 
 @pytest.fixture(scope="package")
 def records(small_planner: Planner) -> list[PlanRecord]:
-    """What a node in flight tells of its first plans."""
+    """Records of the first plans of a flight."""
     seen = Records()
     simulation = Simulation(small_planner, poles(PLACES), (18.0, 0.0, 2.0), observers=[seen])
     simulation.engage()
@@ -39,5 +39,5 @@ def records(small_planner: Planner) -> list[PlanRecord]:
 
 @pytest.fixture
 def flight(small_planner: Planner) -> Simulation:
-    """In full flight, with little patience."""
+    """A simulation in full flight, with short time limits."""
     return in_flight(small_planner, changes={"limits.hold_time": 1.0, "limits.brake_time": 3.0})

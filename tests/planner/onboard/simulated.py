@@ -1,7 +1,7 @@
-"""A drone, a LiDAR and an autopilot in simulated time, behind the protocols that the node knows; no sockets.
+"""A drone, a LiDAR and an autopilot in simulated time, without sockets, behind the interfaces that the node uses.
 
-`Simulation.run` advances the time; the control loop and the watchdog tick along with it. A plan takes `plan_time` of
-simulated time, in which the control loop goes on, because `SlowPlanner.plan` runs the simulation before it returns.
+`Simulation.run` advances the time and steps control loop and watchdog. A plan takes `plan_time` of simulated time,
+during which the control loop continues, because `SlowPlanner.plan` runs the simulation before it returns.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import conjugate, rotate
 
 STEP = 0.005
-"""Of the simulated vehicle [s]."""
+"""Time step of the simulated vehicle [s]."""
 SMALL = PlannerConfig().replace({"sampling.samples": 16, "vehicle.speed_limit": 5.0})
 PLACES = [(4.0, 0.1), (6.0, -1.6), (6.2, 1.8), (8.0, 0.2), (10.0, -1.4), (11.0, 1.2), (13.0, 0.0)]
-"""Of poles in the way, from the origin to (18, 0) [m]."""
+"""Positions of poles in the way from the origin to (18, 0) [m]."""
 
 
 def poles(places: Sequence[tuple[float, float]], *, radius: float = 0.25, height: float = 5.0) -> NDArray[np.float32]:
-    """Return the surface of vertical poles, shape [P, 3], world frame."""
+    """Return points on the surface of vertical poles [m], shape [P, 3], world frame."""
     angle, z = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.arange(0.0, height, 0.08))
     ring = np.stack([radius * np.cos(angle).ravel(), radius * np.sin(angle).ravel(), z.ravel()], axis=1)
     return np.concatenate([ring + np.array([x, y, 0.0]) for x, y in places]).astype(np.float32)
 
 
 class SimulatedLink:
-    """An autopilot with PX4's rules: OFFBOARD is left 0.5 s after the last command."""
+    """An autopilot that, like PX4, leaves OFFBOARD 0.5 s after the last command."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -51,9 +51,9 @@ class SimulatedLink:
         self.resets = 0
         self.armed = self.offboard = False
         self.alive = True
-        """Whether anything arrives from the vehicle."""
+        """False if nothing arrives from the vehicle."""
         self.frozen = False
-        """Whether states stop while heartbeats go on."""
+        """True if states stop while heartbeats continue."""
         self.spoil: Callable[[VehicleState], VehicleState] = lambda state: state
         self.sent: list[tuple[float, NDArray[np.float64]]] = []
         self.closed = False
@@ -83,7 +83,7 @@ class SimulatedLink:
 
 
 class SimulatedLidar:
-    """Sees every point of the world within 10 m, one in twenty at each poll."""
+    """Sees all points of the world within 10 m, every twentieth at each poll."""
 
     def __init__(self, simulation: Simulation, world: NDArray[np.float32]) -> None:
         self._simulation, self.world = simulation, world
@@ -142,25 +142,28 @@ class SlowPlanner:
         self.reserve, self.reset = planner.reserve, planner.reset
         self.spoil: Callable[[Plan], Plan] = lambda plan: plan
         self.ageing = 0.0
-        """By how much older the cloud seems to be [s]."""
+        """Time added to the age of the cloud [s]."""
+        self.options: dict[str, Any] = {}
+        """Options of the newest call of `plan`."""
 
     def plan(self, *arguments: Any, cloud_age: float, **options: Any) -> Plan:
+        self.options = options
         plan = self._planner.plan(*arguments, cloud_age=cloud_age + self.ageing, **options)
         self.simulation.run(self.simulation.plan_time)
         return self.spoil(plan)
 
 
 class Simulation:
-    """A node at work.
+    """A node with everything that surrounds it.
 
     Args:
-        planner: shared between tests; its history is reset.
-        world: points, shape [P, 3], world frame.
+        planner: Shared between tests; its history is reset.
+        world: Points of the obstacles [m], shape [P, 3], world frame.
         goal: [m], shape [3].
-        plan_time: of each plan [s].
-        state_delay: age of a state when it arrives [s].
-        changes: to the node's settings.
-        observers: of the node.
+        plan_time: Duration of a plan [s].
+        state_delay: Age of a state when it arrives [s].
+        changes: Changes to the node's settings.
+        observers: Observers of the node.
     """
 
     def __init__(
@@ -192,9 +195,9 @@ class Simulation:
             observers=observers,
         )
         self.control_alive = True
-        """Whether the control loop ticks."""
+        """False if the control loop stalls."""
         self.wind = np.zeros(3)
-        """What it adds to the drone's acceleration in flight [m/s^2], shape [3]."""
+        """Acceleration added to the drone in flight [m/s^2], shape [3]."""
         self.planning_alive = True
         self.path: list[NDArray[np.float64]] = []
         self.states: list[tuple[float, str]] = []
@@ -205,7 +208,7 @@ class Simulation:
         self._planning = False
 
     def run(self, seconds: float) -> None:
-        """Let time go on."""
+        """Advance the time."""
         end = self.now + seconds
         while self.now < end - 1e-9:
             self._fly(min(STEP, end - self.now))
@@ -223,7 +226,7 @@ class Simulation:
                 self._next_plan = max(self._next_plan + self._plan_period, self.now)
 
     def engage(self, timeout: float = 2.0) -> None:
-        """Be the pilot: arm, and switch to OFFBOARD when commands have been coming for a while."""
+        """Arm, and switch to OFFBOARD once commands have arrived for a while, as a pilot does."""
         self.run(0.3)
         self.link.armed = True
         end = self.now + timeout
@@ -233,7 +236,7 @@ class Simulation:
         self.run(0.02)
 
     def run_until(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Let time go on until `condition` holds; return whether it did before `timeout` [s] had passed."""
+        """Advance the time until `condition` is true; return False if it is not within `timeout` [s]."""
         end = self.now + timeout
         while self.now < end and not condition():
             self.run(0.02)
@@ -256,13 +259,13 @@ class Simulation:
 
 WORLD = poles(PLACES)
 GOAL = (18.0, 0.0, 2.0)
-LANE = [(x, side * 2.5) for x in range(1, 20, 2) for side in (-1.0, 1.0)]
-"""Of poles on both sides of the way there: who brakes hits none."""
+CORRIDOR = [(x, side * 2.5) for x in range(1, 20, 2) for side in (-1.0, 1.0)]
+"""Positions of poles on both sides of the path to the goal, none of which a braking drone hits [m]."""
 
 
 def in_flight(planner: Planner, **options: Any) -> Simulation:
-    """Return a simulation in full flight, from the origin along the lane to the goal."""
-    simulation = Simulation(planner, poles(LANE), GOAL, **options)
+    """Return a simulation in full flight, from the origin through the corridor to the goal."""
+    simulation = Simulation(planner, poles(CORRIDOR), GOAL, **options)
     simulation.engage()
     assert simulation.run_until(lambda: simulation.motion.position[0] > 3.0, 5.0)
     assert simulation.node.state is State.FLYING and simulation.motion.speed > 2.0

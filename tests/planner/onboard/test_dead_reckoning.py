@@ -1,3 +1,5 @@
+"""Dead reckoning against RK4, and the stop controller on the propagated model."""
+
 from __future__ import annotations
 
 import math
@@ -5,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from aero_planner import PlannerConfig, PlanStatus, VehicleState
+from aero_planner import PlannerConfig, VehicleState
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, acceleration, propagate
-from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.settings import BrakeSettings
 from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.vehicle_link import VehicleSample
@@ -29,7 +30,7 @@ def matrix(q: np.ndarray) -> np.ndarray:
 
 
 def rk4(motion: MotionState, command: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """dp = v, dv = R(q) [0, 0, F_t] / m + g, dq = 1/2 q (x) [0, omega], in a thousand steps."""
+    """dp = v, dv = R(q) [0, 0, F_t] / m + g, dq = 1/2 q (x) [0, omega], with a thousand RK4 steps."""
 
     def slope(y: np.ndarray) -> np.ndarray:
         w, x, y_, z = y[6:]
@@ -54,19 +55,19 @@ def tilted(angle: float, axis: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> 
     return np.array([math.cos(angle / 2), *(math.sin(angle / 2) * np.array(axis))])
 
 
-def test_one_step_is_the_vehicle_model():
+def test_propagate_matches_the_vehicle_model():
     motion = MotionState(5.0, np.array([1.0, -2.0, 3.0]), np.array([4.0, 1.0, -0.5]), tilted(0.4, (0.6, 0.8, 0.0)))
     command = np.array([12.0, 1.5, -2.0, 0.7])
     moved = propagate(motion, command, 5.05, VEHICLE)
     position, velocity, quaternion = rk4(motion, command, 5.05)
     np.testing.assert_allclose(moved.quaternion, quaternion, atol=1e-9)
-    np.testing.assert_allclose(moved.velocity, velocity, atol=2e-3)  # the thrust's direction halfway stands for all
+    np.testing.assert_allclose(moved.velocity, velocity, atol=2e-3)  # the thrust acts in its direction at half time
     np.testing.assert_allclose(moved.position, position, atol=1e-3)
     assert moved.time == 5.05 and moved.is_finite
     np.testing.assert_allclose(acceleration(LEVEL, HOVER[0], VEHICLE), 0.0, atol=1e-12)
 
 
-def test_without_command_the_velocity_stays():
+def test_without_a_command_the_velocity_is_constant():
     motion = MotionState(0.0, np.zeros(3), np.array([1.0, 2.0, 0.0]), tilted(0.3))
     moved = propagate(motion, None, 2.0, VEHICLE)
     np.testing.assert_array_equal(moved.position, [2.0, 4.0, 0.0])
@@ -78,12 +79,13 @@ def sample(motion: MotionState) -> VehicleSample:
     return VehicleSample(motion.time, state, True, True, motion.time)
 
 
-def test_dead_reckoning_flies_the_commands_that_were_sent():
+def test_dead_reckoning_applies_the_commands_that_were_sent():
     rng = np.random.default_rng(0)
     truth = MotionState(10.0, np.zeros(3), np.array([3.0, 0.0, 0.0]), LEVEL)
     reckoning = DeadReckoning(VEHICLE)
     assert reckoning.at(10.0) is None
     reckoning.correct(sample(truth))
+    delayed = truth
     for k in range(60):
         command = HOVER + rng.normal(size=4) * (1.0, 0.5, 0.5, 0.5)
         reckoning.add_command(10.0 + 0.02 * k, command)
@@ -99,7 +101,7 @@ def test_dead_reckoning_flies_the_commands_that_were_sent():
             np.testing.assert_allclose(found.quaternion, truth.quaternion, atol=1e-9)
 
 
-def test_where_the_drone_does_not_obey_it_goes_straight_on():
+def test_a_drone_that_does_not_obey_moves_at_constant_velocity():
     reckoning = DeadReckoning(VEHICLE)
     reckoning.correct(sample(MotionState(1.0, np.zeros(3), np.array([2.0, 0.0, 0.0]), tilted(0.5))))
     reckoning.add_command(1.0, HOVER)
@@ -110,7 +112,7 @@ def test_where_the_drone_does_not_obey_it_goes_straight_on():
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_drone_comes_to_rest_from_any_attitude_and_stays(seed: int):
+def test_the_drone_comes_to_rest_from_any_attitude_and_holds(seed: int):
     rng = np.random.default_rng(seed)
     axis, velocity, angle = rng.normal(size=3), rng.uniform(-6, 6, 3), rng.uniform(0, math.pi)
     unit = tuple(axis / np.linalg.norm(axis))
@@ -134,45 +136,3 @@ def test_a_level_drone_at_six_metres_per_second_stops_within_five_metres():
     for k in range(200):
         motion = propagate(motion, stop.command(motion), 0.02 * (k + 1), VEHICLE)
     assert 3.0 < motion.position[0] < 5.0 and abs(motion.position[2]) < 0.5
-
-
-def flyable(number: int, time: float, *, steps: int = 5, dt: float = 0.05) -> ScheduledPlan:
-    controls = np.arange(4.0 * steps).reshape(steps, 4) + 100.0 * number
-    return ScheduledPlan(number, time, time, dt, controls, PlanStatus.OK)
-
-
-@pytest.mark.parametrize("start", [0.0, 0.1, 12345.678, 1e6 + 0.3])
-def test_the_command_at_a_time_is_that_of_its_step(start: float):
-    plan = flyable(0, start)
-    for step in range(5):
-        for within in (0.0, 0.01, 0.049):
-            command = plan.command(start + 0.05 * step + within)
-            assert command is not None and command[0] == 4.0 * step
-    assert plan.command(start - 0.001) is None and plan.command(start + 0.25) is None
-
-
-def test_the_plan_before_is_flown_until_the_newest_begins():
-    track = PlanSchedule()
-    assert track.newest is None and track.command(0.0) is None
-    track.append(flyable(1, 10.0), 9.95)
-    track.append(flyable(2, 10.1), 10.05)
-    for now, first in ((10.06, 104.0), (10.1, 200.0), (10.34, 216.0)):
-        command = track.command(now)
-        assert command is not None and command[0] == first
-    assert track.command(10.36) is None and track.command(9.9) is None
-    track.append(flyable(3, 10.5), 10.36)
-    assert track.newest is not None and track.newest.number == 3
-    assert track.command(10.36) is None  # never beyond the end of a plan
-
-
-def test_the_plan_being_flown_stays_however_many_wait_to_begin():
-    track = PlanSchedule()
-    for number, time, now in ((1, 10.0, 9.9), (2, 10.1, 10.0), (3, 10.25, 10.1), (4, 10.24, 10.12), (5, 10.26, 10.15)):
-        track.append(flyable(number, time), now)
-    for now, number in ((10.15, 2), (10.23, 2), (10.24, 4), (10.27, 5)):
-        plan = track.at(now)
-        assert plan is not None and plan.number == number
-    # And none longer than that.
-    for number in range(6, 100):
-        track.append(flyable(number, 10.26), 10.26 + 0.05 * number)
-    assert len(track) == 2

@@ -1,4 +1,4 @@
-"""Jumps of the estimate: what counts as one, and what the node makes of it."""
+"""Estimator resets: what counts as one, and how the node reacts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_re
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.quaternions import integrate_rates, rotate
 from tests.planner.onboard.conftest import Records
-from tests.planner.onboard.simulated import LANE, Simulation, in_flight, poles
+from tests.planner.onboard.simulated import CORRIDOR, Simulation, in_flight, poles
 
 OFFSET = np.array([-1.5, 0.5, 0.0])
-"""Of the estimate after its jump [m]."""
+"""Change of the estimated position at the reset [m]."""
 
 
 def flown(fix: EstimatorState, acceleration: np.ndarray, turning: np.ndarray, dt: float) -> EstimatorState:
-    """The state after `dt` of constant acceleration [m/s^2] and angular acceleration [rad/s^2], by small steps."""
+    """Return the state after `dt` at constant acceleration [m/s^2] and angular acceleration [rad/s^2]."""
     time, p, v, q, rates = fix
     for _ in range(100):
         h = 0.01 * dt
@@ -29,14 +29,14 @@ def flown(fix: EstimatorState, acceleration: np.ndarray, turning: np.ndarray, dt
 
 
 @pytest.mark.parametrize("dt", [0.004, 0.02, 0.1, 0.3])
-def test_no_flight_is_a_jump_and_every_jump_is_told(dt: float):
+def test_no_flight_is_a_reset_and_every_reset_is_found(dt: float):
     random = np.random.default_rng(3)
     for _ in range(100):
         q = random.normal(size=4)
         before = EstimatorState(
             5.0, random.normal(size=3), random.normal(0, 5, 3), q / np.linalg.norm(q), random.normal(0, 3, 3)
         )
-        # There and back, the most that a flight leaves the way that the mean velocity leads.
+        # Accelerating and slowing down again deviates most from the mean velocity.
         hard, turning = random.normal(0, 10, 3), random.normal(0, 30, 3)
         after = flown(flown(before, hard, turning, 0.5 * dt), -hard, -turning, 0.5 * dt)
         assert not is_estimator_reset(before, after)
@@ -47,34 +47,34 @@ def test_no_flight_is_a_jump_and_every_jump_is_told(dt: float):
         assert dt > 0.1 or is_estimator_reset(
             before, after._replace(attitude=turned)
         )  # later, any attitude is possible
-        assert is_estimator_reset(before, after._replace(time=4.9))  # the autopilot has started anew
+        assert is_estimator_reset(before, after._replace(time=4.9))  # the autopilot has restarted
 
 
 def shift(simulation: Simulation) -> None:
-    """Let the estimate jump."""
+    """Reset the estimator."""
     simulation.link.spoil = lambda state: dataclasses.replace(state, position=state.position + OFFSET)
     simulation.link.resets += 1
 
 
-def test_no_plan_sees_the_cloud_of_before_a_jump(small_planner: Planner):
+def test_no_plan_uses_the_cloud_from_before_a_reset(small_planner: Planner):
     seen = Records()
     simulation = in_flight(small_planner, observers=[seen])
-    world, count = poles(LANE), len(seen.plans)
+    world, count = poles(CORRIDOR), len(seen.plans)
     began = simulation.now
     shift(simulation)
     simulation.run(0.6)
     later = [record for record in seen.plans[count:] if record.time > began + 0.02]
     assert len(later) > 5
     for record in later:
-        # What the simulated sensor sees are points of the world; in the frame of before they would lie off by OFFSET.
+        # Every point belongs to the world in the new estimate. Points from before would be off by OFFSET.
         for point in record.points[::50] - OFFSET:
             assert np.linalg.norm(world - point, axis=1).min() < 0.1
-    # The first of them has a sweep to look at, and nothing had to brake for it.
+    # The first plan has a whole sweep, and the drone did not have to brake.
     assert later[0].time - began >= 0.1 and len(later[0].points) > 0.1 * len(later[-1].points)
     assert simulation.node.state is State.FLYING and not [c for c in simulation.node.changes if c.time > began]
 
 
-def test_a_drone_that_waits_does_not_follow_a_jump(small_planner: Planner):
+def test_a_drone_that_holds_does_not_follow_a_reset(small_planner: Planner):
     simulation = in_flight(small_planner)
     simulation.lidar.alive = False
     assert simulation.run_until(lambda: simulation.node.state is State.HOLDING, 5.0)
@@ -86,7 +86,7 @@ def test_a_drone_that_waits_does_not_follow_a_jump(small_planner: Planner):
     assert np.linalg.norm(simulation.motion.position - place) < 0.3
 
 
-def test_states_of_before_are_forgotten_with_the_history(small_planner: Planner):
+def test_a_reset_discards_the_history_of_the_planner(small_planner: Planner):
     simulation = in_flight(small_planner)
     simulation.planning_alive = False
     assert np.isfinite(small_planner.history().time).all()

@@ -38,7 +38,7 @@ CONFIG = OnboardConfig().replace({"limits.blind_time": 0.6})
 PERIOD = 1.0 / CONFIG.rates.control
 HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
 PATIENCE = 20.0
-"""With a busy machine [s]."""
+"""Timeout for a busy machine [s]."""
 
 
 def forward(now: float) -> MotionState:

@@ -24,7 +24,7 @@ WORLD = poles(PLACES)
 
 
 def decoded(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Messages by topic, as a ROS 2 reader with the embedded definitions sees them."""
+    """Return the messages by topic, decoded with the embedded definitions."""
     topics: dict[str, list[tuple[int, Any]]] = {}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -40,7 +40,7 @@ def sample(time: float) -> VehicleSample:
 
 @pytest.fixture(scope="module")
 def flown(small_planner: Planner, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records, Simulation]:
-    """A second of flight and its log."""
+    """A short flight, what its observer saw, and its log."""
     path, seen = tmp_path_factory.mktemp("log") / "flight.mcap", Records()
     relay = Relay()
     simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0), observers=[relay])
@@ -53,7 +53,7 @@ def flown(small_planner: Planner, tmp_path_factory: pytest.TempPathFactory) -> t
     return path, seen, simulation
 
 
-def test_the_log_holds_what_was_seen_and_done(flown: tuple[Path, Records, Simulation]):
+def test_the_log_holds_states_points_plans_and_transitions(flown: tuple[Path, Records, Simulation]):
     path, seen, simulation = flown
     topics = decoded(path)
     assert set(topics) == {
@@ -79,7 +79,7 @@ def test_the_log_holds_what_was_seen_and_done(flown: tuple[Path, Records, Simula
     assert last.child_frame_id == "body" and len(topics["/odometry"]) == len(topics["/tf"])
 
 
-def test_guides_and_rollouts_are_drawn_ten_times_per_second(flown: tuple[Path, Records, Simulation]):
+def test_guides_and_rollouts_are_logged_ten_times_per_second(flown: tuple[Path, Records, Simulation]):
     path, seen, _ = flown
     topics = decoded(path)
     stamps = [stamp for stamp, _ in topics["/plan"]]
@@ -127,7 +127,7 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(
     assert "full.mcap ends early: No space left on device" in caplog.text
 
 
-def test_a_disk_that_is_too_slow_at_the_end_costs_what_waits_and_says_so(
+def test_a_slow_disk_at_the_end_drops_waiting_items_and_logs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     log = FlightLog(tmp_path / "slow.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0, flush_period=0.0)
@@ -145,9 +145,9 @@ def test_a_disk_that_is_too_slow_at_the_end_costs_what_waits_and_says_so(
         log.sample(sample(2.0 + 0.02 * k))
     log.close(0.1)
     assert "slow.mcap may be missing: the disk is too slow; 30 items were dropped" in caplog.text
-    log.sample(sample(3.0))  # of a thread that hangs
+    log.sample(sample(3.0))  # while the thread hangs
     assert log.dropped == 31
-    # A disk that comes to itself gets a whole file: nobody else has closed or written it.
+    # When the disk recovers, the file is complete: no other thread has closed or written it.
     gate.set()
     for thread in threading.enumerate():
         if thread.name == "aero-planner-log":
@@ -169,7 +169,7 @@ def test_no_flight_replaces_another(tmp_path: Path):
     assert [len(decoded(path)["/odometry"]) for path in paths] == [1, 2, 3]
 
 
-def test_a_log_that_cannot_be_written_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_log_that_cannot_be_written_is_an_error_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(OSError):
         FlightLog(tmp_path / "absent" / "a.mcap", PlannerConfig(), OnboardConfig())
     monkeypatch.setitem(sys.modules, "mcap.writer", None)

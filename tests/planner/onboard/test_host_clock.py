@@ -1,4 +1,4 @@
-"""A device's clock in host time."""
+"""Time stamps of a device in host time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ OFFSET = 5000.0
 
 
 def feed(clock, stamps, delays):
-    """Let messages with these stamps arrive with these delays; return true and mapped host times."""
+    """Map messages with these stamps and delays; return their true and their mapped host times."""
     mapped = [clock.to_host(stamp, stamp + OFFSET + delay) for stamp, delay in zip(stamps, delays, strict=True)]
     return stamps + OFFSET, np.array([np.nan if value is None else value for value in mapped])
 
 
-def test_the_least_delay_counts():
+def test_the_offset_comes_from_the_smallest_delay():
     random = np.random.default_rng(0)
     delays = 0.002 + random.exponential(0.01, size=1000)
     true, mapped = feed(HostClock(), np.arange(1000) * 0.01, delays)
@@ -24,7 +24,7 @@ def test_the_least_delay_counts():
     assert (mapped <= true + delays + 1e-9).all()
 
 
-def test_a_late_message_is_as_old_as_it_is():
+def test_the_age_of_a_late_message_is_right():
     clock = HostClock()
     feed(clock, np.arange(100) * 0.01, np.full(100, 0.001))
     assert clock.to_host(1.0, 1.0 + OFFSET + 0.8) == pytest.approx(1.001 + OFFSET)
@@ -36,11 +36,11 @@ def test_it_follows_a_drift(drift):
     times = np.arange(0.0, 600.0, 0.05)
     stamps = times * (1.0 + drift)
     mapped = np.array([clock.to_host(stamp, time + 0.001) for stamp, time in zip(stamps, times, strict=True)])
-    # 100 ppm for the 10 s that the minimum may be old.
+    # 100 ppm over the 10 s for which a minimum is used.
     assert np.abs(mapped - times - 0.001).max() < 1.1e-3
 
 
-def test_a_clock_set_anew_is_believed_after_twenty_messages():
+def test_a_clock_that_was_set_is_believed_after_twenty_messages():
     clock = HostClock()
     feed(clock, np.arange(100) * 0.01, np.full(100, 0.001))
     answers = [clock.to_host(0.01 * k, OFFSET + 1.0 + 0.01 * k) for k in range(-500, -460)]
@@ -57,7 +57,7 @@ def test_single_wild_stamps_change_nothing():
     assert clock.to_host(1.0, OFFSET + 1.002) == pytest.approx(OFFSET + 1.001)
 
 
-def test_after_a_long_silence_the_offset_is_new():
+def test_after_a_long_silence_the_offset_is_estimated_anew():
     clock = HostClock()
     feed(clock, np.arange(10) * 0.01, np.full(10, 0.001))
     assert clock.to_host(100.0, OFFSET + 100.0 + 0.3) == pytest.approx(OFFSET + 100.3)

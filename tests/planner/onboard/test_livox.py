@@ -1,4 +1,4 @@
-"""Livox packets: the header by hand, both data types, what is refused, sequence and time, over a real socket."""
+"""Livox packets over a real socket: hand-written headers, both data types, refusals, sequence and time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from aero_planner.onboard.livox import (
 
 
 def by_hand(points_mm, tags, *, stamp=7_000_000_000, interval=4750, sequence=17, data_type=1):
-    """A packet from the vendor's table of offsets, written without the code under test."""
+    """Return a packet written from the vendor's table of offsets, without the code under test."""
     body = b"".join(
         struct.pack("<iiiBB" if data_type == 1 else "<hhhBB", *point, 90, tag)
         for point, tag in zip(points_mm, tags, strict=True)
@@ -40,7 +40,7 @@ def by_hand(points_mm, tags, *, stamp=7_000_000_000, interval=4750, sequence=17,
 
 
 class Clock:
-    """Host time that a test sets."""
+    """Host time set by the test."""
 
     now = 100.0
 
@@ -76,7 +76,7 @@ def test_a_packet_by_hand():
     assert tags.tolist() == [0, 0]
 
 
-def test_the_short_kind_by_hand():
+def test_a_centimetre_packet_by_hand():
     packet = parse_packet(by_hand([(123, -4, 32767)], [3], data_type=2))
     assert isinstance(packet, LivoxPacket)
     points, tags = decode_points(CARTESIAN_CM, packet.payload)
@@ -95,7 +95,7 @@ def test_encoded_packets_parse_to_the_same_points(data_type, unit):
     np.testing.assert_allclose(decode_points(data_type, packet.payload)[0], points, atol=0.51 * unit)
 
 
-def test_encoded_equals_by_hand():
+def test_an_encoded_packet_equals_one_by_hand():
     hand = bytearray(by_hand([(1234, -5, 70000)], [2]))
     made = encode_packet([[1.234, -0.005, 70.0]], stamp_ns=7_000_000_000, interval=475e-6, sequence=17, tags=2)
     hand[36 + 12] = 0  # reflectivity, which is not simulated
@@ -131,7 +131,7 @@ def changed(position, value, *, seal=False):
         (changed(24, 77), Reject.CHECKSUM),
     ],
 )
-def test_what_is_no_packet_is_refused(data, reason):
+def test_datagrams_that_are_not_packets_are_refused(data, reason):
     assert parse_packet(data) is reason
 
 
@@ -139,7 +139,7 @@ def test_changes_to_reserved_bytes_are_allowed():
     assert isinstance(parse_packet(changed(15, 200)), LivoxPacket)
 
 
-def test_points_get_host_times_that_follow_the_sensor(source, clock, send):
+def test_points_get_host_times_from_the_sensors_clock(source, clock, send):
     arrivals = [100.0055, 100.0151, 100.0257]  # 0.5, 0.1 and 0.7 ms after the last point
     for k, arrival in enumerate(arrivals):
         send(by_hand([(1000, 0, 0)] * 96, [0] * 96, stamp=10_000_000 * k, interval=50_000, sequence=k))
@@ -147,12 +147,12 @@ def test_points_get_host_times_that_follow_the_sensor(source, clock, send):
         (packet,) = source.poll()
         assert packet.points.shape == (96, 3)
         assert packet.times.shape == (96,)
-    # The clocks differ by the least delay: the last packet's first point is 0.1 ms late by it.
+    # The offset includes the smallest delay of 0.1 ms, by which the mapped times are late.
     np.testing.assert_allclose(packet.times, 100.0151 - 0.005 + 0.01 + np.arange(96) / 95 * 0.005, atol=1e-6)
     assert packet.times[-1] <= clock.now
 
 
-def test_rays_without_return_and_noise_are_left_out(source, clock, send):
+def test_rays_without_return_and_noise_are_removed(source, clock, send):
     tags = [0, 0b01, 0b10, 0b0100, 0b1000, 0b010000, 0b100000, 0b11000000, 0]
     points = [(1000 + i, 0, 0) for i in range(8)] + [(0, 0, 0)]
     send(by_hand(points, tags))
@@ -161,7 +161,7 @@ def test_rays_without_return_and_noise_are_left_out(source, clock, send):
     assert (source.counters.points, source.counters.filtered) == (5, 4)
 
 
-def test_doubtful_points_can_be_left_out(clock):
+def test_uncertain_points_can_be_removed(clock):
     source = LivoxSource(0, host="127.0.0.1", keep_uncertain=False, clock=clock)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
         sensor.sendto(by_hand([(1000, 0, 0)] * 3, [0, 0b01, 0b010000]), ("127.0.0.1", source.port))
@@ -182,22 +182,22 @@ def sequence_of(source, send, numbers):
     [
         ([5, 6, 7], 3, 0, 0),
         ([5, 8], 2, 2, 0),
-        ([65534, 65535, 0, 1], 4, 0, 0),  # shipped firmware counts through
+        ([65534, 65535, 0, 1], 4, 0, 0),  # shipped firmware counts through 16 bits
         ([65534, 2], 2, 3, 0),
-        ([205, 206, 207, 0, 1, 2], 6, 0, 0),  # the documentation's: reset at each frame
-        ([5, 7, 6, 8], 4, 0, 0),  # overtaken, not lost
+        ([205, 206, 207, 0, 1, 2], 6, 0, 0),  # as documented: reset at each frame
+        ([5, 7, 6, 8], 4, 0, 0),  # out of order, not lost
         ([5, 6, 6, 7, 5], 3, 0, 2),
         ([5, 9, 7, 7, 6, 8], 5, 0, 1),
-        ([100, 99, 101], 3, 0, 0),  # late from before the first
-        ([5, 5000], 2, 0, 0),  # too far to be a loss
+        ([100, 99, 101], 3, 0, 0),  # a late packet from before the first
+        ([5, 5000], 2, 0, 0),  # a reset, too large for a loss
     ],
 )
-def test_sequences(source, send, numbers, packets, lost, duplicates):
+def test_losses_and_duplicates_are_counted(source, send, numbers, packets, lost, duplicates):
     counters = sequence_of(source, send, numbers)
     assert (counters.packets, counters.lost, counters.duplicates, counters.bad) == (packets, lost, duplicates, 0)
 
 
-def test_bad_datagrams_are_counted_and_do_not_disturb(source, send):
+def test_bad_datagrams_are_counted_and_do_no_harm(source, send):
     send(b"nonsense")
     send(changed(40, 77))
     send(changed(10, 0))
@@ -209,14 +209,14 @@ def test_bad_datagrams_are_counted_and_do_not_disturb(source, send):
     assert {reason: count for reason, count in source.rejects.items() if count} == counts
 
 
-def test_kinds_may_alternate(source, send):
+def test_data_types_may_alternate(source, send):
     for k in range(4):
         send(by_hand([(1000, 0, 0)], [0], sequence=k, stamp=10**9 + 1000 * k, data_type=1 + k % 2))
     assert [packet.points[0, 0] for packet in source.poll()] == pytest.approx([1.0, 10.0, 1.0, 10.0])
     assert source.counters.lost == 0
 
 
-def test_only_the_sensor_is_heard_when_its_address_is_given():
+def test_with_an_address_only_the_sensor_is_heard():
     source = LivoxSource(0, host="127.0.0.1", sensor="127.0.0.2")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(by_hand([(1000, 0, 0)], [0]), ("127.0.0.1", source.port))
@@ -228,7 +228,7 @@ def test_only_the_sensor_is_heard_when_its_address_is_given():
     source.close()
 
 
-def test_a_taken_port_is_an_error(source):
+def test_a_port_in_use_is_an_error(source):
     with pytest.raises(OSError, match="in use"):
         LivoxSource(source.port, host="127.0.0.1")
 

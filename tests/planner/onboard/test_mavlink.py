@@ -1,4 +1,4 @@
-"""The MAVLink connection over real sockets, with the autopilot's side made of pymavlink's own messages."""
+"""The MAVLink connection over real sockets, with an autopilot that sends pymavlink's own messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OFFBOARD, HOLD = 6 << 16, 4 << 16 | 3 << 24
 
 
 class Clock:
-    """Host time that a test sets."""
+    """Host time set by the test."""
 
     now = 1000.0
 
@@ -128,19 +128,19 @@ def test_position_and_attitude_messages_make_a_state(link, autopilot, clock):
     )
     np.testing.assert_allclose(state.position, [1, -2, 3])
     np.testing.assert_allclose(state.velocity, [4, -5, 6])
-    # The attitude is carried to the time of the position: nose up (FRD) at 2 rad/s for 20 ms.
+    # The attitude is propagated to the time of the position: nose up (FRD) at 2 rad/s for 20 ms.
     clock.now += 0.03
     turning = attitude((1, 0, 0, 0), (0, 2, 0), 5.01)
     state = state_after(link, autopilot, turning, local_position((1, 2, -3), (4, 5, -6), 5.03))
     np.testing.assert_allclose(state.quaternion, [math.cos(0.02), 0, -math.sin(0.02), 0], atol=1e-6)
 
 
-def test_an_old_attitude_makes_no_state(link, autopilot):
+def test_an_old_attitude_is_not_used(link, autopilot):
     stale = attitude((1, 0, 0, 0), (0, 0, 0), 5.0)
     assert state_after(link, autopilot, stale, local_position((1, 2, 3), (0, 0, 0), 5.2)) is None
 
 
-def test_odometry_goes_before_the_pair(link, autopilot, clock):
+def test_odometry_takes_precedence_over_the_pair(link, autopilot, clock):
     pair = attitude((1, 0, 0, 0), (0, 0, 0), 5.02), local_position((9, 9, 9), (0, 0, 0), 5.02)
     state_after(link, autopilot, odometry((1, 0, 0)))
     clock.now += 0.5
@@ -151,14 +151,14 @@ def test_odometry_goes_before_the_pair(link, autopilot, clock):
 
 
 @pytest.mark.parametrize("unusable", [dict(frame=mavlink.MAV_FRAME_GLOBAL), dict(p=(math.nan, 0, 0))])
-def test_odometry_that_is_unusable_does_not_go_before_the_pair(link, autopilot, clock, unusable):
+def test_unusable_odometry_does_not_take_precedence(link, autopilot, clock, unusable):
     for k in range(3):
         clock.now += 0.02
         time = 5.0 + 0.02 * k
         pair = attitude((1, 0, 0, 0), (0, 0, 0), time), local_position((1, 2, 3), (0, 0, 0), time)
         assert state_after(link, autopilot, odometry(time=time, **unusable), *pair) is not None
     assert sum(link.dropped.values()) == 3
-    # It is asked for on, too.
+    # It continues to be requested, too.
     autopilot.heartbeat()
     link.poll()
     autopilot.received("COMMAND_LONG")
@@ -171,7 +171,7 @@ def test_odometry_that_is_unusable_does_not_go_before_the_pair(link, autopilot, 
     assert len(autopilot.received("COMMAND_LONG")) == 1
 
 
-def test_the_reset_counter_is_kept_with_the_state(link, autopilot, clock):
+def test_resets_are_counted_with_the_state(link, autopilot, clock):
     seen = []
     for k, counter in enumerate([7, 7, 8, 8, 8, 0]):
         clock.now += 0.02
@@ -180,14 +180,14 @@ def test_the_reset_counter_is_kept_with_the_state(link, autopilot, clock):
         link.poll()
         seen.append(link.state.resets)
     assert seen == [0, 0, 1, 1, 1, 2]
-    # What is not taken over counts nothing: one that is old, one that is unusable.
+    # States that are not accepted, because they are old or unusable, count no reset.
     state_after(link, autopilot, odometry(time=5.0, resets=9), odometry((math.nan, 0, 0), time=6.0, resets=9))
     autopilot.heartbeat()
     link.poll()
     assert link.state.resets == 2
 
 
-def test_a_jump_of_the_position_without_counter_is_a_reset(link, autopilot, clock):
+def test_a_jump_without_reset_counter_is_a_reset(link, autopilot, clock):
     seen = []
     # 5 m/s north, 30 times per second; then 1.5 m to the side, a turn by 20 degrees, and ODOMETRY again.
     places = [(0, 0), (0.17, 0), (0.33, 0), (0.5, 1.5), (0.67, 1.5), (0.83, 1.5)]
@@ -212,7 +212,7 @@ def test_states_carry_host_time_and_never_go_back(link, autopilot, clock):
     before = link.state
     state_after(link, autopilot, odometry((7, 0, 0), time=5.01))
     assert link.state is before
-    # A state that is repeated does not get younger.
+    # A repeated state does not become newer.
     clock.now += 1.0
     state_after(link, autopilot, odometry((8, 0, 0), time=5.04))
     assert link.state is before
@@ -250,7 +250,7 @@ def test_unusable_states_are_dropped_and_counted(link, autopilot, message):
         (mavlink.MAV_MODE_FLAG_SAFETY_ARMED, OFFBOARD, True, False),
     ],
 )
-def test_heartbeats_tell_arming_and_mode(link, autopilot, clock, base, mode, armed, offboard):
+def test_heartbeats_report_arming_and_mode(link, autopilot, clock, base, mode, armed, offboard):
     state_after(link, autopilot, odometry())
     assert link.state.heartbeat_time == -math.inf
     clock.now += 0.5
@@ -260,13 +260,13 @@ def test_heartbeats_tell_arming_and_mode(link, autopilot, clock, base, mode, arm
     assert link.state.heartbeat_time == clock.now
 
 
-def test_heartbeats_of_others_mean_nothing(link, autopilot):
+def test_heartbeats_from_other_components_are_ignored(link, autopilot):
     state_after(link, autopilot, odometry())
     for system, component in [(255, 190), (1, 154), (2, 1)]:
-        other = Peer(autopilot.address[1], system, component)
-        other.heartbeat()
-        other.send(odometry((5, 5, 5), time=6.0))
-        other.socket.close()
+        stranger = Peer(autopilot.address[1], system, component)
+        stranger.heartbeat()
+        stranger.send(odometry((5, 5, 5), time=6.0))
+        stranger.socket.close()
     link.poll()
     assert not link.state.armed
     np.testing.assert_allclose(link.state.state.position, [0, 0, 0])
@@ -289,7 +289,7 @@ def test_commands_by_hand(link, autopilot):
 
 
 @pytest.mark.parametrize("command", [[1, 2, 3], [math.nan, 0, 0, 0], [9.8, math.inf, 0, 0], [[1, 2, 3, 4]]])
-def test_commands_that_are_none_are_refused(link, autopilot, command):
+def test_invalid_commands_are_refused(link, autopilot, command):
     autopilot.heartbeat()
     link.poll()
     with pytest.raises(ValueError, match="finite"):
@@ -298,7 +298,7 @@ def test_commands_that_are_none_are_refused(link, autopilot, command):
 
 
 def test_commands_go_to_the_autopilot_only(link, autopilot):
-    link.send([9.81, 0, 0, 0])  # nobody is there yet
+    link.send([9.81, 0, 0, 0])  # no autopilot has been heard yet
     assert link.sent == 0
     autopilot.heartbeat()
     link.poll()
@@ -332,7 +332,7 @@ def test_only_commands_heartbeats_and_requests_for_states_are_sent(link, autopil
     assert len(seen["HEARTBEAT"]) == pytest.approx(10, abs=1)
 
 
-def test_odometry_is_asked_for_until_it_comes(link, autopilot, clock):
+def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
     autopilot.heartbeat()
     link.poll()
     (request,) = autopilot.received("COMMAND_LONG")
@@ -350,8 +350,8 @@ def test_goals(link, autopilot):
     (station := Peer(autopilot.address[1], 255, 190)).send(goal_message((10, 2, -3)))
     link.poll()
     np.testing.assert_allclose(link.goal, [10, -2, 3])
-    for other in (goal_message((1, 1, 1), component=1), goal_message((1, 1, 1), system=7)):
-        station.send(other)  # for the autopilot, for another vehicle
+    for message in (goal_message((1, 1, 1), component=1), goal_message((1, 1, 1), system=7)):
+        station.send(message)  # for the autopilot, for another vehicle
     unusable = goal_message((math.nan, 0, 0)), goal_message((1, 1, 1), mask=0b1), goal_message((1, 1, 1), frame=0)
     station.send(*unusable)
     link.poll()
@@ -360,7 +360,7 @@ def test_goals(link, autopilot):
     station.socket.close()
 
 
-def test_garbage_does_not_swallow_what_follows(link, autopilot):
+def test_garbage_does_not_swallow_later_messages(link, autopilot):
     good = bytes(odometry((1, 0, 0)).pack(autopilot.protocol))
     for bad in (b"\xfd\xff\x00", b"\xfe\xff", os.urandom(500), good[:-5], good[:40] + b"\x55" + good[41:], b""):
         autopilot.socket.sendto(bad, autopilot.address)
@@ -380,7 +380,7 @@ def test_unknown_messages_are_counted_as_one(link, autopilot):
     assert link.received == {"UNKNOWN": 3}
 
 
-def test_a_flood_is_taken_in_parts(link, autopilot, monkeypatch):
+def test_a_flood_is_read_in_parts(link, autopilot, monkeypatch):
     size = len(bytes(odometry().pack(autopilot.protocol)))
     monkeypatch.setattr(mavlink_module, "_BYTES_PER_POLL", 20 * size)
     for _ in range(50):
@@ -390,7 +390,7 @@ def test_a_flood_is_taken_in_parts(link, autopilot, monkeypatch):
         assert link.received["ODOMETRY"] == total
 
 
-def test_udpout_speaks_first():
+def test_udpout_sends_first():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
         autopilot.bind(("127.0.0.1", 0))
         autopilot.settimeout(5.0)
@@ -413,7 +413,7 @@ def test_serial_devices_are_streams():
         protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         for k in range(50):
             data = bytes(odometry((k, 0, 0), time=5.0 + 0.01 * k).pack(protocol))
-            for part in (data[:7], data[7:100], data[100:]):  # wherever the bytes happen to be cut
+            for part in (data[:7], data[7:100], data[100:]):  # at arbitrary positions
                 os.write(there, part)
                 link.poll()
             os.write(there, b"\x00\xfe")  # noise on the line

@@ -14,7 +14,7 @@ from aero_planner.onboard.failsafe_table import Reaction, State
 from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.plan_schedule import ScheduledPlan
 from aero_planner.quaternions import rotate
-from tests.planner.onboard.simulated import GOAL, LANE, PLACES, WORLD, Simulation, in_flight, spoiled
+from tests.planner.onboard.simulated import CORRIDOR, GOAL, PLACES, WORLD, Simulation, in_flight, spoiled
 
 PERIOD = 0.02
 
@@ -24,12 +24,12 @@ def states(simulation: Simulation) -> list[str]:
 
 
 def since(simulation: Simulation, began: float, name: str) -> float:
-    """How long after `began` the state `name` was entered first [s]."""
+    """Return the time from `began` until the state `name` was entered [s]."""
     changes = [change.time for change in simulation.node.changes if change.target.name == name]
     return next(time for time in changes if time >= began) - began
 
 
-def clearance(simulation: Simulation, places: Sequence[tuple[float, float]] = LANE) -> float:
+def clearance(simulation: Simulation, places: Sequence[tuple[float, float]] = CORRIDOR) -> float:
     path = np.array(simulation.path)[:, None, :2]
     return float(np.linalg.norm(path - np.array(places), axis=2).min()) - 0.25
 
@@ -39,7 +39,7 @@ def test_a_flight_from_start_to_goal(small_planner: Planner):
     simulation.run(0.5)
     assert simulation.node.state is State.READY
     before = [command for _, command in simulation.link.sent]
-    # What PX4 wants to see before OFFBOARD is what would keep the drone where it is.
+    # The setpoints that PX4 requires before OFFBOARD would keep the drone in place.
     np.testing.assert_allclose(before, np.tile([9.81, 0.0, 0.0, 0.0], (len(before), 1)), atol=1e-6)
     simulation.engage()
     assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 15.0)
@@ -52,7 +52,7 @@ def test_a_flight_from_start_to_goal(small_planner: Planner):
 
 
 def check_planned(flight: Simulation, seconds: float) -> None:
-    """Check, while time goes on, that what is sent is the planned control of that time."""
+    """Fly for some time and check that each command is the planned control of its time."""
     plans: list[tuple[float, ScheduledPlan]] = []
     schedule = flight.node.schedule
     append = schedule.append
@@ -78,13 +78,13 @@ def check_planned(flight: Simulation, seconds: float) -> None:
     schedule.append = append  # type: ignore[method-assign]
 
 
-def test_what_is_sent_is_the_planned_control_of_that_time(flight: Simulation):
+def test_each_command_is_the_planned_control_of_its_time(flight: Simulation):
     check_planned(flight, 0.5)
 
 
 def test_plans_start_where_the_drone_will_be(small_planner: Planner):
-    class Compare(Observer):
-        """Keeps the states planned from, and where the drone was at their time."""
+    class StartStates(Observer):
+        """Keeps the states from which the plans start."""
 
         def __init__(self) -> None:
             self.planned: list[VehicleState] = []
@@ -92,7 +92,7 @@ def test_plans_start_where_the_drone_will_be(small_planner: Planner):
         def plan(self, record: PlanRecord) -> None:
             self.planned.append(record.state)
 
-    observer = Compare()
+    observer = StartStates()
     simulation = in_flight(small_planner, plan_time=0.06, state_delay=0.0, observers=[observer])
     del observer.planned[:-1]
     truth: dict[float, NDArray[np.float64]] = {}
@@ -100,13 +100,13 @@ def test_plans_start_where_the_drone_will_be(small_planner: Planner):
         simulation.run(0.005)
         truth[simulation.now] = simulation.motion.position
     times = np.array(list(truth))
-    off = []
+    errors = []
     for state in observer.planned:
         nearest = int(np.abs(times - float(state.time)).argmin())  # type: ignore[arg-type]
         if abs(times[nearest] - float(state.time)) < 0.004:  # type: ignore[arg-type]
-            off.append(np.linalg.norm(np.asarray(state.position) - truth[times[nearest]]))
-    # Without looking ahead it would be 60 ms of flight: more than 0.1 m.
-    assert len(off) >= 3 and max(off) < 0.05
+            errors.append(np.linalg.norm(np.asarray(state.position) - truth[times[nearest]]))
+    # Without prediction the error would be 60 ms of flight, more than 0.1 m.
+    assert len(errors) >= 3 and max(errors) < 0.05
 
 
 def test_without_goal_or_points_it_waits_in_silence(small_planner: Planner):
@@ -122,7 +122,13 @@ def test_without_goal_or_points_it_waits_in_silence(small_planner: Planner):
     assert simulation.node.state is State.WAITING
 
 
-def test_a_goal_from_the_ground_replaces_the_first(small_planner: Planner):
+def test_the_planner_treats_the_bottom_of_the_fence_as_ground(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.fence_height_min": 0.7})
+    simulation.run(0.3)
+    assert simulation.node.state is State.READY and simulation.planner.options["ground_height"] == 0.7
+
+
+def test_a_goal_over_the_link_replaces_the_first(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, (2.5, 0.0, 2.0))
     simulation.engage()
     assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 8.0)
@@ -132,26 +138,26 @@ def test_a_goal_from_the_ground_replaces_the_first(small_planner: Planner):
     assert np.linalg.norm(simulation.motion.position - [2.5, 3.0, 2.0]) < 1.0
 
 
-def test_a_goal_near_the_one_that_is_reached_is_flown_to(small_planner: Planner):
+def test_a_new_goal_near_the_reached_one_is_flown_to(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, (2.5, 0.0, 2.0))
     simulation.engage()
     assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 8.0)
     simulation.run(1.0)
-    # Less than two arrival radii away, which drift alone may be.
+    # Less than two arrival radii away, which could also be drift.
     goal = simulation.link.goal = simulation.motion.position + np.array([0.0, 0.9, 0.0])
     simulation.run(4.0)
     assert states(simulation) == ["READY", "FLYING", "ARRIVED", "FLYING", "ARRIVED"]
     assert np.linalg.norm(simulation.motion.position - goal) < 0.9
 
 
-def test_wind_does_not_blow_it_away_from_where_it_holds(small_planner: Planner):
+def test_it_holds_its_position_in_wind(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, (2.5, 0.0, 2.0))
     simulation.engage()
     assert simulation.run_until(lambda: simulation.node.state is State.ARRIVED, 8.0)
     assert simulation.run_until(lambda: simulation.motion.speed < 0.1, 3.0)
     place, simulation.wind = simulation.motion.position, np.array([0.0, 0.3, 0.0])
     simulation.run(6.0)
-    # It leans on the pull back to the place: 0.3 m/s^2 over brake.position_gain.
+    # The offset balances the wind: 0.3 m/s^2 over brake.position_gain.
     assert simulation.node.state is State.ARRIVED and simulation.motion.speed < 0.05
     assert 0.1 < np.linalg.norm(simulation.motion.position - place) < 0.3
 
@@ -165,7 +171,7 @@ def test_a_goal_outside_the_fence_is_refused(small_planner: Planner, caplog: pyt
     assert caplog.text.count("is refused: it lies outside the geofence") == 3
 
 
-# --- what goes wrong --------------------------------------------------------------------------------------------------
+# --- faults -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_dead_lidar_brakes_in_time_and_hands_back(flight: Simulation):
@@ -188,7 +194,7 @@ def test_with_a_stale_cloud_it_brakes_as_planned(flight: Simulation):
     flight.lidar.alive = False
     assert flight.run_until(lambda: flight.node.safety.reaction is Reaction.BRAKE_AS_PLANNED, 1.0)
     assert flight.node.state is State.BRAKING and flight.motion.speed > 2.0
-    flight.planning_alive = False  # so that the plan stays
+    flight.planning_alive = False  # so that the schedule stays the same
     flight.run(3 * PERIOD)
     sent, command = flight.link.sent[-1]
     planned = flight.node.schedule.command(sent)
@@ -198,7 +204,7 @@ def test_with_a_stale_cloud_it_brakes_as_planned(flight: Simulation):
     assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
 
 
-def test_a_lidar_that_comes_back_is_flown_with(flight: Simulation):
+def test_the_flight_continues_when_the_lidar_comes_back(flight: Simulation):
     flight.lidar.alive = False
     assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
     flight.lidar.alive = True
@@ -207,7 +213,7 @@ def test_a_lidar_that_comes_back_is_flown_with(flight: Simulation):
 
 
 @pytest.mark.parametrize("fault", ["frozen", "dead", "nan"])
-def test_without_states_it_levels_blindly_and_hands_back(flight: Simulation, fault: str):
+def test_without_vehicle_states_it_levels_and_hands_back(flight: Simulation, fault: str):
     limits, began = flight.node.config.limits, flight.now
     if fault == "nan":
         flight.link.spoil = lambda state: dataclasses.replace(state, velocity=np.full(3, np.nan))
@@ -219,7 +225,7 @@ def test_without_states_it_levels_blindly_and_hands_back(flight: Simulation, fau
     flight.run(limits.state_age + limits.blind_time)
     assert flight.node.state is State.HANDED_BACK
     assert since(flight, began, "HANDED_BACK") <= limits.state_age + limits.blind_time + 2 * PERIOD
-    # By dead reckoning alone it has come almost to rest, level; the last command is to hover without turning.
+    # By dead reckoning alone it is almost at rest and level; the last command is to hover without turning.
     np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
     assert flight.motion.speed < 0.5
     count = len(flight.link.sent)
@@ -228,7 +234,7 @@ def test_without_states_it_levels_blindly_and_hands_back(flight: Simulation, fau
     assert len(flight.link.sent) == count and flight.node.state is State.HANDED_BACK
 
 
-def test_however_little_time_it_has_it_hands_back_level(small_planner: Planner):
+def test_it_hands_back_level_however_little_time_it_has(small_planner: Planner):
     flight = in_flight(small_planner, changes={"limits.blind_time": 0.6})
     flight.link.frozen = True
     assert flight.run_until(lambda: flight.node.state is State.HANDED_BACK, 2.0)
@@ -246,10 +252,10 @@ def test_a_short_gap_in_the_states_is_bridged(flight: Simulation):
     assert flight.node.state is State.FLYING
 
 
-def test_a_planner_that_pauses_brakes_in_time_and_goes_on(flight: Simulation):
+def test_a_planner_that_pauses_makes_it_brake_and_continue(flight: Simulation):
     began, flight.plan_time = flight.now, 0.5
     flight.run(0.6)
-    # The newest plan may have been made up to 0.1 s before.
+    # The newest plan may be based on a state up to 0.1 s old.
     assert since(flight, began, "BRAKING") <= flight.node.config.limits.plan_age + 2 * PERIOD
     flight.plan_time = 0.04
     assert flight.run_until(lambda: flight.node.state is State.ARRIVED, 15.0)
@@ -267,7 +273,7 @@ def test_one_late_plan_changes_nothing(flight: Simulation, late: float):
     assert states(flight) == ["READY", "FLYING"]
 
 
-def test_a_planner_that_hangs_brakes_in_time_and_hands_back(flight: Simulation):
+def test_a_planner_that_hangs_makes_it_brake_and_hand_back(flight: Simulation):
     began, flight.planning_alive = flight.now, False
     flight.run(flight.node.config.limits.plan_age + 2 * PERIOD)
     assert since(flight, began, "BRAKING") <= flight.node.config.limits.plan_age + 2 * PERIOD
@@ -288,7 +294,7 @@ def test_a_plan_with_nan_is_never_flown(flight: Simulation, caplog: pytest.LogCa
     assert flight.node.state is State.FLYING
 
 
-def test_a_planner_that_raises_is_a_planner_that_is_late(flight: Simulation, caplog: pytest.LogCaptureFixture):
+def test_a_planner_that_raises_makes_it_brake(flight: Simulation, caplog: pytest.LogCaptureFixture):
     def fail(plan: Plan) -> Plan:
         raise RuntimeError("CUDA error 700: an illegal memory access was encountered")
 
@@ -298,12 +304,12 @@ def test_a_planner_that_raises_is_a_planner_that_is_late(flight: Simulation, cap
     assert flight.node.state in (State.BRAKING, State.HOLDING) and "CUDA error 700" in caplog.text
 
 
-def test_where_nothing_is_safe_it_brakes_as_planned_and_waits(flight: Simulation):
+def test_without_a_safe_candidate_it_brakes_as_planned_and_waits(flight: Simulation):
     began = flight.now
-    flight.planner.ageing = 1.0  # for which the planner brakes as it does where no candidate is safe
+    flight.planner.ageing = 1.0  # a stale cloud, for which the planner brakes as without a safe candidate
     check_planned(flight, 0.6)
     assert flight.node.state is State.BRAKING and since(flight, began, "BRAKING") < 0.2
-    # The next plan looks ahead along this one.
+    # The next plan starts from a state predicted along this one.
     assert flight.node.snapshot is not None and flight.node.snapshot.follows_plan
     assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
     assert states(flight) == ["READY", "FLYING", "BRAKING", "HOLDING"]
@@ -311,8 +317,8 @@ def test_where_nothing_is_safe_it_brakes_as_planned_and_waits(flight: Simulation
     assert flight.run_until(lambda: flight.node.state is State.ARRIVED, 15.0)
 
 
-def test_where_more_is_wrong_it_brakes_by_itself(flight: Simulation):
-    turning = 1.0  # about the vertical, which no braking of the node's own asks for
+def test_with_another_fault_it_does_not_brake_as_planned(flight: Simulation):
+    turning = 1.0  # yaw rate, which the stop controller never commands
 
     def rate() -> float:
         assert flight.node.state is State.BRAKING
@@ -321,12 +327,12 @@ def test_where_more_is_wrong_it_brakes_by_itself(flight: Simulation):
     flight.planner.spoil = lambda plan: spoiled(
         plan, status=PlanStatus.NO_SAFE_CANDIDATE, controls=np.full_like(plan.controls, turning)
     )
-    flight.plan_time = 0.0  # so that `run` ends when it is to
+    flight.plan_time = 0.0  # so that `run` ends exactly on time
     flight.run(0.3)
     assert rate() == turning
     flight.control_alive, count = False, len(flight.link.sent)
     flight.run(3 * PERIOD)
-    assert rate() == turning and len(flight.link.sent) > count  # a late tick is bridged here, too
+    assert rate() == turning and len(flight.link.sent) > count  # a late tick is bridged in this state, too
     flight.run(flight.node.config.limits.deadline - 2 * PERIOD)
     flight.control_alive = True
     flight.run(PERIOD)
@@ -338,10 +344,10 @@ def test_where_more_is_wrong_it_brakes_by_itself(flight: Simulation):
     assert rate() == 0.0
 
 
-def test_the_fence_stops_it(small_planner: Planner):
-    """The way round the first pole leads out of a lane that is too narrow."""
-    lane = {"limits.fence_y_min": -0.3, "limits.fence_y_max": 0.3, "limits.hold_time": 1.0}
-    simulation = Simulation(small_planner, WORLD, GOAL, changes=lane)
+def test_the_fence_stops_the_drone(small_planner: Planner):
+    """The path around the first pole leads out of the fence, which is very narrow."""
+    fence = {"limits.fence_y_min": -0.3, "limits.fence_y_max": 0.3, "limits.hold_time": 1.0}
+    simulation = Simulation(small_planner, WORLD, GOAL, changes=fence)
     simulation.engage()
     assert simulation.run_until(lambda: simulation.node.state is State.BRAKING, 5.0)
     assert str(simulation.node.changes[-1]).endswith("outside the geofence")
@@ -353,7 +359,7 @@ def test_the_fence_stops_it(small_planner: Planner):
 def test_the_pilot_takes_over_at_any_time(flight: Simulation):
     began, flight.link.offboard = flight.now, False
     flight.run(0.2)
-    # At once silent, then ready to be called again, sending what would stop the drone.
+    # Silent at once; then ready for OFFBOARD again, with setpoints that would stop the drone.
     assert states(flight)[-2:] == ["WAITING", "READY"] and since(flight, began, "WAITING") <= PERIOD
     flight.link.offboard = True
     flight.run(0.1)

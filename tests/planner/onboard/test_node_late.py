@@ -1,4 +1,4 @@
-"""The control loop of the node when it is late or hangs: the watchdog beside it."""
+"""The watchdog in flight: a control loop that is late or hangs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def test_the_watchdog_brakes_when_the_control_loop_hangs(flight: Simulation, cap
     assert flight.motion.speed < 1.0  # by dead reckoning alone
     count = len(flight.link.sent)
     flight.run(0.3)
-    assert len(flight.link.sent) == count  # and then the autopilot's failsafe
+    assert len(flight.link.sent) == count  # the autopilot's failsafe acts now
     assert flight.node.statistics()["watchdog_interventions"] == 1
 
 
-def test_a_late_tick_is_bridged_with_what_is_planned(flight: Simulation):
+def test_a_late_tick_is_bridged_with_planned_commands(flight: Simulation):
     schedule, limits = flight.node.schedule, flight.node.config.limits
     flight.planning_alive = False
     flight.run(2 * PERIOD)
@@ -38,7 +38,7 @@ def test_a_late_tick_is_bridged_with_what_is_planned(flight: Simulation):
     flight.control_alive = False
     flight.run(limits.deadline - PERIOD)
     bridging = flight.link.sent[count:]
-    # The tick itself is waited for a little longer.
+    # The first bridging command comes one period late, after waiting for the tick.
     np.testing.assert_allclose([now - began for now, _ in bridging], PERIOD * np.arange(2, 2 + len(bridging)))
     assert len(bridging) >= 2
     for k, (_, command) in enumerate(bridging, start=2):
@@ -61,7 +61,7 @@ def test_a_late_tick_is_bridged_within_the_vehicles_bounds(flight: Simulation):
     np.testing.assert_array_equal([command for _, command in flight.link.sent[count - 1 :]][-1], most)
 
 
-def test_what_is_told_ahead_ends_where_the_plan_is_too_old(flight: Simulation):
+def test_upcoming_commands_end_where_the_plan_is_too_old(flight: Simulation):
     schedule, limits = flight.node.schedule, flight.node.config.limits
     newest = schedule.at(flight.now)
     assert newest is not None
@@ -71,7 +71,7 @@ def test_what_is_told_ahead_ends_where_the_plan_is_too_old(flight: Simulation):
     np.testing.assert_array_equal(upcoming[2], schedule.command(flight.now + 3 * PERIOD))
 
 
-def test_a_control_loop_that_comes_back_brakes_first_and_goes_on(flight: Simulation):
+def test_a_control_loop_that_comes_back_brakes_first_and_continues(flight: Simulation):
     flight.control_alive = False
     flight.run(0.4)
     flight.control_alive = True
@@ -87,13 +87,13 @@ def test_a_control_loop_that_comes_back_too_late_stays_silent(flight: Simulation
     count = len(flight.link.sent)
     np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0])
     flight.run(1.0)
-    assert not flight.link.offboard  # the autopilot has taken the drone
+    assert not flight.link.offboard  # the autopilot has taken control
     flight.control_alive = True
     flight.run(3.0)
     assert flight.node.state is State.HANDED_BACK and len(flight.link.sent) == count
 
 
-def test_the_watchdog_never_speaks_where_the_pilot_flies(small_planner: Planner):
+def test_the_watchdog_is_silent_while_the_pilot_flies(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, GOAL)
     simulation.run(0.5)
     assert simulation.node.state is State.READY

@@ -1,4 +1,4 @@
-"""How a node ends, who looks on, and the same with real threads."""
+"""The end of a node, faulty observers, and a node with real threads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from aero_planner.onboard.vehicle_link import VehicleSample
 from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, in_flight
 
 
-def test_told_to_end_it_comes_to_rest_and_falls_silent(small_planner: Planner):
+def test_when_stopped_it_comes_to_rest_and_falls_silent(small_planner: Planner):
     flight = in_flight(small_planner)
     flight.node.stop()
     flight.run(0.1)
@@ -38,17 +38,17 @@ def test_told_to_end_it_comes_to_rest_and_falls_silent(small_planner: Planner):
     assert flight.link.closed and flight.lidar.closed
 
 
-def test_ended_at_once_it_is_left_with_the_command_to_hover(small_planner: Planner):
+def test_when_closed_at_once_its_last_command_is_to_hover(small_planner: Planner):
     flight = in_flight(small_planner)
     flight.node.stop()
     flight.run(0.1)
     count = len(flight.link.sent)
-    assert np.abs(flight.link.sent[-1][1][1:]).max() > 0.1  # which it would otherwise go on with
+    assert np.abs(flight.link.sent[-1][1][1:]).max() > 0.1  # body rates that would otherwise continue
     flight.node.close()
     np.testing.assert_allclose([command for _, command in flight.link.sent[count:]], [[9.81, 0.0, 0.0, 0.0]])
 
 
-def test_closed_where_the_pilot_flies_it_says_nothing(small_planner: Planner):
+def test_when_closed_while_the_pilot_flies_it_sends_nothing(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, GOAL)
     simulation.run(0.5)
     count = len(simulation.link.sent)
@@ -58,7 +58,7 @@ def test_closed_where_the_pilot_flies_it_says_nothing(small_planner: Planner):
 
 
 class Faulty(Observer):
-    """Fails at everything, and counts."""
+    """Raises in every method, and counts the calls."""
 
     def __init__(self) -> None:
         self.calls: dict[str, int] = {}
@@ -83,14 +83,14 @@ class Faulty(Observer):
         self._fail("close")
 
 
-def test_those_who_look_on_cannot_harm(small_planner: Planner):
+def test_faulty_observers_do_no_harm(small_planner: Planner):
     observer = Faulty()
     simulation = in_flight(small_planner, observers=[observer])
     simulation.node.close()
     assert {"plan", "change", "sample", "points", "close"} == set(observer.calls)
 
 
-def test_wrong_arguments_say_what_to_do(small_planner: Planner):
+def test_errors_for_wrong_arguments_say_what_to_do(small_planner: Planner):
     with pytest.raises(ValueError, match=r"the goal is .*; it must be three finite numbers"):
         Simulation(small_planner, WORLD, (1.0, math.nan, 2.0))
     with pytest.raises(ValueError, match=r"the goal .* lies outside the geofence; correct it or limits\.fence_"):
@@ -103,14 +103,14 @@ def test_wrong_arguments_say_what_to_do(small_planner: Planner):
 
 
 class StandingLink:
-    """A drone that hangs in the air in real time, whatever it is told."""
+    """A drone that stays in place in real time, whatever the commands."""
 
     def __init__(self) -> None:
         self.armed = self.offboard = False
         self.goal = np.array(GOAL)
         self.dropped: dict[str, int] = {}
         self.many = threading.Event()
-        """Set when twenty commands have come since `count` was zeroed."""
+        """Set when twenty commands have arrived since `count` was zero."""
         self.count = 0
         self.failing = False
         self.velocity = np.zeros(3)
@@ -126,7 +126,7 @@ class StandingLink:
 
     def poll(self) -> None:
         if self.failing:
-            raise RuntimeError("the control loop's own mistake")
+            raise RuntimeError("a defect of the control loop")
 
     def send(self, command: ArrayLike) -> None:
         self.last = np.array(command)
@@ -144,7 +144,7 @@ class StandingLink:
 
 
 class StandingLidar:
-    """Sees the world from there."""
+    """Sees the world from the drone's position."""
 
     counters = PointCounters()
 
@@ -159,7 +159,7 @@ class StandingLidar:
 def test_with_real_threads(small_planner: Planner):
     small_planner.reset()
     link = StandingLink()
-    # A shared machine may stand still for a moment: the limits are wide.
+    # A shared machine may pause for a moment, so the limits are wide.
     config = OnboardConfig().replace({"limits.plan_age": 1.0, "limits.cloud_age": 2.0, "limits.state_age": 1.0})
     node = Node(small_planner, link, StandingLidar(), config)
     assert node.warm_up() > 0.0
@@ -172,7 +172,7 @@ def test_with_real_threads(small_planner: Planner):
         link.armed = link.offboard = True
         assert link.wait_for_commands()
         assert any(change.target is State.FLYING for change in node.changes)
-        # A mistake in the control loop itself: the watchdog speaks in its place.
+        # A defect in the control loop itself: the watchdog acts in its place.
         link.failing = True
         assert link.wait_for_commands()
         assert node.failures > 0 and node.statistics()["watchdog_interventions"] >= 1
@@ -188,7 +188,7 @@ def test_with_real_threads(small_planner: Planner):
 
 @pytest.fixture
 def handlers() -> Iterator[None]:
-    """Gives signals back their handlers."""
+    """Restores the signal handlers."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in before.items():
@@ -196,30 +196,30 @@ def handlers() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("handlers")
-def test_a_lost_terminal_brakes_however_often_it_is_told_and_a_second_signal_ends(small_planner: Planner):
+def test_a_lost_terminal_brakes_even_when_signalled_twice_and_a_second_signal_ends(small_planner: Planner):
     small_planner.reset()
     link = StandingLink()
-    link.velocity = np.array([2.0, 0.0, 0.0])  # whatever it is told, it does not come to rest
+    link.velocity = np.array([2.0, 0.0, 0.0])  # it never comes to rest, whatever the commands
     config = OnboardConfig().replace(
         {"limits.plan_age": 1.0, "limits.cloud_age": 2.0, "limits.state_age": 1.0, "limits.brake_time": 30.0}
     )
     node = Node(small_planner, link, StandingLidar(), config)
     node.warm_up()
-    told: list[bool] = []
+    results: list[bool] = []
 
     def pilot() -> None:
-        told.append(link.wait_for_commands())
+        results.append(link.wait_for_commands())
         link.armed = link.offboard = True
-        told.append(link.wait_for_commands())
+        results.append(link.wait_for_commands())
         for number in (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM):
             os.kill(os.getpid(), number)
             if number == signal.SIGHUP:
-                told.append(link.wait_for_commands() and node.state is State.BRAKING)
+                results.append(link.wait_for_commands() and node.state is State.BRAKING)
 
     thread = threading.Thread(target=pilot)
     began = time.monotonic()
     thread.start()
     assert fly_until_signal(node, config)
     thread.join()
-    assert told == [True] * 4 and time.monotonic() - began < config.limits.brake_time
+    assert results == [True] * 4 and time.monotonic() - began < config.limits.brake_time
     np.testing.assert_allclose(link.last, [9.81, 0.0, 0.0, 0.0])

@@ -20,13 +20,13 @@ FAST = SMALL.replace({"sampling.samples": 2, "sampling.steps": 8})
 
 @pytest.fixture
 def drone(small_planner: Planner) -> Simulation:
-    """A drone whose node does nothing: what it sends is there to be looked at."""
+    """A drone whose node does nothing, so that only the checks read its inputs."""
     simulation = Simulation(small_planner, poles(PLACES), None)
     simulation.control_alive = simulation.planning_alive = False
     return simulation
 
 
-def look(drone: Simulation, config: OnboardConfig | None = None, **options) -> dict[str, Check]:
+def run_checks(drone: Simulation, config: OnboardConfig | None = None, **options) -> dict[str, Check]:
     checks = check_inputs(
         drone.link, drone.lidar, config or OnboardConfig(), clock=lambda: drone.now, sleep=drone.run, **options
     )
@@ -34,7 +34,7 @@ def look(drone: Simulation, config: OnboardConfig | None = None, **options) -> d
 
 
 def test_a_drone_in_order_passes(drone: Simulation):
-    checks = look(drone, goal=(18.0, 0.0, 2.0))
+    checks = run_checks(drone, goal=(18.0, 0.0, 2.0))
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
         "vehicle state", "heartbeat", "vehicle mode", "LiDAR", "cloud", "packets", "deskewing", "position", "goal",
@@ -43,56 +43,56 @@ def test_a_drone_in_order_passes(drone: Simulation):
     assert not drone.link.sent  # nothing is commanded
 
 
-def test_nothing_there_is_told(drone: Simulation):
+def test_missing_inputs_fail(drone: Simulation):
     drone.link.alive = drone.lidar.alive = False
-    checks = look(drone)
+    checks = run_checks(drone)
     assert checks["vehicle state"].finding == checks["LiDAR"].finding == "nothing arrived"
     assert not checks["vehicle state"].ok and "mavlink.url" in checks["vehicle state"].advice
     assert not checks["LiDAR"].ok and "lidar.port" in checks["LiDAR"].advice
     assert not checks["goal"].ok and not checks["goal"].required
 
 
-def test_what_is_wrong_is_named(drone: Simulation):
+def test_only_the_faults_fail(drone: Simulation):
     drone.link.armed = True
     drone.lidar.counters.lost = 50
-    checks = look(drone, goal=(500.0, 0.0, 2.0))
+    checks = run_checks(drone, goal=(500.0, 0.0, 2.0))
     assert [name for name, check in checks.items() if not check.ok] == ["vehicle mode", "packets", "goal"]
 
     drone.link.armed, drone.lidar.counters.lost = False, 0
     drone.motion = dataclasses.replace(drone.motion, position=np.array([0.0, 200.0, 0.0]))
     drone.link.goal = np.array([1.0, 0.0, 2.0])
-    checks = look(drone)
+    checks = run_checks(drone)
     failed = [name for name, check in checks.items() if not check.ok]
     assert "position" in failed and "goal" not in failed  # on the ground, but outside; the goal came over the link
 
 
-def test_what_the_link_dropped_is_named(drone: Simulation):
+def test_unusable_messages_are_a_warning(drone: Simulation):
     drone.link.dropped["ODOMETRY in frames 0 and 1"] = 300
-    check = look(drone)["unusable messages"]
+    check = run_checks(drone)["unusable messages"]
     assert check.finding == "300 x ODOMETRY in frames 0 and 1" and not check.ok and not check.required
 
 
 def test_a_sensor_that_sees_nothing_is_not_ready(drone: Simulation):
     drone.lidar.world = np.array([[500.0, 0.0, 0.0]] * 40, np.float32)
-    checks = look(drone)
+    checks = run_checks(drone)
     assert drone.lidar.counters.packets and not checks["LiDAR"].ok and not checks["cloud"].ok
     assert checks["cloud"].finding == "no points: covered, or nothing is in range"
     assert "fly only where something is in range" in checks["LiDAR"].advice
 
 
-def test_states_that_are_late_or_seldom_fail(drone: Simulation):
+def test_late_and_infrequent_states_fail(drone: Simulation):
     drone.state_delay = 0.4
-    checks = look(drone)
+    checks = run_checks(drone)
     assert not checks["vehicle state"].ok and "The states are late" in checks["vehicle state"].advice
     assert checks["deskewing"].ok  # later poses place the points that waited
 
     drone.state_delay, drone.link.frozen = 0.0, True
-    checks = look(drone)
+    checks = run_checks(drone)
     assert not checks["vehicle state"].ok and checks["vehicle state"].finding.startswith("0 per second")
     assert "raise the autopilot's rate" in checks["vehicle state"].advice
 
 
-def test_the_whole_list(tmp_path: Path):
+def test_the_complete_report(tmp_path: Path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -112,7 +112,7 @@ def test_the_whole_list(tmp_path: Path):
     assert table.count("FAIL") == 2 and "-> Check the cable" in table and table.endswith("see above.")
 
 
-def test_what_fails_before_anything_is_heard(tmp_path: Path):
+def test_failures_before_the_inputs_are_checked(tmp_path: Path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken, socket.create_server(("127.0.0.1", 0)) as viewer:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -138,14 +138,14 @@ def test_what_fails_before_anything_is_heard(tmp_path: Path):
     assert "vehicle state" not in found
 
 
-def test_a_thrust_curve_is_said_to_go_with_no_compensation():
+def test_a_thrust_curve_comes_with_a_note_on_compensation():
     linear, curved = (check_thrust(SMALL, OnboardConfig().replace({"thrust.curve": curve})) for curve in (0.0, 0.5))
     # 1 kg hovers at half the throttle: with a curve of 0.5 that is 0.5 x 0.5 + 0.5 x 0.25 of the full thrust.
     assert linear.finding == "hovers at 0.5 with 9.8 N: at most 19.6 N, 2.0 times the weight"
     assert "valid only if THR_MDL_FAC is 0: at most 26.2 N" in curved.finding
 
 
-def test_a_report_passes_when_all_that_is_required_does():
+def test_a_report_passes_if_all_required_checks_do():
     good, warning = Check("a", "yes"), Check("b", "no", ok=False, required=False, advice="Do it.")
     assert CheckReport((good, warning)).passed
     assert "warn  b  no" in CheckReport((good, warning)).format_table()

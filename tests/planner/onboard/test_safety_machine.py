@@ -55,7 +55,7 @@ WELL = Inputs(
     goal_distance=20.0,
 )
 
-# What breaks, and how it looks to the machine. Ages: just beyond their limit, or NaN, or far beyond.
+# Faults, and the inputs that they change. Ages are just beyond their limit, NaN, or far beyond the limit.
 BREAKS: dict[str, dict[str, object]] = {
     "link": {"heartbeat_age": LIMITS.heartbeat_age + 0.1},
     "link gone": {"heartbeat_age": math.inf},
@@ -77,7 +77,7 @@ BREAKS: dict[str, dict[str, object]] = {
 
 
 def every_input() -> Iterator[Inputs]:
-    """All inputs with at most two things broken, in every mode, at rest and not, in time and not."""
+    """Yield all inputs with at most two faults, in every mode, at rest or moving, before and after time limits."""
     broken = [(), *itertools.combinations(BREAKS, 1), *itertools.combinations(BREAKS, 2)]
     for names in broken:
         base = WELL
@@ -101,31 +101,31 @@ ALL_INPUTS = tuple(every_input())
 
 
 def is_well(inputs: Inputs) -> bool:
-    """Whether nothing stands against flying a plan, said once more and otherwise than the machine says it."""
+    """Return True if there is no fault, by a definition independent of the machine's."""
     ages = (
         (inputs.heartbeat_age, LIMITS.heartbeat_age), (inputs.state_age, LIMITS.state_age),
         (inputs.cloud_age, LIMITS.cloud_age), (inputs.plan_age, LIMITS.plan_age), (inputs.loop_age, LIMITS.deadline),
     )  # fmt: skip
-    fresh = all(age <= limit for age, limit in ages)  # which NaN is not
+    fresh = all(age <= limit for age, limit in ages)  # false for NaN
     right = inputs.state_finite and inputs.plan_finite and inputs.inside_fence and inputs.plan_status is PlanStatus.OK
     return fresh and right and not inputs.stopping
 
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
-    """The invariants that hold at every single step, whatever came before."""
+    """Check the invariants of every single step, whatever came before."""
     reaction = reaction_to(target, find_faults(inputs, LIMITS))
     ours, well = inputs.armed and inputs.offboard, is_well(inputs)
     if not ours:
-        # Outside OFFBOARD nothing is sent, save the neutral stream that PX4 wants before it, and only if all is well.
+        # Outside OFFBOARD nothing is sent except the stream that PX4 requires, and only without faults.
         assert reaction is Reaction.SILENT or (target is State.READY and reaction is Reaction.BRAKE and well)
     if reaction is Reaction.STREAM_PLAN:
         assert ours and well
     unsafe = inputs.plan_status is not PlanStatus.OK
     right = dataclasses.replace(inputs, plan_status=PlanStatus.OK, cloud_age=0.0, stopping=False)
-    only_unsafe = unsafe and is_well(right)  # a stale cloud is what a plan may be unsafe for
+    only_unsafe = unsafe and is_well(right)  # a plan may be unsafe because of a stale cloud
     assert (reaction is Reaction.BRAKE_AS_PLANNED) == (target is State.BRAKING and only_unsafe)
     if target is State.READY:
-        assert well and not ours  # who finds himself in OFFBOARD unawares begins nothing
+        assert well and not ours  # a node that finds itself in OFFBOARD does not start
     if reaction is Reaction.HOLD and target is State.HOLDING:
         assert not any(cause_applies(fault, inputs, LIMITS) for fault in BLINDING)
     if state is State.HANDED_BACK:
@@ -153,7 +153,7 @@ def test_every_row_can_be_taken_and_every_cause_is_used():
 
 
 def test_no_state_is_a_dead_end():
-    """With a pilot who lands, disarms and tries again, and nothing broken, every state leads to FLYING."""
+    """Without faults, a pilot who lands, disarms and tries again reaches FLYING from every state."""
     patient = dataclasses.replace(WELL, armed=False, offboard=False), dataclasses.replace(WELL, offboard=False), WELL
     for start in State:
         state = start
@@ -163,8 +163,8 @@ def test_no_state_is_a_dead_end():
         assert state is State.FLYING, start
 
 
-def test_whatever_stays_broken_ends_in_silence_or_rest():
-    """From every state and for every input that persists: no endless chain of transitions, and no flight."""
+def test_persistent_faults_end_in_silence_or_at_rest():
+    """No persistent input causes an endless chain of transitions, or a flight with faults."""
     for state, inputs in itertools.product(State, ALL_INPUTS):
         chain = [state]
         while (target := next_state(chain[-1], inputs, LIMITS)[0]) is not chain[-1]:
@@ -179,7 +179,7 @@ def test_whatever_stays_broken_ends_in_silence_or_rest():
 
 
 SOURCES: tuple[str, ...] = ("link", "state", "cloud", "plan", "fence", "status", "nan state", "nan plan", "overrun")
-"""Things that can be broken for a while."""
+"""Faults that last for a while."""
 CAUSES = {
     "link": Cause.LINK_LOST, "state": Cause.STATE_STALE, "cloud": Cause.CLOUD_STALE, "plan": Cause.PLAN_STALE,
     "fence": Cause.OUTSIDE_FENCE, "status": Cause.PLAN_UNSAFE, "nan state": Cause.STATE_NOT_FINITE,
@@ -205,7 +205,7 @@ class World:
         self.now = 0.0
         self.safety = SafetyMachine(LIMITS)
         self.fresh: dict[str, float] = dict.fromkeys(SOURCES, 0.0)
-        """When each thing was last in order."""
+        """When each fault was last absent."""
 
     def step(self, broken: frozenset[str], mode: str, speed: float) -> Reaction:
         self.now += PERIOD
@@ -238,7 +238,7 @@ class World:
 
 @settings(max_examples=150, deadline=None)
 @given(segments)
-def test_reactions_come_in_time_whatever_breaks_when(plan: list[tuple[float, frozenset[str], str, float]]):
+def test_reactions_to_random_faults_come_in_time(plan: list[tuple[float, frozenset[str], str, float]]):
     world = World()
     for _ in range(5):
         world.step(frozenset(), "disarmed", 0.0)
@@ -295,14 +295,14 @@ def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.3), 60.0, now)
     assert safety.state is State.ARRIVED and safety.reaction is Reaction.HOLD
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.8), 0.1, now)
-    assert safety.state is State.ARRIVED  # a little drift is no new goal
+    assert safety.state is State.ARRIVED  # a small drift is not a new goal
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.8, goal_number=1), 0.1, now)
-    assert safety.state is State.FLYING  # but this is one
+    assert safety.state is State.FLYING  # this is a new goal
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.4, goal_number=1), 0.1, now)
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.8, goal_number=1), 0.1, now)
     assert safety.state is State.ARRIVED
     now = run(safety, dataclasses.replace(WELL, goal_distance=0.4, goal_number=2), 0.1, now)
-    assert safety.state is State.ARRIVED  # there already
+    assert safety.state is State.ARRIVED  # the drone is already at this goal
     now = run(safety, WELL, 0.1, now)
     assert safety.state is State.FLYING
     run(safety, dataclasses.replace(WELL, offboard=False), 0.02, now)
@@ -327,7 +327,7 @@ def test_a_drone_that_is_armed_when_the_node_starts_is_left_alone():
     assert joining.state is State.FLYING
 
 
-def test_before_the_first_heartbeat_nobody_was_seen_disarmed():
+def test_before_the_first_heartbeat_the_vehicle_does_not_count_as_disarmed():
     safety = SafetyMachine(LIMITS)
     unknown = dataclasses.replace(WELL, armed=False, offboard=False, heartbeat_age=math.inf)
     now = run(safety, unknown, 1.0, 0.0)
@@ -335,7 +335,7 @@ def test_before_the_first_heartbeat_nobody_was_seen_disarmed():
     assert safety.state is State.HANDED_BACK
 
 
-def test_a_lost_way_is_waited_for_and_then_handed_back_until_disarmed():
+def test_without_a_safe_plan_it_waits_and_then_hands_back_until_disarmed():
     safety, now = flying()
     stuck = dataclasses.replace(WELL, plan_status=PlanStatus.NO_SAFE_CANDIDATE)
     now = run(safety, stuck, 1.0, now)
@@ -344,17 +344,17 @@ def test_a_lost_way_is_waited_for_and_then_handed_back_until_disarmed():
     now = run(safety, stuck, 1.0, now)
     assert safety.state is State.HOLDING
     now = run(safety, WELL, 0.02, now)
-    assert safety.state is State.FLYING  # a way is found
+    assert safety.state is State.FLYING  # a safe plan is found
     now = run(safety, stuck, LIMITS.brake_time + LIMITS.hold_time - 0.1, now)
     assert safety.state is State.HOLDING
     now = run(safety, stuck, 0.3, now)
     assert safety.state is State.HANDED_BACK
     now = run(safety, dataclasses.replace(WELL, offboard=False), 5.0, now)
     now = run(safety, WELL, 5.0, now)
-    assert safety.state is State.HANDED_BACK  # PX4 may return to OFFBOARD by itself: that starts nothing
+    assert safety.state is State.HANDED_BACK  # PX4 may return to OFFBOARD by itself, which must not start a flight
 
 
-def test_telling_the_node_to_end_brakes_first():
+def test_stopping_the_node_brakes_first():
     safety, now = flying()
     now = run(safety, dataclasses.replace(WELL, stopping=True), 1.0, now)
     assert safety.state is State.BRAKING
@@ -362,7 +362,7 @@ def test_telling_the_node_to_end_brakes_first():
     assert safety.state is State.HANDED_BACK
     safety, now = flying()
     run(safety, dataclasses.replace(WELL, stopping=True), LIMITS.brake_time + 0.1, now)
-    assert safety.state is State.HANDED_BACK  # though it never came to rest
+    assert safety.state is State.HANDED_BACK  # although it never came to rest
 
 
 def test_the_fence_is_a_cylinder_and_a_box():

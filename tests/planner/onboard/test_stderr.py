@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 PATIENCE = 30.0
-"""With a busy machine [s]."""
+"""Timeout for a busy machine [s]."""
 
 LOGGING = """
 import logging
@@ -22,7 +22,7 @@ print("done")
 
 
 def fill(pipe: int) -> None:
-    """Write to a pipe until it takes no byte more."""
+    """Write to a pipe until it is full."""
     os.set_blocking(pipe, False)
     for size in (4096, 1):
         try:
@@ -35,7 +35,7 @@ def fill(pipe: int) -> None:
 
 @pytest.fixture
 def stalled() -> Iterator[int]:
-    """The writing end of a full pipe that nobody reads."""
+    """Return the writing end of a full pipe that nobody reads."""
     reading, writing = os.pipe()
     fill(writing)
     yield writing
@@ -43,20 +43,20 @@ def stalled() -> Iterator[int]:
     os.close(writing)
 
 
-def test_what_nobody_reads_delays_nobody(stalled: int):
+def test_a_full_pipe_delays_no_thread(stalled: int):
     command = [sys.executable, "-c", LOGGING]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=stalled, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stdout) == (0, "done\n")
 
 
-def test_what_was_logged_last_is_written_before_the_end():
+def test_the_last_lines_are_written_before_the_process_ends():
     done = subprocess.run([sys.executable, "-c", LOGGING], capture_output=True, text=True, timeout=PATIENCE)
     lines = done.stderr.splitlines()
-    # Where the writer was too slow, the oldest are missing.
+    # If the writer was too slow, the oldest lines are missing.
     assert "INFO    line 2999 of many" in lines[-1] and len(lines) >= 1000
 
 
-def test_a_standard_error_that_is_closed_is_nothing_to_end_for():
+def test_a_closed_standard_error_does_not_end_the_process():
     done = subprocess.run(
         [sys.executable, "-c", f"import os; os.close(2){LOGGING}"], stdout=subprocess.PIPE, text=True, timeout=PATIENCE
     )

@@ -1,4 +1,4 @@
-"""Deskewing against a float64 reference, ages, what waits and what is dropped, and bounded memory."""
+"""Deskewing against a float64 reference, ages, waiting and dropped points, and bounded memory."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 def pose(time):
-    """A flight with turns about all axes."""
+    """Return the pose of a flight with turns about all axes."""
     position = np.array([5.0 * time, math.sin(3.0 * time), 2.0 + 0.3 * math.cos(2.0 * time)])
     turn = quaternion_from_angles(25.0 * math.sin(4.0 * time), 20.0 * math.cos(3.0 * time), 90.0 * time)
     return position, turn
 
 
 def slerp(a, b, share):
-    """exp(share log(b a^-1)) a, along the shorter arc."""
+    """Return exp(share log(b a^-1)) a, along the shorter arc."""
     turn = multiply(b, conjugate(a))
     turn = turn if turn[0] >= 0.0 else -turn
     sine = np.linalg.norm(turn[1:])
@@ -32,7 +32,7 @@ def slerp(a, b, share):
 
 
 def placed(point, time, poses):
-    """The point in the world by the poses around its time."""
+    """Return the point in the world frame from the two poses around its time."""
     times = [entry[0] for entry in poses]
     i = min(max(int(np.searchsorted(times, time)) - 1, 0), len(poses) - 2)
     (t0, p0, q0), (t1, p1, q1) = poses[i], poses[i + 1]
@@ -61,7 +61,7 @@ def test_points_are_placed_by_the_pose_at_their_time(mounted):
 
 
 def test_a_still_wall_stays_still_from_a_turning_drone():
-    # What deskewing is for: 3 rad/s and 5 m/s, seen at once, would smear this wall by half a metre.
+    # Without deskewing, 3 rad/s and 5 m/s would smear this wall by half a metre.
     buffer = SweepBuffer()
     random = np.random.default_rng(1)
     times = np.sort(random.uniform(0.0, 0.5, size=5000))
@@ -89,15 +89,15 @@ def test_new_points_wait_for_the_next_pose():
     assert buffer.dropped == 0
 
 
-def test_a_cleared_buffer_knows_nothing_of_before():
+def test_a_cleared_buffer_discards_poses_and_points():
     buffer = SweepBuffer()
     for t in (10.0, 10.02):
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]] * 3, [10.0, 10.01, 10.03])
     buffer.clear()
     points, age = buffer.cloud(10.04)
-    assert len(points) == 0 and age == math.inf and buffer.dropped == 1  # the one that waited
-    # Points from between the last pose before and the first one after have no place.
+    assert len(points) == 0 and age == math.inf and buffer.dropped == 1  # the point that waited
+    # Points between the last pose before and the first pose after the reset can't be placed.
     buffer.add_points([[1.0, 0.0, 0.0]] * 2, [10.03, 10.05])
     buffer.add_pose(10.04, (5, 0, 0), LEVEL)
     buffer.add_pose(10.06, (5, 0, 0), LEVEL)
@@ -123,7 +123,7 @@ def test_points_between_distant_poses_are_dropped_and_counted():
     assert buffer.dropped == 1
 
 
-def test_one_pose_places_what_was_measured_then():
+def test_one_pose_places_points_measured_at_its_time():
     buffer = SweepBuffer()
     buffer.add_pose(5.0, (1, 2, 3), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]] * 2, [4.0, 5.0])
@@ -150,7 +150,7 @@ def test_ages():
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]], [6.01])
     assert buffer.cloud()[1] == pytest.approx(0.99)
-    buffer.add_points([[1.0, 0.0, 0.0]], [6.005])  # comes late: the newest is what it was
+    buffer.add_points([[1.0, 0.0, 0.0]], [6.005])  # late: the newest point stays the newest
     assert buffer.cloud()[1] == pytest.approx(0.99)
 
 
@@ -195,7 +195,7 @@ def test_hours_of_poses_fit():
     assert buffer.dropped == 1
 
 
-def test_threads_may_share_it():
+def test_it_is_thread_safe():
     buffer = SweepBuffer(capacity=50_000)
     failures = []
 

@@ -33,7 +33,7 @@ class Clock:
 
 
 class Viewer:
-    """A connection that reads message by message."""
+    """A connection that reads one message at a time."""
 
     def __init__(self, port: int, *, buffer: int | None = None) -> None:
         self.socket = socket.socket()
@@ -107,7 +107,7 @@ def test_a_viewer_gets_the_configuration_and_then_plans(serve, clock: Clock, rec
     np.testing.assert_allclose(seen, record.points, atol=0.51 * POINT_STEP + 1e-5)
 
 
-def test_points_are_thinned_and_far_ones_bounded(records: list[PlanRecord]):
+def test_points_are_thinned_and_their_coordinates_bounded(records: list[PlanRecord]):
     record = records[-1]
     for most in (0, 1, 10, 777, 10**6):
         (message,) = MessageReader().feed(encode_plan(record, points_max=most))
@@ -134,17 +134,17 @@ def test_the_rate_is_limited_and_without_viewers_nothing_is_sent(serve, clock: C
     assert 20 <= len(numbers) <= 22 and telemetry.sent == len(numbers)
 
 
-def test_a_viewer_that_does_not_read_delays_no_other(serve, clock: Clock, records: list[PlanRecord]):
+def test_a_stalled_viewer_delays_no_other_viewer(serve, clock: Clock, records: list[PlanRecord]):
     telemetry = serve()
     stuck, quick = Viewer(telemetry.port, buffer=4096), Viewer(telemetry.port)
     assert stuck.read() is not None and quick.read() is not None
-    for _ in range(100):  # more than the buffers of the system hold
+    for _ in range(100):  # more than the system's buffers hold
         send(telemetry, records[-1], clock)
         assert quick.read_plan().values["number"] == records[-1].number
         if telemetry.skipped > 3:
             break
     assert telemetry.skipped > 3
-    clock.now += 60.0  # given up after a while
+    clock.now += 60.0  # after the timeout for a stalled viewer
     while telemetry.viewers > 1:
         send(telemetry, records[-1], clock)
         quick.read_plan()
@@ -152,7 +152,7 @@ def test_a_viewer_that_does_not_read_delays_no_other(serve, clock: Clock, record
         pass
 
 
-def test_what_viewers_send_is_thrown_away(serve, clock: Clock, records: list[PlanRecord]):
+def test_data_from_viewers_is_discarded(serve, clock: Clock, records: list[PlanRecord]):
     telemetry = serve()
     viewer = Viewer(telemetry.port)
     assert viewer.read() is not None
@@ -169,8 +169,8 @@ def test_viewers_come_and_go(serve, clock: Clock, records: list[PlanRecord]):
         first, second = Viewer(telemetry.port), Viewer(telemetry.port)
         assert first.read() is not None and second.read() is not None
         third = Viewer(telemetry.port)
-        assert third.read() is None  # no room
-        # One leaves in the middle of a message, as when the network goes.
+        assert third.read() is None  # too many viewers
+        # One disconnects in the middle of a message, as when the network fails.
         first.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         first.socket.close()
         while telemetry.viewers > 1:
@@ -181,7 +181,7 @@ def test_viewers_come_and_go(serve, clock: Clock, records: list[PlanRecord]):
             telemetry.change(CHANGE)
 
 
-def test_transitions_are_told(serve):
+def test_transitions_are_sent(serve):
     telemetry = serve()
     telemetry.change(CHANGE)
     viewer = Viewer(telemetry.port)
@@ -201,11 +201,11 @@ def test_closing_ends_connections_and_the_thread(serve):
     telemetry.close()
     assert viewer.read() is None
     telemetry.close()
-    telemetry.change(CHANGE)  # nobody minds
+    telemetry.change(CHANGE)  # has no effect
     assert not any(thread.name == "aero-planner-telemetry" for thread in threading.enumerate())
 
 
-def test_a_taken_port_is_told(serve):
+def test_a_port_in_use_is_an_error(serve):
     telemetry = serve()
     with pytest.raises(OSError):
         serve(port=telemetry.port)
@@ -220,7 +220,7 @@ ARRAYS = {
 MESSAGE = encode(Kind.PLAN, {"x": 1.5, "y": ["a", None]}, ARRAYS)
 
 
-def test_messages_read_back_in_any_pieces():
+def test_messages_are_decoded_from_any_pieces():
     for size in (1, 7, 4096):
         reader, found = MessageReader(), []
         data = MESSAGE * 3
@@ -251,7 +251,7 @@ def header(**changes: int | bytes) -> bytes:
         (MESSAGE[:-1] + b"?", "checksum is wrong"),
     ],
 )
-def test_what_is_no_message_is_refused(data: bytes, problem: str):
+def test_data_that_is_not_a_message_is_refused(data: bytes, problem: str):
     with pytest.raises(ValueError, match=problem):
         MessageReader().feed(data)
 
@@ -271,7 +271,7 @@ def packed(content: bytes, size: int | None = None) -> bytes:
         packed(struct.pack("<I", 41) + b'{"values":{},"arrays":[["a","<f4",[-1]]]}'),
         packed(struct.pack("<I", 47) + b'{"values":{},"arrays":[["a","<f4",[1000000000]]]}'),
         packed(bytes(100), size=200),
-        packed(bytes(10_000_000), size=100),  # would grow
+        packed(bytes(10_000_000), size=100),  # expands beyond its announced size
         header(length=4, size=100, checksum=zlib.crc32(b"nope")) + b"nope",
     ],
 )
@@ -282,7 +282,7 @@ def test_damaged_content_is_refused(data: bytes):
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200), st.integers(0, len(MESSAGE)), st.booleans())
-def test_no_bytes_do_anything_but_raise_value_error(noise: bytes, at: int, valid_checksum: bool):
+def test_arbitrary_bytes_raise_only_value_error(noise: bytes, at: int, valid_checksum: bool):
     data = bytearray(MESSAGE)
     data[at : at + len(noise)] = noise[: len(data) - at]
     if valid_checksum and at > 20:

@@ -10,14 +10,14 @@ from aero_planner.onboard.thrust import calibrate_hover_thrust, force_from_signa
 WEIGHT = 1.6 * 9.81
 
 
-def test_hover_thrust_carries_the_weight():
+def test_the_hover_thrust_carries_the_weight():
     for curve in (0.0, 0.3, 1.0):
         options = dict(mass=1.6, hover_thrust=0.42, curve=curve)
         assert force_from_signal(0.42, **options) == pytest.approx(WEIGHT)
         assert signal_from_force(WEIGHT, **options) == pytest.approx(0.42)
 
 
-def test_linear_and_square_by_hand():
+def test_linear_and_quadratic_curves_by_hand():
     # Linear: half the hover thrust carries half. Square: it carries a quarter.
     assert force_from_signal(0.2, mass=1.6, hover_thrust=0.4, curve=0.0) == pytest.approx(0.5 * WEIGHT)
     assert force_from_signal(0.2, mass=1.6, hover_thrust=0.4, curve=1.0) == pytest.approx(0.25 * WEIGHT)

@@ -16,7 +16,7 @@ from aero_planner.onboard.transport import open_transport
         ("udpin:h:99999", "no address and port"),
     ],
 )
-def test_urls_that_are_none(url: str, error: str):
+def test_invalid_urls(url: str, error: str):
     with pytest.raises(ValueError, match=error):
         open_transport(url)
 
@@ -31,7 +31,7 @@ def test_invalid_devices(tmp_path: Path):
         open_transport("/dev/null", baud=12345)
 
 
-def test_a_taken_port_is_an_error():
+def test_a_port_in_use_is_an_error():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(OSError, match="in use"):
