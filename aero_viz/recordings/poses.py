@@ -37,7 +37,8 @@ class RecordedPoses:
     """The recorded poses of the body, at least one, in any order.
 
     Between two poses position and velocity are linear in time and the attitude is slerped. Before the first and after
-    the last pose, for `POSE_TOLERANCE`, the body moves at constant velocity without turning.
+    the last pose, for `POSE_TOLERANCE`, the body moves at constant velocity without turning. The interpolation is that
+    of `PoseTrack`; this class adds velocities, the rules for gaps and ends, and an offset that keeps numbers small.
 
     Args:
         times: [n] [s]. Of poses at the same time the last one is used.
