@@ -1,1 +1,1 @@
-"""AERO-Viz: interactive web visualizer and tuning dashboard for the AERO-MPPI planner."""
+"""AERO-Viz: a web dashboard and test bench for the AERO-MPPI planner."""

@@ -1,4 +1,4 @@
-"""`python -m aero_viz` is `aero-viz`."""
+"""Run `aero-viz` as `python -m aero_viz`."""
 
 from __future__ import annotations
 

@@ -61,8 +61,9 @@ def _check_device(device: str) -> Check:
     try:
         planner = Planner(PlannerConfig(), device=device)
         state = VehicleState((0.0, 0.0, 2.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        for _ in range(2):  # the first plan includes the time to load the kernels
-            plan = planner.plan(state, Goal((10.0, 0.0, 2.0)), np.full((1000, 3), 5.0))
+        goal, points = Goal((10.0, 0.0, 2.0)), np.full((1000, 3), 5.0)
+        planner.plan(state, goal, points)  # loads the kernels
+        plan = planner.plan(state, goal, points)
         planner.close()
     except Exception as error:  # whatever a driver or compiler raises
         advice = "Delete Warp's kernel cache (python -c 'import warp; warp.clear_kernel_cache()') or update the driver."

@@ -1,4 +1,4 @@
-"""The one error that is meant for the user's eyes."""
+"""The error that is reported to the user."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ __all__ = ["UserError"]
 
 
 class UserError(Exception):
-    """A user's mistake or unreadable input, as one sentence: what was wrong, where, and what to do next.
+    """A user's mistake or unreadable input. The message is one sentence: what is wrong, where, and what to do next.
 
-    The command line prints it on one line and exits with code 2; the dashboard shows it as a notification.
+    The command line prints it in one line and exits with code 2. The dashboard shows it as a notification.
     """

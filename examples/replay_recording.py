@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from aero_planner import PlanStatus
-from aero_viz.flight import FlightRules
-from aero_viz.logs import fly_and_log
+from aero_viz.flight import FlightRules, fly
+from aero_viz.logs import flight_recorder
 from aero_viz.recordings import RecordingSource, inspect, open_recording
 from aero_viz.scenes import scene
 from aero_viz.session import Session
@@ -19,7 +19,7 @@ from aero_viz.session import Session
 
 def record_flight() -> Path:
     path = Path("flight.mcap")
-    fly_and_log(scene("forest", seed=1), path, rules=FlightRules(time_limit=2.0))
+    fly(scene("forest", seed=1), rules=FlightRules(time_limit=2.0), recorder=flight_recorder(path))
     return path
 
 
