@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from aero_viz.session import Session
     from aero_viz.session.source import Opener, Source
 
-__all__ = ["PageFlags", "connect", "demo", "flight_opener", "play", "serve", "shutdown_event"]
+__all__ = ["PageFlags", "connect", "demo", "flight_opener", "play", "serve", "shutdown_event", "wait_for"]
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def connect(
         stack.callback(dashboard.close)
         _announce(drone, dashboard, page_flags)
         session.start(play=not page_flags.paused)
-        shutdown.wait()
+        wait_for(shutdown)
 
 
 def flight_opener(
@@ -221,7 +221,7 @@ def serve(
         session.start(play=False)
         if not page_flags.paused:
             _play_when_first_client_connects(session, dashboard)
-        shutdown.wait()
+        wait_for(shutdown)
 
 
 def shutdown_event() -> threading.Event:
@@ -240,6 +240,16 @@ def shutdown_event() -> threading.Event:
     for number in signals:
         signal.signal(number, set_event)
     return event
+
+
+def wait_for(event: threading.Event) -> None:
+    """Wait until the event is set.
+
+    Python handles a signal when the main thread runs again, which may be never if the signal arrives just before a wait
+    without a timeout.
+    """
+    while not event.wait(0.5):
+        pass
 
 
 def _announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
