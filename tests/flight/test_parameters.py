@@ -10,14 +10,14 @@ from aero_viz.sensors import LidarModel
 KINDS = [(VehicleModel, {}, "drone"), (StateNoise, {}, "noise"), (FlightRules, {}, "rules"),
          (LidarModel, {"name": "odd"}, "lidar")]  # fmt: skip
 KEEP = {"drag": {"gust_speed": 0.0}, "gust_speed": {"drag": 0.1}, "rings": {"pattern": "rings"}}
-"""What has to be set with a parameter for the two not to contradict each other."""
+"""Other parameters that must be set with a parameter, so that the two do not contradict each other."""
 
 
 def fields() -> list[tuple[type, dict, str, str]]:
     return [(kind, base, section, info.name) for kind, base, section in KINDS for info in kind.parameters()]
 
 
-def test_every_number_of_the_simulation_is_a_parameter() -> None:
+def test_every_field_of_the_simulator_is_a_parameter() -> None:
     for kind, _, _ in KINDS:
         known = {info.name for info in kind.parameters()}
         assert known == {f.name for f in dataclasses.fields(kind)} - {"name", "mount_position", "mount_angles"}
@@ -29,13 +29,13 @@ def test_every_number_of_the_simulation_is_a_parameter() -> None:
 @pytest.mark.parametrize(("kind", "base", "section", "name"), fields())
 def test_bounds_are_checked_and_named(kind: type, base: dict, section: str, name: str) -> None:
     info = next(info for info in kind.parameters() if info.name == name)
-    wanted = f"one of {', '.join(info.choices)}" if info.choices else r"a .*number in \["
+    expected = f"one of {', '.join(info.choices)}" if info.choices else r"a .*number in \["
     for value in (info.low - 1.0, info.high * 1.5 + 1.0, float("nan"), "3", None):
-        with pytest.raises(ValueError, match=rf"^{section}\.{name} is .*; it must be {wanted}"):
+        with pytest.raises(ValueError, match=rf"^{section}\.{name} is .*; it must be {expected}"):
             kind(**base, **KEEP.get(name, {}), **{name: value})
 
 
-def test_whole_numbers_become_numbers_of_the_parameters_type() -> None:
+def test_numbers_are_converted_to_the_type_of_the_parameter() -> None:
     rules = FlightRules(time_limit=3, ticks_per_plan=5.0)  # type: ignore[arg-type]
     assert (type(rules.time_limit), type(rules.ticks_per_plan)) == (float, int)
     with pytest.raises(ValueError, match=r"rules\.ticks_per_plan is 2\.5; it must be a whole number"):

@@ -23,12 +23,12 @@ Outcome = tuple[int, str, str]
 
 @pytest.fixture
 def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
-    """Run the command line here; returns exit code, output and errors."""
+    """Function that runs the command line in this process and returns exit code, stdout and stderr."""
 
     def run(*arguments: str) -> Outcome:
         try:
             code = main(arguments)
-        except SystemExit as end:  # argparse's own
+        except SystemExit as end:  # from argparse
             code = int(end.code or 0)
         output = capsys.readouterr()
         return code, output.out, output.err
@@ -44,7 +44,7 @@ def free_port() -> int:
 
 @pytest.fixture
 def flight_file(tmp_path: Path) -> Path:
-    """A configuration whose ports nobody uses, and a planner that is quick."""
+    """Configuration with free ports and a fast planner."""
     path = tmp_path / "flight.yaml"
     path.write_text(
         "sampling:\n  samples: 4\nonboard:\n  lidar:\n    host: 127.0.0.1\n"
@@ -77,13 +77,13 @@ def test_help_lists_the_verbs(call: Callable[..., Outcome]):
     assert code == 2 and "usage" in out
 
 
-def test_the_module_is_the_command(flight_file: Path):
+def test_the_module_runs_the_command_line(flight_file: Path):
     command = [sys.executable, "-m", "aero_planner", "config", "validate", str(flight_file)]
     result = subprocess.run(command, capture_output=True, text=True)
     assert (result.returncode, result.stdout) == (0, f"{flight_file} is valid\n")
 
 
-def test_what_is_shown_reads_back(call: Callable[..., Outcome], tmp_path: Path, flight_file: Path):
+def test_the_output_of_config_show_is_a_valid_file(call: Callable[..., Outcome], tmp_path: Path, flight_file: Path):
     for arguments in (("--config", "paper"), ("--config", str(flight_file)), ()):
         code, out, _ = call("config", "show", *arguments)
         assert code == 0
@@ -96,7 +96,7 @@ def test_what_is_shown_reads_back(call: Callable[..., Outcome], tmp_path: Path, 
             assert planner.sampling.samples == 4 and onboard.telemetry.port == 0
 
 
-def test_settings_from_a_file_of_their_own(call: Callable[..., Outcome], tmp_path: Path, flight_file: Path):
+def test_settings_may_come_from_a_separate_file(call: Callable[..., Outcome], tmp_path: Path, flight_file: Path):
     own = tmp_path / "node.yaml"
     own.write_text("rates:\n  replan: 33\n")
     _, out, _ = call("config", "show", "--config", str(flight_file), "--onboard", str(own))
@@ -149,7 +149,7 @@ def test_preflight_prints_a_table_or_json(call: Callable[..., Outcome], flight_f
 
 
 @pytest.mark.parametrize("verb", [["run"], ["preflight", "--listen", "0.1"]], ids=["run", "preflight"])
-def test_a_device_without_memory_is_told(
+def test_a_device_without_memory_is_reported(
     call: Callable[..., Outcome], flight_file: Path, monkeypatch: pytest.MonkeyPatch, verb: list[str]
 ):
     def fail(*_: object) -> None:
@@ -163,7 +163,7 @@ def test_a_device_without_memory_is_told(
 
 @pytest.fixture
 def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An installed package that adds verbs."""
+    """Installed package that adds verbs."""
     (tmp_path / "other_verbs.py").write_text(
         "def swim(arguments):\n    print('swims', *arguments)\n    return 7\n\n\ndef rest(arguments):\n    pass\n"
     )
@@ -202,12 +202,12 @@ def test_a_node_starts_waits_and_ends(flight_file: Path, tmp_path: Path):
     logs = [name for name in os.listdir(tmp_path) if name.startswith("flight_") and name.endswith(".mcap")]
     assert len(logs) == 1 and (tmp_path / logs[0]).stat().st_size > 1000
     with (tmp_path / logs[0]).open("rb") as file:
-        flown = {one.name: one.data.decode() for one in make_reader(file).iter_attachments()}["config_0.yaml"]
+        flown = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}["config_0.yaml"]
     (tmp_path / "flown.yaml").write_text(flown)
     assert load_flight_config(tmp_path / "flown.yaml")[0] == load_flight_config(flight_file)[0]
 
 
-def test_a_terminal_that_stalls_and_is_lost_does_not_keep_it_from_ending(flight_file: Path):
+def test_a_stalled_and_lost_terminal_does_not_prevent_the_end(flight_file: Path):
     reading, writing = os.pipe()
     command = [sys.executable, "-m", "aero_planner", "run", "--config", str(flight_file), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=writing, text=True) as process:
@@ -247,7 +247,7 @@ sys.exit(cli.main(["run", "--config", sys.argv[1], "--threads", "2", "--json"]))
 """
 
 
-def test_a_plan_that_hangs_does_not_keep_it_from_ending(flight_file: Path):
+def test_a_hanging_plan_does_not_prevent_the_end(flight_file: Path):
     command = [sys.executable, "-c", HANGING, str(flight_file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None and any("a plan hangs" in line for line in process.stderr)

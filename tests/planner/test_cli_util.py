@@ -1,4 +1,4 @@
-"""How `aero-planner` ends."""
+"""Ctrl-C during the start of `aero-planner`."""
 
 from __future__ import annotations
 
@@ -22,6 +22,6 @@ START = {
         ("preflight", "warp"),
     ],
 )
-def test_ctrl_c_while_it_is_still_being_imported_ends_without_a_word(start: str, call: str, module: str):
+def test_ctrl_c_during_imports_ends_quietly(start: str, call: str, module: str):
     done = interrupted_at_import(module, start, "aero-planner", *call.split())
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

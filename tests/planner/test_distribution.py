@@ -16,7 +16,7 @@ PINS = os.environ.get("AERO_PLANNER_PINS")
 SOURCE = Path(__file__).parents[2] / "planner"
 
 
-def test_the_planner_is_the_one_meant():
+def test_the_expected_planner_is_tested():
     home = Path(aero_planner.__file__).parent
     assert home.is_relative_to(sys.prefix if PINS else SOURCE)
 

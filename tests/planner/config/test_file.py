@@ -21,15 +21,15 @@ def values_of(info: ParameterInfo) -> st.SearchStrategy:
         return st.booleans()
     if isinstance(info.default, int):
         return st.integers(int(info.low), int(info.high))
-    # Subnormal and tiny values too, where a bound is zero: they are written with an exponent.
+    # Includes subnormal and tiny values if a bound is zero; they are written with an exponent.
     return st.floats(info.low, info.high)
 
 
 @st.composite
 def configs(draw: st.DrawFn) -> PlannerConfig:
-    some = draw(st.lists(st.sampled_from(parameters()), unique=True, max_size=12))
+    chosen = draw(st.lists(st.sampled_from(parameters()), unique=True, max_size=12))
     try:
-        return PlannerConfig().replace({info.path: draw(values_of(info)) for info in some})
+        return PlannerConfig().replace({info.path: draw(values_of(info)) for info in chosen})
     except ValueError:  # a minimum above its maximum
         return PlannerConfig()
 
@@ -41,7 +41,7 @@ def write(path: Path, text: str) -> Path:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(configs())
-def test_saved_files_read_back_exactly_here_and_in_yaml(tmp_path: Path, config: PlannerConfig):
+def test_saved_files_round_trip_and_read_the_same_with_any_yaml_reader(tmp_path: Path, config: PlannerConfig):
     path = tmp_path / "config.yaml"
     save_config(config, path)
     assert load_config(path) == config
@@ -50,7 +50,7 @@ def test_saved_files_read_back_exactly_here_and_in_yaml(tmp_path: Path, config: 
 
 
 @pytest.mark.parametrize("value", [1e-5, 1e-300, 5e-324, 0.1 + 0.2, 1e3, 123.456789012345])
-def test_floats_keep_every_bit(tmp_path: Path, value: float):
+def test_floats_round_trip_exactly(tmp_path: Path, value: float):
     path = tmp_path / "config.yaml"
     save_config(PlannerConfig().replace({"costs.q_track": value}), path)
     assert load_config(path).costs.q_track == value
@@ -86,7 +86,7 @@ def test_a_file_builds_on_a_preset(tmp_path: Path):
         ("0.0", 0.0),
     ],
 )
-def test_numbers_as_people_write_them(tmp_path: Path, text: str, value: float):
+def test_numbers_may_be_written_in_any_common_form(tmp_path: Path, text: str, value: float):
     assert load_config(write(tmp_path / "a.yaml", f"costs:\n  q_track: {text}\n")).costs.q_track == value
 
 
@@ -181,7 +181,7 @@ def test_a_bomb_of_aliases_is_refused(tmp_path: Path):
         load_config(write(tmp_path / "bomb.yaml", "\n".join(lines)))
 
 
-def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path: Path):
+def test_a_failed_save_leaves_no_temporary_file(tmp_path: Path):
     with pytest.raises(ValueError, match=r"absent/config.yaml can't be written: No such file"):
         save_config(PlannerConfig(), tmp_path / "absent" / "config.yaml")
     (tmp_path / "folder").mkdir()
@@ -190,7 +190,7 @@ def test_a_failed_save_leaves_the_old_file_and_no_other(tmp_path: Path):
     assert os.listdir(tmp_path) == ["folder"]
 
 
-def test_a_link_keeps_pointing_at_the_saved_file(tmp_path: Path):
+def test_saving_through_a_symbolic_link_keeps_the_link(tmp_path: Path):
     target, link = tmp_path / "target.yaml", tmp_path / "link.yaml"
     save_config(PlannerConfig(), target)
     link.symlink_to(target)

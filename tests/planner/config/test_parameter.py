@@ -1,4 +1,4 @@
-"""The base classes of configurations, with one that has renamed and removed parameters."""
+"""Base classes of configurations, tested with a configuration that has renamed and removed parameters."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_files_may_use_old_names(tmp_path: Path, caplog: pytest.LogCaptureFixtur
         file.change(Bird(), file.entries)
 
 
-def test_notices_reach_stderr_without_any_set_up(capfd: pytest.CaptureFixture[str]):
+def test_notices_reach_stderr_without_logging_being_configured(capfd: pytest.CaptureFixture[str]):
     root = logging.getLogger()
     handlers, root.handlers = root.handlers, []
     try:

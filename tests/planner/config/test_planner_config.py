@@ -32,7 +32,7 @@ def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterIn
     assert PlannerConfig().get(info.path) == info.default
 
 
-def test_labels_tell_the_parameters_of_a_section_apart():
+def test_labels_are_unique_within_a_section():
     names = [(info.section, info.label) for info in parameters()]
     assert len(names) == len(set(names))
     assert all(info.label[0].isupper() and not info.label.endswith(".") and info.group for info in parameters())
@@ -65,7 +65,7 @@ def test_parameters_cover_every_section_in_order():
 
 
 @every_number
-def test_errors_name_field_value_and_range(info: ParameterInfo):
+def test_errors_name_parameter_value_and_range(info: ParameterInfo):
     for wrong in (info.high * 2 + 1, info.low - 1, math.nan, math.inf, "5", None, True, [1.0], 1j):
         with pytest.raises(ValueError) as raised:
             replace(info.path, wrong)
@@ -75,7 +75,7 @@ def test_errors_name_field_value_and_range(info: ParameterInfo):
 
 
 @every_number
-def test_numbers_of_any_kind_become_the_field_s_own_type(info: ParameterInfo):
+def test_numbers_are_converted_to_the_type_of_the_parameter(info: ParameterInfo):
     assert not isinstance(info.default, str)
     for number in (float, np.float64, np.array, type(info.default)):
         kept = info.check(number(info.default))
@@ -83,18 +83,18 @@ def test_numbers_of_any_kind_become_the_field_s_own_type(info: ParameterInfo):
 
 
 @pytest.mark.parametrize("value", [5, np.int64(5), np.float32(5), np.array(5)])
-def test_whole_numbers_serve_as_real_ones(value: object):
+def test_whole_numbers_are_accepted_as_floats(value: object):
     kept = replace("costs.q_track", value).costs.q_track
     assert kept == 5.0 and type(kept) is float
 
 
-def test_whole_numbers_are_whole():
+def test_fractions_are_refused_as_whole_numbers():
     with pytest.raises(ValueError, match=r"sampling.samples is 128.5; it must be a whole number in \[1, 4096\]"):
         replace("sampling.samples", 128.5)
 
 
 @pytest.mark.parametrize("wrong", [1, 0, "true", None, 1.0])
-def test_switches_are_true_or_false(wrong: object):
+def test_switches_accept_only_booleans(wrong: object):
     with pytest.raises(ValueError, match=r"anchors.refine is .*; it must be true or false"):
         replace("anchors.refine", wrong)
     assert replace("anchors.refine", np.False_).anchors.refine is False
@@ -114,7 +114,7 @@ def test_choices_are_listed(wrong: object):
         ("partition.range_min", "partition.range_max"),
     ],
 )
-def test_minima_stay_below_maxima(low: str, high: str):
+def test_minima_must_be_below_maxima(low: str, high: str):
     for value in (2.0, 3.0):
         with pytest.raises(ValueError, match=f"{low} is {value}; it must be less than {high}, which is 2.0"):
             PlannerConfig().replace({low: value, high: 2.0})
@@ -137,7 +137,7 @@ def test_misspelt_names_get_a_suggestion(misspelt: str, meant: str):
             call(misspelt)
 
 
-def test_from_dict_names_what_is_wrong():
+def test_from_dict_names_the_error():
     with pytest.raises(ValueError, match=r"unknown section 'cost' .did you mean 'costs'.*known: vehicle, partition"):
         PlannerConfig.from_dict({"cost": {}})
     with pytest.raises(ValueError, match="section 'costs' is None; it must hold names and values"):
@@ -165,7 +165,7 @@ def test_replace_changes_only_what_it_names():
     assert replace("costs.q_track", 7.0).structure() == PlannerConfig().structure()
 
 
-def test_unknown_preset_lists_the_known():
+def test_an_unknown_preset_lists_the_known_ones():
     with pytest.raises(ValueError, match=r"unknown preset 'papr' .did you mean 'paper'.*known: default, paper"):
         PlannerConfig.preset("papr")
 

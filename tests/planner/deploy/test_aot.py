@@ -32,7 +32,7 @@ state = VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0])
 print(Planner(seed=1).plan(state, Goal([30, 0, 2]), [[5.0, 0, 2]]).status.name)
 """
 LOADED = "load on device"
-"""In what Warp says about each module that it loads."""
+"""Part of the message that Warp prints for each module that it loads."""
 
 
 def files(folder: Path) -> set[str]:
@@ -40,11 +40,11 @@ def files(folder: Path) -> set[str]:
 
 
 def module_of(name: str) -> str:
-    """Name of a module by the path of its binary, such as "wp_aero_planner.kernels.mppi" for ".._b07ce23.o"."""
+    """Return the module of a binary, such as "wp_aero_planner.kernels.mppi" for "wp_.._b07ce23.o"."""
     return re.sub(r"_[0-9a-f]{7}.*", "", Path(name).name)
 
 
-def test_a_folder_compiled_ahead_is_all_that_a_planner_needs(tmp_path: Path):
+def test_a_planner_needs_no_compiler_with_a_folder_of_kernels(tmp_path: Path):
     subprocess.run([sys.executable, "-c", AHEAD, str(tmp_path)], check=True, capture_output=True)
     made = (tmp_path / "made").read_text().split()
     (tmp_path / "made").unlink()
@@ -52,7 +52,7 @@ def test_a_folder_compiled_ahead_is_all_that_a_planner_needs(tmp_path: Path):
     for name in made:  # with the widths that the pipeline has on a GPU
         assert any(f"/wp_{name}_" in path and path.endswith(".sm87.cubin") for path in ahead), name
     binaries = [name for name in ahead if name.endswith(".o")]
-    # A GPU's kernels may have one sample or point to a thread, and so another hash.
+    # Kernels for a GPU may process one sample or point per thread, and then have another hash.
     on_cuda = {module_of(name) for name in ahead if name.endswith(".sm87.cubin")}
     assert (
         on_cuda
@@ -73,13 +73,13 @@ def test_warmup_on_every_device(device: str):
     assert warmup(config_of(sampling__steps=12), device) > 0.0
 
 
-def test_warmup_names_an_unknown_device():
+def test_warmup_refuses_an_unknown_device():
     with pytest.raises(ValueError, match="device 'gpu' is not available"):
         warmup(device="gpu")
 
 
 @pytest.mark.parametrize("architecture", [12, "orin"])
-def test_unknown_architectures_are_told_and_the_cache_stays(architecture: object, tmp_path: Path):
+def test_unknown_architectures_are_refused_and_the_cache_folder_is_restored(architecture: object, tmp_path: Path):
     cache = wp.config.kernel_cache_dir
     with pytest.raises(ValueError, match=rf"can't be compiled for architecture {architecture!r}"):
         compile_ahead(tmp_path, architectures=[architecture])  # type: ignore[list-item]

@@ -23,7 +23,7 @@ CUBIN = "kernels/wp_some_1234567/wp_some_1234567.sm87.cubin"
 
 @pytest.fixture(autouse=True)
 def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where copies go; the tests look at what is left of them."""
+    """Folder for the private copies, which the tests check for leftovers."""
     place = tmp_path / "temporary"
     place.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(place))
@@ -32,7 +32,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A bundle whose kernels are no kernels."""
+    """A bundle with dummy kernels."""
     place = tmp_path / "bundle"
     (place / CUBIN).parent.mkdir(parents=True)
     (place / CUBIN).write_bytes(b"\x7fELF" + bytes(3000))
@@ -56,12 +56,12 @@ def changed(folder: Path, **fields: object) -> Path:
     return folder
 
 
-def rest(temporary: Path) -> list[str]:
+def leftovers(temporary: Path) -> list[str]:
     return os.listdir(temporary)
 
 
 @pytest.mark.parametrize("form", [lambda folder: folder, packed])
-def test_a_bundle_is_copied_and_the_copy_goes(folder: Path, temporary: Path, form: Callable[[Path], Path]):
+def test_a_bundle_is_copied_and_the_copy_is_removed(folder: Path, temporary: Path, form: Callable[[Path], Path]):
     cache = wp.config.kernel_cache_dir
     with open_bundle(form(folder)) as bundle:
         assert bundle.architectures == (87,) and bundle.cpu == cpu_target() and bundle.warp == wp.config.version
@@ -69,23 +69,23 @@ def test_a_bundle_is_copied_and_the_copy_goes(folder: Path, temporary: Path, for
         (folder / CUBIN).write_bytes(b"something else")
         assert (bundle.folder / CUBIN).read_bytes()[:4] == b"\x7fELF"
         assert bundle.config_file.read_text() == "costs:\n  q_track: 7.5\n"
-        assert not (bundle.folder / "graph").exists()  # a planner needs none of it
+        assert not (bundle.folder / "graph").exists()  # not needed by a planner
         bundle.fit(PlannerConfig(), "cpu")
         assert wp.config.kernel_cache_dir == str(bundle.folder / "kernels")
         assert bundle.compiled() == []
         (bundle.folder / "kernels/new.o").touch()
         assert bundle.compiled() == ["kernels/new.o"]
-    assert wp.config.kernel_cache_dir == cache and not rest(temporary)
+    assert wp.config.kernel_cache_dir == cache and not leftovers(temporary)
 
 
-def test_what_tar_packs_is_read(folder: Path):
+def test_tar_files_made_by_tar_are_read(folder: Path):
     path = folder.with_suffix(".tar")
     subprocess.run(["tar", "--format=ustar", "-C", str(folder), "-cf", str(path), "."], check=True)
     with open_bundle(path) as bundle:
         assert (bundle.folder / CUBIN).stat().st_size == 3004
 
 
-def test_tuned_parameters_are_fine_but_another_structure_is_not(folder: Path):
+def test_another_structure_is_refused_but_live_parameters_may_differ(folder: Path):
     with open_bundle(folder) as bundle:
         bundle.fit(PlannerConfig().replace({"costs.q_track": 1.0}), "cpu")
         with pytest.raises(ValueError, match=r"is for sampling.samples = 128, the configuration says 64: export it"):
@@ -103,7 +103,7 @@ def test_tuned_parameters_are_fine_but_another_structure_is_not(folder: Path):
         ({"cpu": None}, r"has kernels for GPUs only: .* --cpu on this machine"),
     ],
 )
-def test_what_does_not_fit_is_refused(folder: Path, fields: dict[str, object], problem: str):
+def test_bundles_for_other_versions_and_processors_are_refused(folder: Path, fields: dict[str, object], problem: str):
     cache = wp.config.kernel_cache_dir
     with open_bundle(changed(folder, **fields)) as bundle, pytest.raises(ValueError, match=problem):
         bundle.fit(PlannerConfig(), "cpu")
@@ -135,10 +135,10 @@ def link_above(folder: Path) -> None:
     (folder / "kernels").symlink_to(folder.parent / "elsewhere")
 
 
-def list_file(name: str, said: object) -> Callable[[Path], None]:
+def list_file(name: str, description: object) -> Callable[[Path], None]:
     def act(folder: Path) -> None:
         files = json.loads((folder / "manifest.json").read_text())["files"]
-        changed(folder, files=files | {name: said})
+        changed(folder, files=files | {name: description})
 
     return act
 
@@ -182,11 +182,11 @@ def test_damaged_folders_are_refused(
         open_bundle(folder)
     assert problem in str(error.value) and "\n" not in str(error.value)
     assert str(error.value).endswith(": export it again with 'aero-planner export', or copy it again.")
-    assert not rest(temporary)
+    assert not leftovers(temporary)
 
 
 def tar_with(folder: Path, entry: tarfile.TarInfo, content: bytes = b"") -> Path:
-    """Return the bundle as a tar file that begins with one more entry."""
+    """Return the bundle as a tar file with an additional first entry."""
     first = io.BytesIO()
     with tarfile.open(fileobj=first, mode="w", format=tarfile.GNU_FORMAT) as archive:
         archive.addfile(entry, io.BytesIO(content))
@@ -214,20 +214,20 @@ def entry(name: str, kind: bytes = tarfile.REGTYPE, *, size: int = 0, to: str = 
         (entry("pipe", tarfile.FIFOTYPE), "is a link or another special file"),
         (entry("device", tarfile.CHRTYPE), "is a link or another special file"),
         (entry("sparse", tarfile.GNUTYPE_SPARSE), "is a link or another special file"),
-        (entry("a" * 120), "is a link or another special file"),  # GNU's extension for long names
+        (entry("a" * 120), "is a link or another special file"),  # GNU extension for long names
         (entry("config.yaml"), "holds 'config.yaml' twice"),
         (entry("kernels"), "holds 'kernels/"),
     ],
 )
-def test_tricks_in_tar_files_are_refused(folder: Path, temporary: Path, trick: tarfile.TarInfo, problem: str):
+def test_malicious_tar_entries_are_refused(folder: Path, temporary: Path, trick: tarfile.TarInfo, problem: str):
     path = tar_with(folder, trick)
     before = sorted(folder.parent.rglob("*"))
     with pytest.raises(ValueError, match=problem):
         open_bundle(path)
-    assert sorted(folder.parent.rglob("*")) == before and not rest(temporary)
+    assert sorted(folder.parent.rglob("*")) == before and not leftovers(temporary)
 
 
-def test_sizes_that_are_lies_cost_nothing(folder: Path):
+def test_false_sizes_allocate_nothing(folder: Path):
     for size in (2**33, 2**60):
         header = entry("config.yaml", size=size).tobuf(tarfile.GNU_FORMAT)
         folder.with_suffix(".tar").write_bytes(header + bytes(10_000))
@@ -246,7 +246,7 @@ def test_truncated_tar_files_are_refused(folder: Path, temporary: Path):
         path.write_bytes(whole[:size])
         with pytest.raises(ValueError, match=r"truncated|neither a folder nor a whole tar file|incomplete|no manifest"):
             open_bundle(path)
-    assert not rest(temporary)
+    assert not leftovers(temporary)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a bundle", bytes(4096), b"\x1f\x8b\x08" + bytes(600), b"\xff" * 2048])
@@ -257,7 +257,7 @@ def test_garbage_is_refused(tmp_path: Path, content: bytes):
         open_bundle(path)
 
 
-def test_the_command_line_says_it_in_one_line(
+def test_the_command_line_reports_errors_in_one_line(
     folder: Path, tmp_path: Path, temporary: Path, capsys: pytest.CaptureFixture[str]
 ):
     other = tmp_path / "other.yaml"
@@ -274,4 +274,4 @@ def test_the_command_line_says_it_in_one_line(
             lines = capsys.readouterr().err.strip().splitlines()
             assert len([line for line in lines if line.startswith("aero-planner: ")]) == 1
             assert problem in lines[-1] and lines[-1].endswith(".")
-    assert not rest(temporary)
+    assert not leftovers(temporary)

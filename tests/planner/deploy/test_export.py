@@ -53,7 +53,7 @@ if bundle:
 
 
 def plan(device: str, bundle: Path | None, *, lost: int = 0, cache: Path | None = None) -> list[str]:
-    """What a process prints that plans with a bundle whose first kernels got lost."""
+    """Plan in a new process with a bundle without its first `lost` kernels; return the lines printed."""
     environment = os.environ | ({"WARP_CACHE_PATH": str(cache)} if cache else {})
     command = [sys.executable, "-c", PLAN, device, str(bundle or ""), str(lost)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
@@ -78,28 +78,28 @@ def cpu_compiler() -> None:
         pytest.skip("this machine's Warp has no compiler for the CPU: bundles for it were not tested")
 
 
-# Not of the module, which pytest leaves and enters again to run the tests of each device together.
+# Session scope, because pytest leaves and re-enters the module to group the tests by device.
 @pytest.fixture(scope="session")
 def bundle(config: Path, tmp_path_factory: pytest.TempPathFactory, cpu_compiler: None) -> Path:
-    """A bundle for an Orin and for this machine's CPU, a folder as the command line makes it."""
+    """Folder with a bundle for an Orin and for this machine's CPU, made by the command line."""
     path = tmp_path_factory.mktemp("export") / "orin"
     command = [sys.executable, "-m", "aero_planner", "export", "--config", str(config), "--arch", "sm_87", "--cpu"]
     done = subprocess.run([*command, str(path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     graphs = ", graphs of cpu" if makes_graphs() else ""
     assert re.fullmatch(rf"{path}: sm_87, \S+{graphs}; \d+ files, [\d.]+ MB, in \d+ s\n", done.stdout)
-    assert os.listdir(path.parent) == ["orin"]  # nothing is left beside it
+    assert os.listdir(path.parent) == ["orin"]  # no temporary files are left
     return path
 
 
 def architecture_of(cubin: bytes) -> int:
-    """Architecture in the ELF header of a CUDA binary: e_flags, whose layout depends on the version of the ABI."""
+    """Return the architecture from e_flags in the ELF header of a CUDA binary, whose layout depends on the ABI."""
     assert cubin[:4] == b"\x7fELF" and struct.unpack_from("<H", cubin, 18) == (190,)  # EM_CUDA
     (flags,) = struct.unpack_from("<I", cubin, 48)
     return (flags >> 8 if cubin[8] >= 8 else flags) & 0xFF
 
 
-def test_the_kernels_are_for_what_they_say(bundle: Path):
+def test_kernels_are_for_the_requested_processors(bundle: Path):
     cubins = sorted(bundle.glob("kernels/*/*.sm87.cubin"))
     assert len(cubins) > 20 and {architecture_of(path.read_bytes()) for path in cubins} == {87}
     on_cuda, on_cpu = (
@@ -110,19 +110,21 @@ def test_the_kernels_are_for_what_they_say(bundle: Path):
     assert {path.suffix for path in bundle.glob("kernels/*/*")} == {".cubin", ".o", ".meta"}  # no sources
 
 
-def test_the_manifest_tells_everything(bundle: Path, config: Path):
+def test_the_manifest_describes_every_file(bundle: Path, config: Path):
     manifest = json.loads((bundle / "manifest.json").read_text())
     assert (bundle / "config.yaml").read_bytes() == config.read_bytes()
     assert manifest["architectures"] == [87] and manifest["warp"] == wp.config.version and manifest["format"] == 1
     assert manifest["structure"]["sampling.samples"] == 128
     files = {path.relative_to(bundle).as_posix(): path for path in bundle.rglob("*") if path.is_file()}
     assert manifest["files"].keys() == files.keys() - {"manifest.json"}
-    for name, said in manifest["files"].items():
+    for name, description in manifest["files"].items():
         content = files[name].read_bytes()
-        assert said == {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+        assert description == {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
-def test_a_planner_needs_nothing_else_and_plans_the_same(tmp_path: Path, device: str, request: pytest.FixtureRequest):
+def test_a_planner_with_a_bundle_compiles_nothing_and_plans_the_same(
+    tmp_path: Path, device: str, request: pytest.FixtureRequest
+):
     if device == "cpu":
         bundle = request.getfixturevalue("bundle")
     else:
@@ -134,7 +136,7 @@ def test_a_planner_needs_nothing_else_and_plans_the_same(tmp_path: Path, device:
     assert not any(path.is_file() for path in cache.rglob("*"))
 
 
-def test_kernels_that_are_lacking_are_noticed(bundle: Path):
+def test_missing_kernels_are_compiled_and_reported(bundle: Path):
     _, compiled = plan("cpu", bundle, lost=1)
     assert int(compiled) > 0
 
@@ -173,7 +175,7 @@ def test_preflight_checks_the_bundle(bundle: Path, tmp_path: Path):
 
 
 @pytest.mark.usefixtures("cpu_compiler")
-def test_a_tar_file_replaces_the_older_one(tmp_path: Path, config: Path):
+def test_a_tar_file_replaces_an_older_one(tmp_path: Path, config: Path):
     out = tmp_path / "drone.tar"
     out.write_text("older")
     manifest = export_bundle(out, config=config, cpu=True)
@@ -209,7 +211,7 @@ def test_mistakes_are_one_line_and_leave_nothing(
     assert sorted(os.listdir(tmp_path)) == ["bad.yaml", "taken"] and os.listdir(tmp_path / "taken") == ["file"]
 
 
-def test_architectures_are_read():
+def test_architectures_are_parsed():
     assert [parse_architecture(text) for text in ("sm_87", "87", "sm_110")] == [87, 87, 110]
     for text in ("sm87", "sm_", "sm_90a", "8.7", ""):
         with pytest.raises(ValueError, match="is not understood; write it as sm_87"):

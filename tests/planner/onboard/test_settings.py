@@ -39,9 +39,9 @@ def values_of(info: ParameterInfo) -> st.SearchStrategy:
 
 @st.composite
 def configs(draw: st.DrawFn) -> OnboardConfig:
-    some = draw(st.lists(st.sampled_from(OnboardConfig.parameters()), unique=True, max_size=10))
+    chosen = draw(st.lists(st.sampled_from(OnboardConfig.parameters()), unique=True, max_size=10))
     try:
-        return OnboardConfig().replace({info.path: draw(values_of(info)) for info in some})
+        return OnboardConfig().replace({info.path: draw(values_of(info)) for info in chosen})
     except ValueError:  # settings that contradict each other
         return OnboardConfig()
 
@@ -70,7 +70,7 @@ def test_errors_name_setting_value_and_range(info: ParameterInfo):
 
 @pytest.mark.parametrize("path", ["lidar.host", "mavlink.url", "telemetry.host"])
 @pytest.mark.parametrize("wrong", ["", "a b", "x#y", 5, None, "a\nb"])
-def test_words_have_a_form(path: str, wrong: object):
+def test_texts_must_match_their_pattern(path: str, wrong: object):
     with pytest.raises(ValueError, match=rf"{path} is .*it must be an? "):
         OnboardConfig().replace({path: wrong})  # type: ignore[dict-item]
 
@@ -92,7 +92,7 @@ def test_contradictions_and_unknown_names(changes: dict, problem: str):
     assert problem in str(raised.value)
 
 
-def test_planner_and_node_must_fit_each_other():
+def test_planner_and_node_must_not_contradict_each_other():
     check_together(PlannerConfig(), OnboardConfig())
     with pytest.raises(ValueError, match="less than the planner's horizon"):
         check_together(PlannerConfig().replace({"sampling.steps": 4}), OnboardConfig())
@@ -102,24 +102,24 @@ def test_planner_and_node_must_fit_each_other():
 
 @hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(configs())
-def test_written_files_read_back_exactly_here_and_in_yaml(tmp_path: Path, config: OnboardConfig):
+def test_written_files_round_trip_and_read_the_same_with_any_yaml_reader(tmp_path: Path, config: OnboardConfig):
     path = write(tmp_path / "node.yaml", format_onboard(config))
     assert load_onboard(path) == config
     assert yaml.safe_load(path.read_text()) == {"onboard": config.to_dict()}
 
 
-def test_one_file_holds_both(tmp_path: Path):
+def test_one_file_may_hold_planner_and_node(tmp_path: Path):
     planner = PlannerConfig.preset("paper").replace({"costs.q_track": 7.0})
     onboard = OnboardConfig().replace({"limits.plan_age": 0.25, "mavlink.url": "/dev/ttyTHS1"})
     path = write(tmp_path / "both.yaml", format_config(planner) + "\n" + format_onboard(onboard))
     assert load_flight_config(path) == (planner, onboard) == load_any(path)
-    # Node first, planner behind it, comments anywhere.
+    # The node may come first, and comments may be anywhere.
     text = "# mine\nonboard: # node\n  limits:\n  # less\n    plan_age: 0.2\n\ncosts:\n  q_track: 7\n"
     planner, onboard = load_flight_config(write(path, text))
     assert (planner.costs.q_track, onboard.limits.plan_age) == (7.0, 0.2)
 
 
-def test_files_of_their_own(tmp_path: Path):
+def test_settings_may_be_in_a_separate_file(tmp_path: Path):
     expected = OnboardConfig().replace({"rates.replan": 25.0})
     bare = write(tmp_path / "bare.yaml", "rates:\n  replan: 25\n")
     under = write(tmp_path / "under.yaml", "onboard:\n  rates:\n    replan: 25\n")
