@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Goal, VehicleState
 from aero_planner.forest_cloud import forest_cloud
-from aero_planner.planner import _find_device
+from aero_planner.warp_init import find_device
 
 __all__ = ["elapsed_ms", "machine", "positive", "situation"]
 
@@ -46,7 +46,7 @@ def elapsed_ms(work: Callable[[], Any], device: str) -> float:
 
 def machine(device: str) -> str:
     """Name of what `device` is, such as the GPU's."""
-    warp_device = _find_device(device)
+    warp_device = find_device(device)
     if warp_device.is_cuda:
         return warp_device.name
     try:

@@ -19,7 +19,7 @@ from aero_planner import Planner, PlannerConfig
 from aero_planner.arrays import fine_shape
 from aero_planner.cli_util import run_command
 from aero_planner.config.file import config_from_name
-from aero_planner.kernels.guides import BRAKES
+from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.mppi import PROBES
 from benchmarks.common import elapsed_ms, machine, positive, situation
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
@@ -105,8 +105,8 @@ def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, b
         "update": Floor(M * K * (4 + 12 * N), M * K * 4 + M * N * 32, 3 * tree + 2 * latency.special),
         # The ways to brake as well, and positions half way between two steps.
         "stage2": Floor(
-            (M + BRAKES) * (final.operations + (rows + N * config.candidates.between_steps) * position),
-            (M + BRAKES) * N * (16 + 40), final.cycles + look_up,
+            (M + BRAKING_CANDIDATES) * (final.operations + (rows + N * config.candidates.between_steps) * position),
+            (M + BRAKING_CANDIDATES) * N * (16 + 40), final.cycles + look_up,
         ),
     }  # fmt: skip
     return {
@@ -136,7 +136,7 @@ def _measure(
             for name, value in plan.stage_ms.items():
                 stages.setdefault(name, []).append(value)
     if device != "cpu":
-        stages = planner._pipeline.time_stages(repeat)
+        stages = planner.time_stages(repeat)
     planner.close()
     least: dict[str, float] = {}
     for name, values in stages.items():

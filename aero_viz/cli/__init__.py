@@ -29,9 +29,9 @@ def main(arguments: list[str] | None = None) -> None:
 
         current = replace_renamed_flags(sys.argv[1:] if arguments is None else arguments)
         call = parse(VERBS, current, prog="aero-viz", description=_DESCRIPTION)
-        from aero_planner.warp_init import quieten
+        from aero_planner.warp_init import init_warp
 
-        quieten()
+        init_warp()
         call()
         sys.stdout.flush()
     except (UserError, ValueError) as error:

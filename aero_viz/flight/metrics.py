@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 from aero_viz.flight.explanation import explain
 from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_trajectory_kernel
 from aero_viz.flight.rules import OUTCOMES, FlightRules
@@ -168,7 +168,7 @@ def judge_trajectory(
         clearance: distances to the nearest surface at the S integration steps of each tick [m], [n, S].
         rules: when the flight ends.
     """
-    quieten()
+    init_warp()
     with wp.ScopedDevice("cpu"):
         record = wp.array(initial_records(positions[:1], world.goal[None]), dtype=FlightRecord)
         outcome = wp.zeros(1, dtype=int)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.flight_end import (
     ARRIVED,
@@ -83,7 +83,7 @@ class Simulator:
         self.rules, self.noise, self.seeds = rules, noise, tuple(seeds)
         self.tick = 0
         self.observers: list[Callable[[], None]] = []
-        quieten()
+        init_warp()
         self.device = wp.get_device(device)
         self._worlds = DeviceWorlds(worlds, device=self.device)
         starts = np.stack([world.start for world in worlds])

@@ -21,11 +21,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: an argument is out of range, or pymavlink is missing; the message is one sentence.
     """
-    from aero_planner.warp_init import quieten
+    from aero_planner.warp_init import init_warp
     from aero_viz.errors import UserError
 
     options = _parser().parse_args(arguments)
-    quieten()
+    init_warp()
     try:
         return _fly(options)
     except (UserError, ImportError) as error:

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 from aero_viz.scenes.clearance_kernels import distance_kernel, flood_kernel, mesh_distance_kernel
 from aero_viz.scenes.device_worlds import device_primitives
 from aero_viz.scenes.primitives import primitive_bounds
@@ -77,7 +77,7 @@ class ClearanceGrid:
         if math.prod(shape) > _POINTS_MAX:
             raise ValueError(f"a grid of {shape} points is too large; make the cell larger than {cell:g} m.")
         corner = world.start + first * cell
-        quieten()
+        init_warp()
         distance = wp.full(shape, distance_max, dtype=float, device="cpu")
         box_lower, box_upper = primitive_bounds(world.cylinders, world.boxes, world.spheres)
         boxes = [wp.array(b, dtype=wp.vec3, device="cpu") for b in (box_lower - distance_max, box_upper + distance_max)]

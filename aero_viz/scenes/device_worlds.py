@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 from aero_viz.scenes.geometry import BOX, CYLINDER, SPHERE, Entry, Geometry, Grid, Primitive
 from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
@@ -74,7 +74,7 @@ class DeviceWorlds:
             TriangleTree(world.triangles, device=device) if len(world.triangles) else None for world in unique
         ]
 
-        quieten()
+        init_warp()
         self.device = wp.get_device(device)
         with wp.ScopedDevice(self.device):
             self.index = wp.array([position[id(world)] for world in worlds], dtype=int)

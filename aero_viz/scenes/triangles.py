@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 
 __all__ = ["TriangleTree", "mesh_distance", "mesh_range"]
 
@@ -69,7 +69,7 @@ class TriangleTree:
 
     def __init__(self, triangles: NDArray[np.float64], *, device: Any = "cpu") -> None:
         corners = np.asarray(triangles, dtype=np.float32).reshape(-1, 3)
-        quieten()
+        init_warp()
         with wp.ScopedDevice(device):
             points = wp.array(corners, dtype=wp.vec3)
             self._mesh = wp.Mesh(points=points, indices=wp.array(np.arange(len(corners)), dtype=int))

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 from aero_viz.sensors.lidar import LidarModel, pack_beams
 from aero_viz.sensors.lidar_kernels import Beams, beam_direction
 
@@ -60,7 +60,7 @@ def coverage(
     covered = (edges[:-1] >= model.elevation_min - 1e-9) & (edges[1:] <= model.elevation_max + 1e-9)
     if not covered.any():
         raise ValueError(f"the cell of {cell:g} deg does not fit the field of view of {model.name!r}; make it smaller.")
-    quieten()
+    init_warp()
     hits = wp.zeros((rows, 2 * rows), dtype=int, device="cpu")
     fractions, first = [], 0
     for time in times:

@@ -7,7 +7,7 @@ import warp as wp
 from aero_planner.kernels.params import Params
 from benchmarks.naive.model import clamp_control, rk4, rotate_back, rotation, yaw
 
-__all__ = ["BRAKES", "guides", "nominal_controls", "write_brake"]
+__all__ = ["BRAKING_CANDIDATES", "guides", "nominal_controls", "write_brake"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -63,7 +63,7 @@ def follow_guide(
     steps = nominal.shape[2]
     difference = heading - yaw(q0)
     difference -= 2.0 * wp.PI * wp.floor(difference / (2.0 * wp.PI) + 0.5)
-    turn = difference / (float(steps) * c.dt)
+    yaw_rate = difference / (float(steps) * c.dt)
     q = q0
     for t in range(steps):
         u = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
@@ -74,13 +74,13 @@ def follow_guide(
             z = rotate_back(q, axis)
             sine = wp.sqrt(z[0] * z[0] + z[1] * z[1])
             rate = wp.atan2(sine, z[2]) / (wp.max(sine, 1.0e-6) * c.dt)
-            u = wp.vec4(wp.dot(force, rotation(q) * wp.vec3(0.0, 0.0, 1.0)), -rate * z[1], rate * z[0], turn)
+            u = wp.vec4(wp.dot(force, rotation(q) * wp.vec3(0.0, 0.0, 1.0)), -rate * z[1], rate * z[0], yaw_rate)
         u = clamp_control(u, c)
         nominal[b, m, t] = u
         _p, _v, q = rk4(wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), q, u, c)
 
 
-BRAKES = wp.constant(5)
+BRAKING_CANDIDATES = wp.constant(5)
 """Ways to brake: straight ahead, and turned to both sides."""
 
 
@@ -120,13 +120,13 @@ def guides(
     brake_index: int,
     reach: wp.array(dtype=float),
     previous_end: wp.array(dtype=wp.vec3),
-    previous_turn: wp.array(dtype=wp.vec3),
+    previous_waypoint: wp.array(dtype=wp.vec3),
     previous_time: wp.array(dtype=wp.float64),
     anchor: wp.array2d(dtype=wp.vec3),
     elapsed: wp.array(dtype=float),
     coefficient: wp.array3d(dtype=wp.vec3),
     guide: wp.array3d(dtype=wp.vec3),
-    turn: wp.array2d(dtype=wp.vec3),
+    waypoint: wp.array2d(dtype=wp.vec3),
 ):
     """Guide of every candidate, and where its way turns to the goal. Launched over [B, M].
 
@@ -138,13 +138,13 @@ def guides(
     T = float(guide.shape[2] - 1) * c.dt
     way = goal_position[b] - p0
     v1 = wp.vec3(0.0, 0.0, 0.0)
-    turn[b, m] = goal_position[b]
+    waypoint[b, m] = goal_position[b]
     if m < anchor_count:
         v1 = c.arrival_speed * wp.normalize(anchor[b, m] - p0)
         if reach[b] >= wp.length(way):
             v1 = goal_velocity[b]
         elif reach[b] < c.waypoint_distance and c.waypoint_distance < wp.length(way):
-            turn[b, m] = p0 + c.waypoint_distance * wp.normalize(anchor[b, m] - p0)
+            waypoint[b, m] = p0 + c.waypoint_distance * wp.normalize(anchor[b, m] - p0)
     if m == previous_index:
         passed = float(time[b] - previous_time[b])
         if wp.isnan(time[b]) and not wp.isnan(previous_time[b]):
@@ -153,8 +153,8 @@ def guides(
         if not (passed >= 0.0 and passed < T):
             passed = float(-1.0)
             anchor[b, m] = p0 + reach[b] / wp.max(wp.length(way), 1.0e-6) * way
-        elif wp.length(previous_turn[b] - p0) > reach[b]:
-            turn[b, m] = previous_turn[b]
+        elif wp.length(previous_waypoint[b] - p0) > reach[b]:
+            waypoint[b, m] = previous_waypoint[b]
         elapsed[b] = passed
     if m == brake_index:
         anchor[b, m] = p0 + c.brake_reach * T * velocity[b]

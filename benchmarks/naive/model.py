@@ -165,22 +165,22 @@ def collision_cost(d: float, c: Params) -> float:
 
 
 @wp.func
-def way_length(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, c: Params) -> float:
+def way_length(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, c: Params) -> float:
     """Length of the way from p by the turning point to the goal, as far as it is looked at."""
-    return wp.min(c.blocked_range, wp.length(turn - p) + wp.length(goal - turn))
+    return wp.min(c.blocked_range, wp.length(waypoint - p) + wp.length(goal - waypoint))
 
 
 @wp.func
-def probe_position(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, j: int, c: Params) -> wp.vec3:
+def probe_position(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, j: int, c: Params) -> wp.vec3:
     """Middle of the j-th piece of the way from p by the turning point to the goal."""
-    s = (float(j) + 0.5) / float(PROBES) * way_length(p, turn, goal, c)
-    first = wp.length(turn - p)
+    s = (float(j) + 0.5) / float(PROBES) * way_length(p, waypoint, goal, c)
+    first = wp.length(waypoint - p)
     if s <= first:
-        return p + s / wp.max(first, 1.0e-6) * (turn - p)
-    return turn + (s - first) / wp.max(wp.length(goal - turn), 1.0e-6) * (goal - turn)
+        return p + s / wp.max(first, 1.0e-6) * (waypoint - p)
+    return waypoint + (s - first) / wp.max(wp.length(goal - waypoint), 1.0e-6) * (goal - waypoint)
 
 
 @wp.func
-def blocked_cost(p: wp.vec3, turn: wp.vec3, goal: wp.vec3, blocked: int, c: Params) -> float:
+def blocked_cost(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, blocked: int, c: Params) -> float:
     """Price of the blocked metres on the way from p to the goal."""
-    return c.q_blocked * way_length(p, turn, goal, c) * float(blocked) / float(PROBES)
+    return c.q_blocked * way_length(p, waypoint, goal, c) * float(blocked) / float(PROBES)

@@ -70,7 +70,7 @@ def rollouts(
     goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
     guide: wp.array3d(dtype=wp.vec3),
-    turn: wp.array2d(dtype=wp.vec3),
+    waypoint: wp.array2d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
     noise: wp.array3d(dtype=wp.vec4),
     controls: wp.array3d(dtype=wp.vec4),
@@ -115,7 +115,7 @@ def rollouts(
         S += goal_cost(p, v, q, goal_position[b], goal_velocity[b], goal_quaternion[b], c)
         S += speed_cost(v, c)
     for j in range(PROBES):
-        positions[i, k, N + j] = probe_position(p, turn[b, m], goal_position[b], j, c)
+        positions[i, k, N + j] = probe_position(p, waypoint[b, m], goal_position[b], j, c)
     cost[i, k] = S
 
 
@@ -160,7 +160,7 @@ def clearance(
 
 
 @wp.func
-def collision_and_blocked(i: int, k: int, steps: int, turn: wp.vec3, goal: wp.vec3, c: Params,
+def collision_and_blocked(i: int, k: int, steps: int, waypoint: wp.vec3, goal: wp.vec3, c: Params,
                           positions: wp.array3d(dtype=wp.vec3), distance: wp.array3d(dtype=float)):  # fmt: skip
     """J_col of one rollout, and its cost-to-go."""
     J_col = float(0.0)
@@ -170,14 +170,14 @@ def collision_and_blocked(i: int, k: int, steps: int, turn: wp.vec3, goal: wp.ve
     for j in range(PROBES):
         if distance[i, k, steps + j] < c.blocked_radius:
             blocked += 1
-    return J_col, blocked_cost(positions[i, k, steps - 1], turn, goal, blocked, c)
+    return J_col, blocked_cost(positions[i, k, steps - 1], waypoint, goal, blocked, c)
 
 
 @wp.kernel
 def scores(
     instances: int,
     goal_position: wp.array(dtype=wp.vec3),
-    turn: wp.array2d(dtype=wp.vec3),
+    waypoint: wp.array2d(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     positions: wp.array3d(dtype=wp.vec3),
     distance: wp.array3d(dtype=float),
@@ -187,7 +187,7 @@ def scores(
     i, k = wp.tid()
     b = i // instances
     steps = distance.shape[2] - PROBES
-    way_turn = turn[b, i % instances]
+    way_turn = waypoint[b, i % instances]
     J_col, to_go = collision_and_blocked(i, k, steps, way_turn, goal_position[b], params[b], positions, distance)
     cost[i, k] = cost[i, k] + J_col + to_go
 

@@ -61,11 +61,11 @@ class NaivePlanner:
                 direction=wp.zeros((B, config.anchor_count), dtype=wp.vec3),
                 safe_range=wp.zeros((B, coarse), dtype=float),
                 safe_direction=wp.zeros((B, coarse), dtype=wp.vec3),
-                anchor=wp.zeros((B, M + guides.BRAKES), dtype=wp.vec3),
+                anchor=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=wp.vec3),
                 elapsed=wp.zeros(B, dtype=float),
-                coefficient=wp.zeros((B, M + guides.BRAKES, 6), dtype=wp.vec3),
-                guide=wp.zeros((B, M + guides.BRAKES, N + 1), dtype=wp.vec3),
-                turn=wp.zeros((B, M + guides.BRAKES), dtype=wp.vec3),
+                coefficient=wp.zeros((B, M + guides.BRAKING_CANDIDATES, 6), dtype=wp.vec3),
+                guide=wp.zeros((B, M + guides.BRAKING_CANDIDATES, N + 1), dtype=wp.vec3),
+                waypoint=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=wp.vec3),
                 nominal=wp.zeros((B, M, N), dtype=wp.vec4),
                 noise=wp.zeros((B * M, K, N), dtype=wp.vec4),
                 sample_controls=wp.zeros((B * M, K, N), dtype=wp.vec4),
@@ -73,21 +73,21 @@ class NaivePlanner:
                 sample_distance=wp.zeros((B * M, K, N + PROBES), dtype=float),
                 cost=wp.zeros((B * M, K), dtype=float),
                 weight=wp.zeros((B * M, K), dtype=float),
-                controls=wp.zeros((B, M + guides.BRAKES, N), dtype=wp.vec4),
-                states=wp.zeros((B, M + guides.BRAKES, N + 1), dtype=wp.vec3),
-                positions=wp.zeros((B * (M + guides.BRAKES), 1, N + PROBES + N), dtype=wp.vec3),
-                distance=wp.zeros((B * (M + guides.BRAKES), 1, N + PROBES + N), dtype=float),
-                J_goal=wp.zeros((B, M + guides.BRAKES), dtype=float),
-                J_speed=wp.zeros((B, M + guides.BRAKES), dtype=float),
-                J_col=wp.zeros((B, M + guides.BRAKES), dtype=float),
-                S2=wp.zeros((B, M + guides.BRAKES), dtype=float),
-                nearest=wp.zeros((B, M + guides.BRAKES), dtype=float),
+                controls=wp.zeros((B, M + guides.BRAKING_CANDIDATES, N), dtype=wp.vec4),
+                states=wp.zeros((B, M + guides.BRAKING_CANDIDATES, N + 1), dtype=wp.vec3),
+                positions=wp.zeros((B * (M + guides.BRAKING_CANDIDATES), 1, N + PROBES + N), dtype=wp.vec3),
+                distance=wp.zeros((B * (M + guides.BRAKING_CANDIDATES), 1, N + PROBES + N), dtype=float),
+                J_goal=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=float),
+                J_speed=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=float),
+                J_col=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=float),
+                S2=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=float),
+                nearest=wp.zeros((B, M + guides.BRAKING_CANDIDATES), dtype=float),
                 best=wp.zeros(B, dtype=int),
                 status=wp.zeros(B, dtype=int),
                 source=wp.zeros(B, dtype=int),
                 previous_controls=wp.zeros((B, N), dtype=wp.vec4),
                 previous_end=wp.zeros(B, dtype=wp.vec3),
-                previous_turn=wp.zeros(B, dtype=wp.vec3),
+                previous_waypoint=wp.zeros(B, dtype=wp.vec3),
                 previous_time=wp.zeros(B, dtype=wp.float64),
                 tick=wp.zeros(B, dtype=int),
             )
@@ -98,11 +98,11 @@ class NaivePlanner:
         history, a = self._planner.history(), self.arrays
         a.previous_controls.assign(history.controls)
         a.previous_end.assign(history.end)
-        a.previous_turn.assign(history.turn)
+        a.previous_waypoint.assign(history.waypoint)
         a.previous_time.assign(history.time)
         a.tick.assign(history.tick)
         # The one thing that is not in the planner's interface: which numbers it draws.
-        work = self._planner._work
+        work = self._planner.workspace
         self._launch(mppi.draw_noise, a.cost.shape, self._M, work.seed, a.tick, self.params, work.noise, a.noise)
 
     @property
@@ -172,7 +172,8 @@ class NaivePlanner:
         self._launch(
             guides.guides, (self._batch, self._M), i.position, i.velocity, a.quaternion, i.acceleration, i.time,
             i.goal_position, a.goal_velocity, self.params, config.anchor_count, previous, brake, a.reach,
-            a.previous_end, a.previous_turn, a.previous_time, a.anchor, a.elapsed, a.coefficient, a.guide, a.turn,
+            a.previous_end, a.previous_waypoint, a.previous_time, a.anchor, a.elapsed, a.coefficient, a.guide,
+            a.waypoint,
         )  # fmt: skip
         self._launch(
             guides.nominal_controls, (self._batch, self._M), a.quaternion, a.goal_quaternion, self.params, previous,
@@ -187,7 +188,7 @@ class NaivePlanner:
         a, kinds = self.arrays, self._config.kinds
         previous = kinds.index("previous") if "previous" in kinds else -1
         self._launch(
-            mppi.rollouts, a.cost.shape, self._M, previous, *self._states(), a.guide, a.turn, a.nominal, a.noise,
+            mppi.rollouts, a.cost.shape, self._M, previous, *self._states(), a.guide, a.waypoint, a.nominal, a.noise,
             a.sample_controls, a.sample_positions, a.cost,
         )  # fmt: skip
 
@@ -198,7 +199,7 @@ class NaivePlanner:
             self.params, a.count, a.filtered, a.sample_positions, a.sample_distance,
         )  # fmt: skip
         self._launch(
-            mppi.scores, a.cost.shape, self._M, i.goal_position, a.turn, self.params, a.sample_positions,
+            mppi.scores, a.cost.shape, self._M, i.goal_position, a.waypoint, self.params, a.sample_positions,
             a.sample_distance, a.cost,
         )  # fmt: skip
 
@@ -214,11 +215,11 @@ class NaivePlanner:
         i, a, kinds = self._planner.inputs, self.arrays, self._config.kinds
         self._launch(
             stage2.ways_to_brake, self._batch, i.position, i.velocity, a.quaternion, i.acceleration, self.params,
-            a.anchor, a.coefficient, a.guide, i.goal_position, a.turn, a.controls,
+            a.anchor, a.coefficient, a.guide, i.goal_position, a.waypoint, a.controls,
         )  # fmt: skip
-        count, instances = a.positions.shape[0], self._M + guides.BRAKES
+        count, instances = a.positions.shape[0], self._M + guides.BRAKING_CANDIDATES
         self._launch(
-            stage2.final_rollouts, count, instances, *self._states(), a.turn, a.controls, a.states, a.positions,
+            stage2.final_rollouts, count, instances, *self._states(), a.waypoint, a.controls, a.states, a.positions,
             a.J_goal, a.J_speed,
         )  # fmt: skip
         self._launch(
@@ -226,7 +227,7 @@ class NaivePlanner:
             a.count, a.filtered, a.positions, a.distance,
         )  # fmt: skip
         self._launch(
-            stage2.final_scores, count, instances, i.goal_position, a.turn, self.params, a.positions, a.distance,
+            stage2.final_scores, count, instances, i.goal_position, a.waypoint, self.params, a.positions, a.distance,
             a.J_goal, a.J_speed, a.J_col, a.S2, a.nearest,
         )  # fmt: skip
         self._launch(

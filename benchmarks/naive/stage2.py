@@ -1,6 +1,6 @@
 """Stage II: rollouts of the optimised controls, choice, braking.
 
-Instance i = b (M + BRAKES) + m is instance m of drone b; after the M candidates come the ways to brake.
+Instance i = b (M + BRAKING_CANDIDATES) + m is instance m of drone b; after the M candidates come the ways to brake.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.kernels.params import Params
-from benchmarks.naive.guides import BRAKES, write_brake
+from benchmarks.naive.guides import BRAKING_CANDIDATES, write_brake
 from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
@@ -28,17 +28,17 @@ def ways_to_brake(
     coefficient: wp.array3d(dtype=wp.vec3),
     guide: wp.array3d(dtype=wp.vec3),
     goal_position: wp.array(dtype=wp.vec3),
-    turn: wp.array2d(dtype=wp.vec3),
+    waypoint: wp.array2d(dtype=wp.vec3),
     controls: wp.array3d(dtype=wp.vec4),
 ):
     """Write the controls that brake straight ahead, left, right, farther left and farther right. Launched over [B]."""
     b = wp.tid()
-    M = controls.shape[1] - BRAKES
-    for way in range(BRAKES):
+    M = controls.shape[1] - BRAKING_CANDIDATES
+    for way in range(BRAKING_CANDIDATES):
         angle = float((way + 1) // 2) * wp.radians(params[b].brake_fan)
         if way % 2 == 0:
             angle = -angle
-        turn[b, M + way] = goal_position[b]
+        waypoint[b, M + way] = goal_position[b]
         write_brake(b, M + way, angle, position[b], velocity[b], acceleration[b], quaternion[b], params[b], anchor,
                     coefficient, guide, controls)  # fmt: skip
 
@@ -53,14 +53,14 @@ def final_rollouts(
     goal_velocity: wp.array(dtype=wp.vec3),
     goal_quaternion: wp.array(dtype=wp.vec4),
     params: wp.array(dtype=Params),
-    turn: wp.array2d(dtype=wp.vec3),
+    waypoint: wp.array2d(dtype=wp.vec3),
     controls: wp.array3d(dtype=wp.vec4),
     states: wp.array3d(dtype=wp.vec3),
     positions: wp.array3d(dtype=wp.vec3),
     J_goal: wp.array2d(dtype=float),
     J_speed: wp.array2d(dtype=float),
 ):
-    """Roll out the optimised controls and the ways to brake. Launched over [B (M + BRAKES)]."""
+    """Roll out the optimised controls and the ways to brake. Launched over [B (M + BRAKING_CANDIDATES)]."""
     i = wp.tid()
     b = i // instances
     m = i % instances
@@ -80,7 +80,7 @@ def final_rollouts(
         goal += goal_cost(p, v, q, goal_position[b], goal_velocity[b], goal_quaternion[b], c)
         speed += speed_cost(v, c)
     for j in range(PROBES):
-        positions[i, 0, N + j] = probe_position(p, turn[b, m], goal_position[b], j, c)
+        positions[i, 0, N + j] = probe_position(p, waypoint[b, m], goal_position[b], j, c)
     J_goal[b, m] = goal
     J_speed[b, m] = speed
 
@@ -89,7 +89,7 @@ def final_rollouts(
 def final_scores(
     instances: int,
     goal_position: wp.array(dtype=wp.vec3),
-    turn: wp.array2d(dtype=wp.vec3),
+    waypoint: wp.array2d(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     positions: wp.array3d(dtype=wp.vec3),
     distance: wp.array3d(dtype=float),
@@ -99,7 +99,7 @@ def final_scores(
     S2: wp.array2d(dtype=float),
     nearest: wp.array2d(dtype=float),
 ):
-    """S2 and the least clearance of every instance. Launched over [B (M + BRAKES)]."""
+    """S2 and the least clearance of every instance. Launched over [B (M + BRAKING_CANDIDATES)]."""
     i = wp.tid()
     b = i // instances
     m = i % instances
@@ -111,7 +111,7 @@ def final_scores(
         if c.between_steps != 0:
             least = wp.min(least, distance[i, 0, N + PROBES + t])
     nearest[b, m] = least
-    collision, to_go = collision_and_blocked(i, 0, N, turn[b, m], goal_position[b], c, positions, distance)
+    collision, to_go = collision_and_blocked(i, 0, N, waypoint[b, m], goal_position[b], c, positions, distance)
     J_col[b, m] = collision
     S2[b, m] = J_goal[b, m] + collision + to_go + J_speed[b, m]
 
@@ -139,7 +139,7 @@ def choose(
     """
     b = wp.tid()
     c = params[b]
-    M = S2.shape[1] - BRAKES
+    M = S2.shape[1] - BRAKING_CANDIDATES
     safe = c.safe_clearance
     here = distance_to(position[b], safe, b, ground_height[b], c, count, filtered)
     if here < safe:  # too near already: not nearer still
@@ -159,7 +159,7 @@ def choose(
     source[b] = chosen
     if status[b] != 0:
         source[b] = M
-        for way in range(M + 1, M + BRAKES):
+        for way in range(M + 1, M + BRAKING_CANDIDATES):
             if nearest[b, way] > nearest[b, source[b]]:
                 source[b] = way
         if brake_index >= 0:

@@ -1,217 +1,188 @@
-"""Device memory of the planner: named arrays in few blocks, so that each plan needs one copy in and one copy out."""
+"""Device arrays of the planner: dtype, shape, unit and meaning of each one.
+
+Shapes use these symbols:
+
+    B   drones                              M   instances of a drone
+    N   time steps of the horizon           R   rows: the M instances, then the braking candidates
+    K   samples of an instance              L   samples, rounded up to whole vectors
+    A   anchors                             Q   Stage I positions of a sample: N states, then the probes
+    F   fine cells, F0 rows x F1 columns    C   coarse cells
+    G   cells of the clearance grid         V   packs of points in its list, of V0 points each
+    W   workers: CPU threads, 1 on CUDA     T   noise sequences in the table
+"""
 
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
 import warp as wp
 
+from aero_planner.array_memory import array
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.clearance import GRID
-from aero_planner.kernels.guides import BRAKES
-from aero_planner.kernels.kernel_tuning import block_type, widths
-from aero_planner.kernels.mppi import NOISE_ROWS, PROBES, fill_noise
-from aero_planner.kernels.partition import fill_directions
+from aero_planner.kernels.guides import BRAKING_CANDIDATES
+from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.mppi import NOISE_ROWS, PROBES
+from aero_planner.kernels.warp_ops import point_pack
 
-__all__ = [
-    "Block",
-    "as_values",
-    "as_vectors",
-    "fine_shape",
-    "input_block",
-    "list_capacity",
-    "output_block",
-    "padded_samples",
-    "work_arrays",
-]
-
-Spec = dict[str, tuple[Any, tuple[int, ...]]]
-_ALIGNMENT = 256
+__all__ = ["PlannerInputs", "PlannerOutputs", "Sizes", "Workspace", "fine_shape"]
 
 
-class Block:
-    """Arrays that share one allocation, and with it one copy between host and device.
+@dataclass(eq=False)
+class PlannerInputs:
+    """Problem of each drone, world frame. The cloud is apart, see `Planner.points`."""
 
-    Args:
-        spec: dtype and shape of each array, by name.
-        device: where the block lives.
-
-    Attributes:
-        arrays: the device arrays as a namespace.
-    """
-
-    def __init__(self, spec: Spec, device: wp.Device) -> None:
-        self._layout: dict[str, tuple[int, np.dtype, tuple[int, ...]]] = {}
-        self.arrays = SimpleNamespace()
-        size = 0
-        for name, (dtype, shape) in spec.items():
-            size = -(-size // _ALIGNMENT) * _ALIGNMENT
-            scalar = np.dtype(wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
-            tail = tuple(getattr(dtype, "_shape_", ()))
-            self._layout[name] = (size, scalar, (*shape, *tail))
-            size += scalar.itemsize * int(np.prod((*shape, *tail)))
-        self.memory = wp.zeros(max(size, 1), dtype=wp.uint8, device=device)
-        for (name, (dtype, shape)), (offset, _, _) in zip(spec.items(), self._layout.values(), strict=True):
-            view = wp.array(ptr=int(self.memory.ptr or 0) + offset, dtype=dtype, shape=shape, device=device)
-            setattr(self.arrays, name, view)
-        # On the CPU the host's bytes are the device's own.
-        self._host = self.memory if device.is_cpu else wp.zeros(max(size, 1), dtype=wp.uint8, device="cpu", pinned=True)
-
-    def _views(self, memory: np.ndarray) -> dict[str, np.ndarray]:
-        views = {}
-        for name, (offset, dtype, shape) in self._layout.items():
-            size = dtype.itemsize * int(np.prod(shape))
-            views[name] = memory[offset : offset + size].view(dtype).reshape(shape)
-        return views
-
-    def host(self) -> dict[str, np.ndarray]:
-        """Return writable host views of all arrays; `upload` moves what was written to the device."""
-        return self._views(self._host.numpy())
-
-    def upload(self) -> None:
-        """Copy the host's bytes to the device, ordered before later launches."""
-        if self._host is not self.memory:
-            wp.copy(self.memory, self._host)
-
-    def download(self) -> dict[str, np.ndarray]:
-        """Return host arrays of their own with the device's present values."""
-        if self._host is not self.memory:
-            wp.copy(self._host, self.memory)
-            wp.synchronize_stream(self.memory.device)
-        return self._views(self._host.numpy().copy())
+    time: wp.array = array(wp.float64, "B", "s", "Stamp of the state; NaN: one replan_period after the previous one.")
+    position: wp.array = array(wp.vec3, "B", "m", "p.")
+    velocity: wp.array = array(wp.vec3, "B", "m/s", "v.")
+    quaternion: wp.array = array(wp.vec4, "B", "", "q, w x y z, body to world; need not be normalised.")
+    acceleration: wp.array = array(wp.vec3, "B", "m/s^2", "a.")
+    goal_position: wp.array = array(wp.vec3, "B", "m", "p_goal.")
+    goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal; NaN: zero.")
+    goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, w x y z; NaN: level, with the nose toward the goal.")
+    cloud_age: wp.array = array(wp.float32, "B", "s", "Time since the cloud was measured.")
+    ground_height: wp.array = array(wp.float32, "B", "m", "Height of flat ground; -inf where it is unknown.")
+    point_count: wp.array = array(wp.int32, "B", "", "Number of points of the cloud.")
 
 
-def input_block(batch: int, device: wp.Device) -> Block:
-    """State, goal and bookkeeping of each drone. A NaN goal velocity, goal quaternion or time means: derive it. The
-    ground height is -inf where it is unknown."""
-    vec3, vec4, shape = wp.vec3, wp.vec4, (batch,)
-    spec: Spec = {
-        "time": (wp.float64, shape),
-        "position": (vec3, shape),
-        "velocity": (vec3, shape),
-        "quaternion": (vec4, shape),
-        "acceleration": (vec3, shape),
-        "goal_position": (vec3, shape),
-        "goal_velocity": (vec3, shape),
-        "goal_quaternion": (vec4, shape),
-        "cloud_age": (wp.float32, shape),
-        "ground_height": (wp.float32, shape),
-        "point_count": (wp.int32, shape),
-    }
-    return Block(spec, device)
+@dataclass(eq=False)
+class PlannerOutputs:
+    """Everything that a `Plan` contains, under its names; rows of the braking candidates follow the M instances."""
+
+    fine_range: wp.array = array(wp.float32, "B F", "m", "r_ij; range_max where the cell is empty.")
+    occupied: wp.array = array(wp.int32, "B F", "", "1 where the cell holds a point, else 0.")
+    filtered_points: wp.array = array(wp.vec3, "B F", "m", "Nearest point of each occupied cell, world frame.")
+    safe_range: wp.array = array(wp.float32, "B C", "m", "Largest fine range of each coarse cell.")
+    safe_direction: wp.array = array(wp.vec3, "B C", "", "Direction of that fine cell, body frame.")
+    initial_endpoints: wp.array = array(wp.vec3, "B R", "m", "Endpoints before refinement, world frame.")
+    anchors: wp.array = array(wp.vec3, "B R", "m", "Refined endpoints, world frame.")
+    guide_coefficients: wp.array = array(wp.vec3, "B R 6", "", "a_0 .. a_5 of the guides, SI units, world frame.")
+    guides: wp.array = array(wp.vec3, "B R N+1", "m", "Guides at t = 0, dt, .., T, world frame.")
+    controls: wp.array = array(wp.vec4, "B R N", "N, rad/s", "Optimised thrust F_t and body rates omega.")
+    positions: wp.array = array(wp.vec3, "B R N+1", "m", "Stage II rollouts, world frame.")
+    velocities: wp.array = array(wp.vec3, "B R N+1", "m/s", "Stage II rollouts, world frame.")
+    quaternions: wp.array = array(wp.vec4, "B R N+1", "", "Stage II rollouts, w x y z, body to world.")
+    stage1_cost: wp.array = array(wp.float32, "B*M L", "", "S1 of every sample.")
+    stage2_cost: wp.array = array(wp.float32, "B R", "", "S2.")
+    goal_cost: wp.array = array(wp.float32, "B R", "", "J_goal.")
+    collision_cost: wp.array = array(wp.float32, "B R", "", "J_col.")
+    clearance: wp.array = array(wp.float32, "B R N", "m", "Distance to the nearest filtered point, at most d_max.")
+    best: wp.array = array(wp.int32, "B", "", "Index of the instance to fly.")
+    status: wp.array = array(wp.int32, "B", "", "See `PlanStatus`.")
+    braking_instance: wp.array = array(wp.int32, "B", "", "Instance that a braking candidate has replaced, or -1.")
+    dropped_points: wp.array = array(wp.int32, "B", "", "Number of points that were not finite.")
 
 
-def output_block(config: PlannerConfig, batch: int, device: wp.Device) -> Block:
-    """Everything that a Plan shows; after the M instances come the ways to brake, which it doesn't."""
-    M, N = len(config.kinds), config.sampling.steps
-    coarse = config.partition.coarse_rows * config.partition.coarse_columns
-    fine = math.prod(fine_shape(config))
-    vec3, vec4, real, integer = wp.vec3, wp.vec4, wp.float32, wp.int32
-    spec: Spec = {
-        "fine_range": (real, (batch, fine)),
-        "occupied": (integer, (batch, fine)),
-        "filtered": (vec3, (batch, fine)),
-        "safe_range": (real, (batch, coarse)),
-        "safe_direction": (vec3, (batch, coarse)),
-        "initial_endpoint": (vec3, (batch, M + BRAKES)),
-        "anchor": (vec3, (batch, M + BRAKES)),
-        "coefficient": (vec3, (batch, M + BRAKES, 6)),
-        "guide": (vec3, (batch, M + BRAKES, N + 1)),
-        "controls": (vec4, (batch, M + BRAKES, N)),
-        "positions": (vec3, (batch, M + BRAKES, N + 1)),
-        "velocities": (vec3, (batch, M + BRAKES, N + 1)),
-        "quaternions": (vec4, (batch, M + BRAKES, N + 1)),
-        "cost": (real, (batch * M, padded_samples(config, device))),
-        "S2": (real, (batch, M + BRAKES)),
-        "J_goal": (real, (batch, M + BRAKES)),
-        "J_col": (real, (batch, M + BRAKES)),
-        "clearance": (real, (batch, M + BRAKES, N)),
-        "best": (integer, (batch,)),
-        "status": (integer, (batch,)),
-        "braked": (integer, (batch,)),
-        "dropped": (integer, (batch,)),
-    }
-    return Block(spec, device)
+@dataclass(eq=False)
+class Workspace:
+    """Intermediate results, tables and the state that the planner carries from plan to plan."""
+
+    quaternion: wp.array = array(wp.vec4, "B", "", "Normalised attitude, w x y z, body to world.")
+    goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal, completed.")
+    goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, completed, w x y z.")
+    lookahead_length: wp.array = array(wp.float32, "B", "m", "l.")
+    initial_directions: wp.array = array(wp.vec3, "B A", "", "Directions of the initial endpoints, body frame.")
+    fine_directions: wp.array = array(wp.vec3, "F0 F1", "", "Table of the centre directions of the fine cells.")
+
+    cell_keys: wp.array = array(wp.uint64, "W B F", "", "Range and index of the nearest point; all ones: none.")
+    worker_dropped: wp.array = array(wp.int32, "W B", "", "Points that were not finite, counted by each worker.")
+
+    points_used: wp.array = array(wp.int32, "W B", "", "Points in each worker's part of the list.")
+    cell_ends: wp.array = array(wp.int32, "B G", "", "Number of points, then begin, then end of each cell in the list.")
+    pack_coordinates: wp.array = array(wp.float32, "B V 3 V0", "m", "Points of the list, world frame.")
+
+    waypoints: wp.array = array(wp.vec3, "B R", "m", "Waypoint of the cost-to-go; the goal where there is none.")
+    nominal_controls: wp.array = array(wp.vec4, "B R N", "N, rad/s", "Controls that follow the guides.")
+    noise: wp.array = array(wp.float32, "N 4 T", "", "Table of white noise of unit variance.")
+    sample_controls: wp.array = array(wp.float32, "B*M N 4 L", "N, rad/s", "Noisy, clamped controls.")
+    sample_positions: wp.array = array(wp.float32, "B*M Q 3 L", "m", "Stage I rollouts and probes, world frame.")
+    sample_clearance_cost: wp.array = array(wp.float32, "B*M Q K", "", "J_col of each state; 1 for a blocked probe.")
+    sample_weights: wp.array = array(wp.float32, "B*M L", "", "Softmin weights, not normalised; 0 from K on.")
+
+    state_terms: wp.array = array(wp.vec4, "B R Q+N+1", "", "J_goal, J_col, speed cost, clearance of Stage II states.")
+    instance_scores: wp.array = array(wp.vec2, "B R", "", "S2 and the minimum clearance [m].")
+
+    seed: wp.array = array(wp.int32, "B", "", "Seed of the noise.")
+    tick: wp.array = array(wp.int32, "B", "", "Number of plans so far, which selects the noise.")
+    previous_controls: wp.array = array(wp.vec4, "B N", "N, rad/s", "Controls to fly of the newest plan.")
+    previous_end: wp.array = array(wp.vec3, "B", "m", "Final position of that plan, world frame.")
+    previous_waypoint: wp.array = array(wp.vec3, "B", "m", "Waypoint of that plan, world frame; NaN where none.")
+    previous_time: wp.array = array(wp.float64, "B", "s", "Stamp of that plan; NaN where there is none.")
+
+    @property
+    def cell_counts(self) -> wp.array:
+        """`cell_ends` in groups of four, shape [B, G / 4]; the same memory."""
+        ends = self.cell_ends
+        shape = (ends.shape[0], ends.shape[1] // 4)
+        return wp.array(ptr=ends.ptr, dtype=wp.vec4i, shape=shape, device=ends.device)
+
+    @property
+    def point_packs(self) -> wp.array:
+        """`pack_coordinates` as packs of points, shape [B, V]; the same memory."""
+        points = self.pack_coordinates
+        dtype = point_pack(points.shape[3])
+        return wp.array(ptr=points.ptr, dtype=dtype, shape=points.shape[:2], device=points.device)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of the arrays, by the symbols of the module's docstring."""
+
+    B: int
+    M: int
+    R: int
+    N: int
+    K: int
+    L: int
+    A: int
+    Q: int
+    F: int
+    F0: int
+    F1: int
+    C: int
+    G: int
+    V: int
+    V0: int
+    W: int
+    T: int
+
+    @classmethod
+    def from_config(cls, config: PlannerConfig, *, batch: int, workers: int, tuning: KernelTuning) -> Sizes:
+        """Return the sizes for a configuration, a batch and the kernels of a device."""
+        part, sampling, M = config.partition, config.sampling, len(config.kinds)
+        rows, columns = fine_shape(config)
+        vector = max(tuning.samples_per_thread, tuning.samples_per_read)
+        pack = tuning.points_per_pack
+        # A point has copies in three layers, and on a CPU in three rows of each; a worker has every W-th layer.
+        copies = (1 if tuning.is_cuda else 3) * math.ceil(3 / workers)
+        return cls(
+            B=batch,
+            M=M,
+            R=M + int(BRAKING_CANDIDATES),
+            N=sampling.steps,
+            K=sampling.samples,
+            L=-(-sampling.samples // vector) * vector,
+            A=config.anchor_count,
+            Q=sampling.steps + int(PROBES),
+            F=rows * columns,
+            F0=rows,
+            F1=columns,
+            C=part.coarse_rows * part.coarse_columns,
+            G=int(GRID) ** 3,
+            V=workers * -(-rows * columns * copies // pack),
+            V0=pack,
+            W=workers,
+            T=int(NOISE_ROWS),
+        )
+
+    @property
+    def worker_capacity(self) -> int:
+        """Number of points that fit into one worker's part of the list."""
+        return self.V // self.W * self.V0
 
 
 def fine_shape(config: PlannerConfig) -> tuple[int, int]:
     """Return the number of rows and columns of fine cells."""
     part = config.partition
     return part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
-
-
-def padded_samples(config: PlannerConfig, device: wp.Device) -> int:
-    """Return K filled up to whole vectors; the samples past K are rolled out and not used."""
-    of = widths(device)
-    width = max(of.samples, of.sums)
-    return -(-config.sampling.samples // width) * width
-
-
-def as_vectors(array: wp.array, width: int) -> wp.array:
-    """Return a view of a contiguous float array with its last axis in vectors of `width`."""
-    shape = (*array.shape[:-1], array.shape[-1] // width)
-    dtype = wp.types.vector(length=width, dtype=wp.float32)
-    return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
-
-
-def as_values(array: wp.array) -> wp.array:
-    """Return a view of a contiguous array of vectors as floats, with its last axis and that of the vectors as one."""
-    shape = (*array.shape[:-1], array.shape[-1] * array.dtype._length_)
-    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=array.device)
-
-
-def list_capacity(config: PlannerConfig, lanes: int, device: wp.Device) -> int:
-    """Return how many points the list has room for in the layers of one lane: of three layers, those it may have."""
-    rows = 3 if device.is_cpu else 1
-    points = math.prod(fine_shape(config)) * rows * math.ceil(3 / lanes)
-    width = widths(device).points
-    return -(-points // width) * width
-
-
-def work_arrays(config: PlannerConfig, batch: int, lanes: int, device: wp.Device) -> SimpleNamespace:
-    """What only the kernels need."""
-    M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
-    fine = math.prod(fine_shape(config))
-    rows, padded = N + PROBES, padded_samples(config, device)
-    blocks = lanes * list_capacity(config, lanes, device) // widths(device).points
-    with wp.ScopedDevice(device):
-        work = SimpleNamespace(
-            quaternion=wp.zeros(batch, dtype=wp.vec4),
-            goal_velocity=wp.zeros(batch, dtype=wp.vec3),
-            goal_quaternion=wp.zeros(batch, dtype=wp.vec4),
-            keys=wp.zeros((lanes, batch, fine), dtype=wp.uint64),
-            reach=wp.zeros(batch, dtype=wp.float32),
-            initial_direction=wp.zeros((batch, config.anchor_count), dtype=wp.vec3),
-            total=wp.zeros((lanes, batch), dtype=wp.int32),
-            end=wp.zeros((batch, GRID**3), dtype=wp.int32),
-            directions=wp.zeros(fine_shape(config), dtype=wp.vec3),
-            turn=wp.zeros((batch, M + BRAKES), dtype=wp.vec3),
-            nominal=wp.zeros((batch, M + BRAKES, N), dtype=wp.vec4),
-            sample_controls=wp.zeros((batch * M, N, 4, padded), dtype=wp.float32),
-            sample_positions=wp.zeros((batch * M, rows, 3, padded), dtype=wp.float32),
-            sample_clearance_cost=wp.zeros((batch * M, rows, K), dtype=wp.float32),
-            weight=wp.zeros((batch * M, padded), dtype=wp.float32),
-            terms=wp.zeros((batch, M + BRAKES, rows + N + 1), dtype=wp.vec4),
-            dropped=wp.zeros((lanes, batch), dtype=wp.int32),
-            scores=wp.zeros((batch, M + BRAKES), dtype=wp.vec2),
-            noise=wp.zeros((N, 4, NOISE_ROWS), dtype=wp.float32),
-            seed=wp.zeros(batch, dtype=wp.int32),
-            tick=wp.zeros(batch, dtype=wp.int32),
-            previous_controls=wp.zeros((batch, N), dtype=wp.vec4),
-            previous_end=wp.zeros(batch, dtype=wp.vec3),
-            previous_turn=wp.zeros(batch, dtype=wp.vec3),
-            previous_time=wp.zeros(batch, dtype=wp.float64),
-        )
-        # The same memory twice, for reading and for writing.
-        work.counts = wp.array(ptr=work.end.ptr, dtype=wp.vec4i, shape=(batch, GRID**3 // 4), device=device)
-        work.coordinates = wp.zeros((batch, blocks, 3, widths(device).points), dtype=wp.float32)
-        work.blocks = wp.array(
-            ptr=work.coordinates.ptr, dtype=block_type(widths(device).points), shape=(batch, blocks), device=device
-        )
-        wp.launch(fill_directions, dim=work.directions.shape, inputs=[work.directions])
-        wp.launch(fill_noise, dim=(N, NOISE_ROWS), inputs=[work.noise])
-        work.keys.fill_(0xFFFFFFFFFFFFFFFF)
-    return work

@@ -1,4 +1,4 @@
-"""How fast the planner is here: `python -m aero_planner.benchmark --help`."""
+"""Measure how long the planner takes on this machine: `python -m aero_planner.benchmark --help`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from aero_planner.cli_util import run_command
 from aero_planner.config import PlannerConfig
@@ -24,7 +23,6 @@ from aero_planner.planner import Planner
 __all__ = ["main", "measure"]
 
 _WARM_UP = 3
-_SWEEP = 20_000
 _MIB = 2.0**20
 
 
@@ -40,23 +38,31 @@ def measure(
 ) -> dict[str, Any]:
     """Time the planner in a forest at 4 m/s.
 
+    Args:
+        config: parameters.
+        device, threads: as for `Planner`.
+        batch: number of drones, all in the same situation.
+        points: number of points of each cloud.
+        repeat: number of plans to time.
+        seed: seed of the forest and of the noise.
+
     Returns:
-        "plan": {"median_ms", "p99_ms"} of `Planner.plan` with the cloud in host memory and all results copied back;
-        "launch": the same of `Planner.launch`, everything staying on the device;
-        "stages": the same of each stage, on CUDA one after another, with an event of a microsecond between them;
-        "upload" and "launch_with_upload", on CUDA: of a new sweep of 20 000 points per drone, alone, and of a launch
-        beside which the next one is copied; "plans_per_second" and "launches_per_second", over the
-        batch; "points_kept" per drone; "memory_mib": growth of the resident set on the CPU, device memory on CUDA;
+        "plan": {"median_ms", "p99_ms"} of `Planner.plan`, with the cloud in host memory and all results copied back;
+        "launch": the same for `Planner.launch`, with everything on the device;
+        "stages": the same for each stage; on CUDA, stages run one after another here, with an event between them;
+        "plans_per_second" and "launches_per_second", over the batch;
+        "points_kept": size of the filtered cloud, per drone;
+        "memory_mib": growth of the resident set on the CPU, device memory on CUDA;
         and the arguments.
 
     Raises:
         ValueError: an argument is out of its range, or the device does not exist.
     """
-    for name, value, least in (("points", points, 0), ("repeat", repeat, 1)):
-        if value < least:
-            raise ValueError(f"{name} is {value}; it must be at least {least}.")
+    for name, value, minimum in (("points", points, 0), ("repeat", repeat, 1)):
+        if value < minimum:
+            raise ValueError(f"{name} is {value}; it must be at least {minimum}.")
     cloud = forest_cloud(points, seed=seed)
-    before = _resident_bytes()
+    resident_before = _resident_bytes()
     planner = Planner(config, device=device, seed=seed, batch=batch, threads=threads)
     warp_device = wp.get_device(device)
     free_before = warp_device.free_memory if warp_device.is_cuda else 0
@@ -72,13 +78,10 @@ def measure(
         if i >= _WARM_UP:
             for name, milliseconds in plan.stage_ms.items():
                 stages.setdefault(name, []).append(milliseconds)
-        kept = sum(len(one) for one in plan.filtered_points) / batch
+        kept = sum(len(filtered) for filtered in plan.filtered_points) / batch
     launches = [_time_launch(planner, warp_device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
-    extra: dict[str, Any] = {}
     if warp_device.is_cuda:
-        sweep = np.repeat(cloud[None, : min(_SWEEP, points)], batch, axis=0)
-        extra = {name: _summary(times) for name, times in _time_uploads(planner, warp_device, sweep, repeat).items()}
-        stages |= planner._pipeline.time_stages(repeat)
+        stages |= planner.time_stages(repeat)
     planner.close()
 
     if warp_device.is_cuda and wp.is_mempool_enabled(warp_device):
@@ -86,7 +89,7 @@ def measure(
     elif warp_device.is_cuda:
         memory = free_before - warp_device.free_memory
     else:
-        memory = _resident_bytes() - before
+        memory = _resident_bytes() - resident_before
     total = stages.pop("total")
     return {
         "device": device,
@@ -98,10 +101,9 @@ def measure(
         "instances": len(config.kinds),
         "threads": threads,
         "repeat": repeat,
-        "stages": {name: _summary(times) for name, times in stages.items()},
-        "plan": _summary(total),
-        "launch": _summary(launches),
-        **extra,
+        "stages": {name: _summarize(times) for name, times in stages.items()},
+        "plan": _summarize(total),
+        "launch": _summarize(launches),
         "plans_per_second": 1e3 * batch / float(np.median(total)),
         "launches_per_second": 1e3 * batch / float(np.median(launches)),
         "points_kept": kept,
@@ -110,7 +112,7 @@ def measure(
 
 
 def _time_launch(planner: Planner, device: wp.Device) -> float:
-    """Time of one `launch` [ms], on CUDA between two events of its stream."""
+    """Return the time of one `launch` [ms], on CUDA between two events of its stream."""
     if not device.is_cuda:
         started = time.perf_counter()
         planner.launch()
@@ -123,48 +125,24 @@ def _time_launch(planner: Planner, device: wp.Device) -> float:
         return float(wp.get_event_elapsed_time(begin, end))
 
 
-def _time_uploads(
-    planner: Planner, device: wp.Device, sweep: NDArray[np.float32], repeat: int
-) -> dict[str, list[float]]:
-    """Times of the copy of a sweep, from the call on, and of launches beside which the next sweep is copied [ms]."""
-    alone = []
-    for _ in range(repeat + _WARM_UP):
-        started = time.perf_counter()
-        planner.upload(sweep)
-        wp.synchronize_device(device)
-        alone.append(1e3 * (time.perf_counter() - started))
-    marks = []
-    with wp.ScopedDevice(device):
-        for _ in range(repeat + _WARM_UP):
-            begin, end = wp.Event(device, enable_timing=True), wp.Event(device, enable_timing=True)
-            wp.record_event(begin)
-            planner.launch()
-            wp.record_event(end)
-            planner.upload(sweep)
-            marks.append((begin, end))
-        beside = [float(wp.get_event_elapsed_time(begin, end)) for begin, end in marks]
-    return {"upload": alone[_WARM_UP:], "launch_with_upload": beside[_WARM_UP:]}
-
-
-def _summary(times: Sequence[float]) -> dict[str, float]:
+def _summarize(times: Sequence[float]) -> dict[str, float]:
     return {"median_ms": float(np.median(times)), "p99_ms": float(np.quantile(times, 0.99))}
 
 
 def _resident_bytes() -> int:
-    """Largest resident set so far; Linux counts in KiB, macOS in bytes."""
-    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return largest if sys.platform == "darwin" else 1024 * largest
+    """Return the peak resident set of this process [bytes]; Linux reports KiB, macOS bytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
-def _report(result: dict[str, Any], preset: str) -> str:
-    uploads = {name.replace("_", " "): result[name] for name in ("upload", "launch_with_upload") if name in result}
+def _format_report(result: dict[str, Any], preset: str) -> str:
     lines = [
         f"{result['device']} ({result['device_name']}), preset {preset}, batch {result['batch']}, "
         f"{result['points']} points, {result['instances']} instances x {result['samples']} samples x "
         f"{result['steps']} steps, {result['repeat']} plans",
         f"{'':20}{'median ms':>12}{'p99 ms':>12}",
     ]
-    rows = {**result["stages"], "plan": result["plan"], "launch": result["launch"], **uploads}
+    rows = {**result["stages"], "plan": result["plan"], "launch": result["launch"]}
     lines += [f"{name:20}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
     lines += [
         f"plans per second: {result['plans_per_second']:.1f} with host copies, "
@@ -178,13 +156,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, or 2 for a wrong argument."""
     parser = argparse.ArgumentParser(prog="python -m aero_planner.benchmark", description=__doc__)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--batch", type=int, default=1, help="drones planned at once")
+    parser.add_argument("--batch", type=int, default=1, help="number of drones planned at once")
     parser.add_argument("--points", type=int, default=200_000, help="points of each cloud")
     parser.add_argument("--samples", type=int, help="rollouts of each instance")
-    parser.add_argument("--steps", type=int, help="steps of the horizon")
+    parser.add_argument("--steps", type=int, help="time steps of the horizon")
     parser.add_argument("--preset", default="default", help="preset or configuration file")
-    parser.add_argument("--threads", type=int, help="CPU threads; one per core otherwise")
-    parser.add_argument("--repeat", type=int, default=100, help="plans to time")
+    parser.add_argument("--threads", type=int, help="CPU threads; by default one per core")
+    parser.add_argument("--repeat", type=int, default=100, help="number of plans to time")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
     changes = {"sampling.samples": options.samples, "sampling.steps": options.steps}
@@ -197,7 +175,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    print(json.dumps({"preset": options.preset, **result}) if options.json else _report(result, options.preset))
+    report = (
+        json.dumps({"preset": options.preset, **result}) if options.json else _format_report(result, options.preset)
+    )
+    print(report)
     return 0
 
 

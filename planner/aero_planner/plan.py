@@ -1,4 +1,4 @@
-"""What goes into the planner and what comes out of it, as NumPy."""
+"""State and goal that the planner takes, and the plan that it returns, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class VehicleState:
-    """State of the quadrotor, world frame; with a batch of B drones every array has a leading axis B.
+    """State of the quadrotor, world frame. With a batch of B drones every array has a leading axis B.
 
     Args:
         position: p [m], shape [3].
         velocity: v [m/s], shape [3].
         quaternion: q, body to world, order w, x, y, z, shape [4]; need not be normalised.
         acceleration: a [m/s^2], shape [3]; None means zero.
-        time: stamp of the state [s]; None means one `sampling.replan_period` after the state before. It tells how far
-            the previous plan has been flown.
+        time: stamp of the state [s], from which follows how far the previous plan has been flown. None means one
+            `sampling.replan_period` after the previous state.
     """
 
     position: ArrayLike
@@ -35,7 +35,7 @@ class VehicleState:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Where to fly, world frame; with a batch of B drones every array has a leading axis B.
+    """State at the goal, world frame. With a batch of B drones every array has a leading axis B.
 
     Args:
         position: p_goal [m], shape [3].
@@ -50,10 +50,10 @@ class Goal:
 
 
 class PlanStatus(enum.IntEnum):
-    """Whether the plan may be flown."""
+    """Safety of a plan; `controls[best]` may be flown in any case."""
 
     OK = 0
-    """The best candidate keeps its distance over the whole horizon."""
+    """The best candidate keeps its clearance over the whole horizon."""
     NO_SAFE_CANDIDATE = 1
     """Every candidate comes too close; `controls[best]` is a braking sequence."""
     STALE_CLOUD = 2
@@ -62,15 +62,15 @@ class PlanStatus(enum.IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The result of one `Planner.plan` call: arrays of its own, never overwritten.
+    """Result of one `Planner.plan` call. Its arrays are copies that no later call changes.
 
-    M instances (anchors first), K samples each, N steps of dt. With a batch, every array has a leading axis B and
-    `best`, `status` and `dropped_points` are arrays of shape [B].
+    There are M instances (anchors first) with K samples each, and N time steps of dt. With a batch, every array has a
+    leading axis B, and `best`, `status` and `dropped_points` are arrays of shape [B].
     """
 
     fine_range: Array
-    """r_ij: nearest range per 3 deg cell, r_max where empty [m], shape [60, 120]; elevation rows from -90 deg up,
-    azimuth columns from -180 deg, body frame."""
+    """r_ij: nearest range of each 3 deg cell, r_max where it is empty [m], shape [60, 120], body frame. Rows are
+    elevations from -90 deg, columns azimuths from -180 deg."""
     safe_range: Array
     """Largest fine range of each coarse cell [m], shape [10, 20]."""
     safe_direction: Array
@@ -88,36 +88,36 @@ class Plan:
     kinds: tuple[str, ...]
     """"anchor" for the first M_h M_v instances, then "previous" and "brake" where configured, length M."""
     controls: Array
-    """Optimised thrust [N] and body rates [rad/s], shape [M, N, 4]."""
+    """Optimised thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]."""
     positions: Array
-    """Stage II rollouts [m], shape [M, N+1, 3], world frame."""
+    """Positions of the Stage II rollouts [m], shape [M, N+1, 3], world frame."""
     velocities: Array
-    """Stage II rollouts [m/s], shape [M, N+1, 3], world frame."""
+    """Velocities of the Stage II rollouts [m/s], shape [M, N+1, 3], world frame."""
     quaternions: Array
-    """Stage II rollouts, body to world, w x y z, shape [M, N+1, 4]."""
+    """Attitudes of the Stage II rollouts, body to world, w x y z, shape [M, N+1, 4]."""
     stage1_cost: Array
     """S1 of every sample, shape [M, K]."""
     stage2_cost: Array
-    """S2 of every instance, shape [M]: J_goal + J_col, and the options' terms where they are on."""
+    """S2 of every instance, shape [M]: J_goal + J_col, and the terms of the options that are on."""
     goal_cost: Array
     """J_goal of every instance, shape [M]."""
     collision_cost: Array
     """J_col of every instance, shape [M]."""
     clearance: Array
-    """Distance to the nearest filtered point after each control, d_max where farther [m], shape [M, N]."""
+    """Distance to the nearest filtered point after each control, at most d_max [m], shape [M, N]."""
     best: int | NDArray[np.int32]
     """Index of the instance to fly: `controls[best]`."""
     status: PlanStatus | NDArray[np.int32]
     dropped_points: int | NDArray[np.int32]
-    """Points that were not finite."""
+    """Number of points that were not finite."""
     stage_ms: dict[str, float] = field(default_factory=dict)
     """Time of each stage [ms]."""
     samples: Array | None = None
-    """Stage I rollouts [m], shape [M, K, N+1, 3], world frame, when asked for."""
+    """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
 
     @property
     def command(self) -> Array:
-        """The controls to fly, shape [N, 4]; with a batch [B, N, 4]."""
+        """Controls to fly, `controls[best]`, shape [N, 4]; with a batch [B, N, 4]."""
         if isinstance(self.best, np.ndarray):
             return self.controls[np.arange(len(self.best)), self.best]
         return self.controls[self.best]

@@ -1,4 +1,4 @@
-"""Planner: owns the buffers and turns a state, a goal and a cloud into a Plan."""
+"""The planner: owns the device arrays and turns a state, a goal and a cloud into a plan."""
 
 from __future__ import annotations
 
@@ -6,47 +6,51 @@ import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.arrays import fine_shape, input_block, output_block, work_arrays
+from aero_planner.array_memory import PackedArrays, allocate, as_dict
+from aero_planner.arrays import PlannerInputs, PlannerOutputs, Sizes, Workspace, fine_shape
 from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
+from aero_planner.kernels.kernel_tuning import device_tuning
+from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
+from aero_planner.kernels.partition import EMPTY, fill_directions
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import find_device
 
 __all__ = ["History", "Planner"]
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What the planner carries from one plan to the next."""
+    """State that the planner carries from one plan to the next."""
 
     controls: NDArray[np.float32]
-    """Previous controls to fly, shape [B, N, 4]."""
+    """Controls to fly of the previous plan, shape [B, N, 4]."""
     end: NDArray[np.float32]
-    """Where they led [m], shape [B, 3], world frame."""
-    turn: NDArray[np.float32]
-    """Where the way to the goal turned behind that [m], shape [B, 3]; NaN where it led straight on."""
+    """Final position of its rollout [m], shape [B, 3], world frame."""
+    waypoint: NDArray[np.float32]
+    """Waypoint of its cost-to-go [m], shape [B, 3], world frame; NaN where the path led straight to the goal."""
     time: NDArray[np.float64]
-    """When they were planned [s], shape [B]; NaN where there are none."""
+    """Its stamp [s], shape [B]; NaN where there is no previous plan."""
     tick: NDArray[np.int32]
-    """Number of plans so far, which picks the noise, shape [B]."""
+    """Number of plans so far, which selects the noise, shape [B]."""
 
 
 class Planner:
     """The AERO-MPPI planner on one device.
 
     Args:
-        config: parameters; `configure` changes them later.
+        config: parameters; `configure` changes them later. None means the default.
         device: "cpu" or a CUDA device such as "cuda:0".
-        seed: of the noise. Drone b of a batch draws what a single planner with seed + b draws.
+        seed: seed of the noise. Drone b of a batch draws the noise of a single planner with seed + b.
         batch: None for one drone, or B drones that share every launch; arrays then have a leading axis B.
         threads: CPU threads for the heavy stages; None for one per core. The plan does not depend on it.
 
@@ -71,17 +75,23 @@ class Planner:
             )
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
-        self._device = _find_device(device)
+        self._device = find_device(device)
+        self._tuning = device_tuning(self._device)
         self._batched = batch is not None
         self._batch = batch or 1
         self._seed = int(seed)
-        self._lanes = 1 if self._device.is_cuda else (threads or os.cpu_count() or 1)
+        self._workers = 1 if self._device.is_cuda else (threads or os.cpu_count() or 1)
         self._config = config or PlannerConfig()
-        self._inputs = input_block(self._batch, self._device)
+        self._sizes = self._make_sizes()
+        self._inputs = PackedArrays(PlannerInputs, self._sizes, self._device)
         self._set_input_defaults()
         self._cloud = Cloud(batch, self._device)
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
+        self._pipeline: Pipeline | None = None
         self._build()
+
+    def _make_sizes(self) -> Sizes:
+        return Sizes.from_config(self._config, batch=self._batch, workers=self._workers, tuning=self._tuning)
 
     def _set_input_defaults(self) -> None:
         host = self._inputs.host()
@@ -92,21 +102,34 @@ class Planner:
         self._inputs.upload()
 
     def _build(self) -> None:
-        self._outputs = output_block(self._config, self._batch, self._device)
-        self._work = work_arrays(self._config, self._batch, self._lanes, self._device)
-        seeds = (self._seed % 2**32 + np.arange(self._batch, dtype=np.int64)).astype(np.int32)  # of any size
-        self._work.seed.assign(seeds)
+        """Allocate everything that depends on the structure of the configuration, and record the launches."""
+        self._sizes = sizes = self._make_sizes()
+        self._outputs = PackedArrays(PlannerOutputs, sizes, self._device)
+        self._work = allocate(Workspace, sizes, self._device)
+        work = self._work
+        work.cell_keys.fill_(EMPTY.value)
+        with wp.ScopedDevice(self._device):
+            wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
+            wp.launch(fill_noise, (sizes.N, sizes.T), outputs=[work.noise])
+        # Seeds may be of any size.
+        work.seed.assign((self._seed % 2**32 + np.arange(self._batch, dtype=np.int64)).astype(np.int32))
         self.reset()
         self._write_params()
         self._record()
 
     def _record(self) -> None:
-        if hasattr(self, "_pipeline"):
+        if self._pipeline is not None:
             self._pipeline.close()
         self._pipeline = Pipeline(
-            self._config, batch=self._batch, lanes=self._lanes, inputs=self._inputs.arrays,
-            outputs=self._outputs.arrays, work=self._work, points=self._cloud.array, params=self._params,
-        )  # fmt: skip
+            self._config,
+            self._sizes,
+            self._tuning,
+            inputs=self._inputs.arrays,
+            outputs=self._outputs.arrays,
+            work=self._work,
+            points=self._cloud.array,
+            params=self._params,
+        )
 
     def _write_params(self, records: NDArray[Any] | None = None) -> None:
         if records is None:
@@ -115,7 +138,7 @@ class Planner:
 
     @property
     def config(self) -> PlannerConfig:
-        """The configuration in use."""
+        """Configuration in use; the first drone's if they differ."""
         return self._config
 
     @property
@@ -124,23 +147,29 @@ class Planner:
         return str(self._device)
 
     @property
-    def inputs(self) -> SimpleNamespace:
-        """Device arrays read by `launch`: position, velocity, acceleration, goal_position, goal_velocity [B] vec3;
-        quaternion, goal_quaternion [B] vec4, w x y z; time [B] float64 [s]; cloud_age [B] [s]; ground_height [B] [m],
-        -inf where it is unknown; point_count [B]. NaN in goal_velocity, goal_quaternion or time means: derive it. The
-        cloud is `points`."""
+    def inputs(self) -> PlannerInputs:
+        """Device arrays that `launch` reads. The cloud is `points`."""
         return self._inputs.arrays
 
     @property
-    def outputs(self) -> SimpleNamespace:
-        """Device arrays written by `launch`, instances flattened where a name is singular; see
-        `buffers.output_block`."""
+    def outputs(self) -> PlannerOutputs:
+        """Device arrays that `launch` writes."""
         return self._outputs.arrays
+
+    @property
+    def workspace(self) -> Workspace:
+        """Device arrays of intermediate results, for tests and benchmarks; a structural change replaces them."""
+        return self._work
+
+    @property
+    def params(self) -> wp.array:
+        """Device array of the live parameters, shape [B]."""
+        return self._params
 
     @property
     def points(self) -> wp.array:
         """Device array of the clouds, shape [B, P], vec3 [m], world frame; `reserve` makes room."""
-        self._cloud.forget()
+        self._cloud.invalidate()
         return self._cloud.array
 
     @property
@@ -151,11 +180,11 @@ class Planner:
     def configure(self, config: PlannerConfig | Sequence[PlannerConfig]) -> None:
         """Use another configuration from the next plan on.
 
-        Live parameters are copied to the device and nothing else happens; a structural change rebuilds buffers and
-        forgets the previous plan. A sequence of B configurations of equal structure gives each drone its own.
+        A change of live parameters only copies them to the device. A structural change rebuilds the arrays and discards
+        the previous plan. A sequence of B configurations of equal structure gives each drone its own.
 
         Raises:
-            ValueError: a sequence has the wrong length or differs in structure.
+            ValueError: a sequence has the wrong length, or its configurations differ in structure.
             MemoryError, RuntimeError: the device has no room for the new structure; the present one stays.
         """
         configs = [config] if isinstance(config, PlannerConfig) else list(config)
@@ -163,11 +192,12 @@ class Planner:
             raise ValueError(
                 f"{len(configs)} configurations were given for a batch of {self._batch}; give one for each."
             )
-        if any(other.structure() != configs[0].structure() for other in configs):
+        structure = configs[0].structure()
+        if any(drone_config.structure() != structure for drone_config in configs):
             raise ValueError(
                 "the configurations of one batch differ in structure; give them equal samples, steps and grids."
             )
-        rebuild = configs[0].structure() != self._config.structure()
+        rebuild = structure != self._config.structure()
         before, self._config = self._config, configs[0]
         if rebuild:
             try:
@@ -177,62 +207,47 @@ class Planner:
                 self._build()
                 raise
         if not isinstance(config, PlannerConfig):
-            self._write_params(np.array([pack(one) for one in configs]))
+            self._write_params(np.array([pack(drone_config) for drone_config in configs]))
         elif not rebuild:
             self._write_params()
 
     def reserve(self, count: int) -> None:
-        """Make room for `count` points per drone; the cloud is then all NaN, which means no points."""
+        """Make room for `count` points per drone. The cloud is then all NaN, which means no points."""
         if self._cloud.reserve(count):
             self._record()
         self._inputs.host()["point_count"][:] = count
         self._inputs.upload()
-        self._pipeline.limit_points(count)
-
-    def upload(self, points: ArrayLike, *, first: int = 0) -> None:
-        """Start copying points, such as a new sweep, to the device beside a plan that it computes.
-
-        The next `launch`, or `plan` with `Planner.points`, takes them in, in the place of those from `first` on.
-
-        Args:
-            points: [m], shape [n, 3], a batch [B, n, 3], world frame.
-            first: place of the first in the cloud that `reserve` has made room for.
-
-        Raises:
-            ValueError: the points have another shape, or there is no room.
-        """
-        self._cloud.send(points, first)
+        self._active_pipeline.limit_points(count)
 
     def reset(self) -> None:
-        """Forget the previous plan and start the noise anew."""
+        """Discard the previous plan and restart the noise sequence."""
         self._work.tick.zero_()
         self._work.previous_controls.zero_()
         self._work.previous_time.fill_(np.nan)
 
     def history(self) -> History:
-        """Return what the next plan builds on; `restore` with it makes the next plan repeatable bit for bit."""
+        """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
         work = self._work
-        arrays = (work.previous_controls, work.previous_end, work.previous_turn, work.previous_time, work.tick)
-        return History(*(array.numpy().copy() for array in arrays))
+        arrays = (work.previous_controls, work.previous_end, work.previous_waypoint, work.previous_time, work.tick)
+        return History(*(_to_numpy(array).copy() for array in arrays))
 
     def restore(self, history: History) -> None:
-        """Continue from `history`; one of another structure or batch is ignored and the planner is reset."""
+        """Continue from `history`. If it has another structure or batch, the planner is reset instead."""
         work = self._work
         if history.controls.shape != (*work.previous_controls.shape, 4):
             return self.reset()
         work.previous_controls.assign(history.controls)
         work.previous_end.assign(history.end)
-        work.previous_turn.assign(history.turn)
+        work.previous_waypoint.assign(history.waypoint)
         work.previous_time.assign(history.time)
         work.tick.assign(history.tick)
 
     def launch(self) -> None:
         """Plan from the device arrays of `inputs` and `points` into those of `outputs` and `command`.
 
-        Nothing is copied to or from the host, and on CUDA the call returns before the plan is done.
+        Nothing is copied to or from the host, and on CUDA the call returns before the plan is finished.
         """
-        self._cloud.receive()
-        self._pipeline.run()
+        self._active_pipeline.run()
 
     def plan(
         self,
@@ -247,19 +262,17 @@ class Planner:
         """Plan once.
 
         Args:
-            state: of the drone, world frame.
-            goal: where to fly, world frame.
-            points: cloud [m], shape [P, 3], world frame; NumPy or Warp array; a batch takes [B, P, 3] or B arrays.
-                Points that are not finite are dropped and counted. `Planner.points` is the cloud on the device, see
-                `upload`.
+            state: state of the drone, world frame.
+            goal: state at the goal, world frame.
+            points: cloud [m], shape [P, 3], world frame, a NumPy or Warp array; for a batch [B, P, 3] or B arrays.
+                Points that are not finite are dropped and counted. `Planner.points` plans from the cloud on the device.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
             ground_height: height of flat ground [m], world frame, which counts as an obstacle unless costs.use_ground
-                is off; one number, or an array of shape [B] for a batch, -inf for a drone whose ground is unknown.
-                None means unknown.
-            samples: also return the Stage I rollouts.
+                is off: a number, or an array of shape [B] for a batch, -inf where it is unknown. None means unknown.
+            samples: return the Stage I rollouts as well.
 
         Returns:
-            A plan with arrays of its own. Same seed, device, inputs and history: same plan, bit for bit.
+            A plan. Same seed, device, inputs and history: same plan, bit for bit.
 
         Raises:
             ValueError: an input has the wrong shape or is not finite; nothing was launched.
@@ -270,13 +283,12 @@ class Planner:
         self._inputs.upload()
         uploaded = time.perf_counter()
         self.launch()
-        raw = self._outputs.download()
+        values = self._outputs.download()
         done = time.perf_counter()
-        stage_ms = {"inputs": 1e3 * (uploaded - started)} | self._pipeline.stage_ms
-        if self._device.is_cuda:
-            stage_ms = {"inputs": stage_ms["inputs"], "graph": 1e3 * (done - uploaded)}
+        stage_ms = {"inputs": 1e3 * (uploaded - started)}
+        stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._active_pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
-        return self._to_plan(raw, stage_ms, samples)
+        return self._to_plan(values, stage_ms, samples)
 
     def _write_inputs(self, state: VehicleState, goal: Goal, cloud_age: float, ground_height: ArrayLike | None) -> None:
         batch = (self._batch,) if self._batched else ()
@@ -300,86 +312,102 @@ class Planner:
             host[name][:] = value
 
     def _write_points(self, points: Points) -> None:
-        if points is self._cloud.array or self._cloud.knows(points):
+        if self._cloud.is_current(points):
             return
         clouds = self._cloud.split(points)
         counts = [len(cloud) for cloud in clouds]
         if max(counts) > self._cloud.capacity:
-            # Room to grow, so that a cloud that gains a few points each sweep does not rebuild the graph each time.
+            # Some room to grow: a cloud that gains a few points with each sweep must not rebuild the graph each time.
             self.reserve(max(counts) * 5 // 4)
-        self._cloud.write(clouds, points)
+        self._cloud.write(points, clouds)
         self._inputs.host()["point_count"][:] = counts
-        self._pipeline.limit_points(max(counts))
+        self._active_pipeline.limit_points(max(counts))
 
-    def _to_plan(self, raw: dict[str, NDArray[Any]], stage_ms: dict[str, float], samples: bool) -> Plan:
-        B, config = self._batch, self._config
-        part, M = config.partition, len(config.kinds)
+    def _to_plan(self, values: dict[str, NDArray[Any]], stage_ms: dict[str, float], samples: bool) -> Plan:
+        """Return the plan of the output arrays, without the rows of the braking candidates."""
+        B, M, config = self._batch, self._sizes.M, self._config
+        part = config.partition
         coarse = (B, part.coarse_rows, part.coarse_columns)
-        fine = (B, *fine_shape(config))
-        filtered = [raw["filtered"][b][raw["occupied"][b] != 0] for b in range(B)]
-        dropped = raw["dropped"]
+        filtered = [values["filtered_points"][b][values["occupied"][b] != 0] for b in range(B)]
         kinds = list(config.kinds)
-        if not self._batched and raw["braked"][0] >= 0:
-            kinds[raw["braked"][0]] = "brake"
+        if not self._batched and values["braking_instance"][0] >= 0:
+            kinds[values["braking_instance"][0]] = "brake"
 
-        def field(name: str) -> Any:
-            return raw[name] if self._batched else raw[name][0]
-
-        def shaped(name: str, shape: tuple[int, ...]) -> Any:
-            array = raw[name].reshape(shape)
+        def per_drone(array: NDArray[Any]) -> Any:
             return array if self._batched else array[0]
 
         def instances(name: str) -> Any:
-            array = raw[name][:, :M]  # the last is the plain brake
-            return array if self._batched else array[0]
+            return per_drone(values[name][:, :M])
 
         return Plan(
-            fine_range=shaped("fine_range", fine),
-            safe_range=shaped("safe_range", coarse),
-            safe_direction=shaped("safe_direction", (*coarse, 3)),
+            fine_range=per_drone(values["fine_range"].reshape(B, *fine_shape(config))),
+            safe_range=per_drone(values["safe_range"].reshape(coarse)),
+            safe_direction=per_drone(values["safe_direction"].reshape(*coarse, 3)),
             filtered_points=filtered if self._batched else filtered[0],
-            initial_endpoints=instances("initial_endpoint"),
-            anchors=instances("anchor"),
-            guide_coefficients=np.swapaxes(instances("coefficient"), -1, -2),
-            guides=instances("guide"),
+            initial_endpoints=instances("initial_endpoints"),
+            anchors=instances("anchors"),
+            guide_coefficients=np.swapaxes(instances("guide_coefficients"), -1, -2),
+            guides=instances("guides"),
             kinds=tuple(kinds),
             controls=instances("controls"),
             positions=instances("positions"),
             velocities=instances("velocities"),
             quaternions=instances("quaternions"),
-            stage1_cost=shaped("cost", (B, M, -1))[..., : config.sampling.samples],
-            stage2_cost=instances("S2"),
-            goal_cost=instances("J_goal"),
-            collision_cost=instances("J_col"),
+            stage1_cost=per_drone(values["stage1_cost"].reshape(B, M, -1))[..., : self._sizes.K],
+            stage2_cost=instances("stage2_cost"),
+            goal_cost=instances("goal_cost"),
+            collision_cost=instances("collision_cost"),
             clearance=instances("clearance"),
-            best=raw["best"] if self._batched else int(raw["best"][0]),
-            status=raw["status"] if self._batched else PlanStatus(int(raw["status"][0])),
-            dropped_points=dropped if self._batched else int(dropped[0]),
+            best=values["best"] if self._batched else int(values["best"][0]),
+            status=values["status"] if self._batched else PlanStatus(int(values["status"][0])),
+            dropped_points=values["dropped_points"] if self._batched else int(values["dropped_points"][0]),
             stage_ms=stage_ms,
-            samples=self._samples(raw["positions"][:, :M]) if samples else None,
+            samples=per_drone(self._sampled_positions(values["positions"][:, :M])) if samples else None,
         )
 
-    def _samples(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
-        B, M, rows, _ = positions.shape
-        after = self._work.sample_positions.numpy()[:, : rows - 1, :, : self._config.sampling.samples]
-        after = after.transpose(0, 3, 1, 2)
-        after = after.reshape(B, M, -1, rows - 1, 3)
-        start = np.broadcast_to(positions[:, :, None, :1], (*after.shape[:3], 1, 3))
-        rollouts = np.concatenate((start, after), axis=3)
-        return rollouts if self._batched else rollouts[0]
+    def _sampled_positions(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the Stage I rollouts [m], shape [B, M, K, N + 1, 3]; they start as the Stage II rollouts do."""
+        B, M, N, K = self._batch, self._sizes.M, self._sizes.N, self._sizes.K
+        states = _to_numpy(self._work.sample_positions)[:, :N, :, :K]
+        states = states.transpose(0, 3, 1, 2).reshape(B, M, K, N, 3)
+        start = np.broadcast_to(positions[:, :, None, :1], (B, M, K, 1, 3))
+        return np.concatenate((start, states), axis=3)
+
+    def time_stages(self, repeat: int) -> dict[str, list[float]]:
+        """Return the time of each stage in `repeat` plans on CUDA [ms], one stage after another."""
+        return self._active_pipeline.time_stages(repeat)
+
+    def save_graph(self, path: str | os.PathLike[str]) -> Path:
+        """Save the launches of a plan for the C++ host; kernels are written to a folder beside the file.
+
+        Arrays are bound by their names in `PlannerInputs` and `PlannerOutputs`, and "points", "params", "seed", "tick",
+        "previous_controls", "previous_end", "previous_waypoint" and "previous_time". The planner must have planned
+        before and, on the CPU, have one thread.
+
+        Returns:
+            The file, with the suffix ".wrp".
+        """
+        state = ("seed", "tick", "previous_controls", "previous_end", "previous_waypoint", "previous_time")
+        inputs = as_dict(self.inputs) | {"points": self.points, "params": self.params}
+        inputs |= {name: getattr(self._work, name) for name in state}
+        graph = self._active_pipeline.capture_graph()
+        wp.capture_save(graph, os.fspath(path), inputs=inputs, outputs=as_dict(self.outputs))
+        return Path(path).with_suffix(".wrp")
 
     def close(self) -> None:
-        """Let the worker threads end; the planner can't be used afterwards."""
-        self._pipeline.close()
+        """Stop the worker threads; the planner can't be used afterwards."""
+        self._active_pipeline.close()
+
+    @property
+    def _active_pipeline(self) -> Pipeline:
+        assert self._pipeline is not None
+        return self._pipeline
 
 
-def _find_device(name: str) -> wp.Device:
-    quieten()  # what Warp reports on stdout would mix with the caller's own output
-    try:
-        return wp.get_device(name)
-    except Exception as error:
-        known = ", ".join(str(device) for device in wp.get_devices())
-        raise ValueError(f"device {name!r} is not available: {error}; this machine has {known}.") from error
+def _to_numpy(array: wp.array) -> NDArray[Any]:
+    """Return `array.numpy()`, whose declared type lacks dtype and shape."""
+    values: Any = array.numpy()
+    return values
 
 
 def _checked_ground(height: ArrayLike | None, batch: tuple[int, ...]) -> NDArray[np.float64]:
@@ -395,7 +423,11 @@ def _checked_ground(height: ArrayLike | None, batch: tuple[int, ...]) -> NDArray
 def _checked(
     name: str, value: Any, shape: tuple[int, ...], *, missing: float | None = None, limit: float = 1e6
 ) -> NDArray[np.float64]:
-    """Return `value` as float64 of `shape`; `missing` stands for None. Raises ValueError when it does not fit."""
+    """Return `value` as float64 of `shape`, full of `missing` if it is None.
+
+    Raises:
+        ValueError: it has another shape, is not finite, or exceeds `limit`.
+    """
     if value is None and missing is not None:
         return np.full(shape, missing)
     try:
@@ -407,6 +439,8 @@ def _checked(
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {array.tolist()}; every value must be finite.")
     if name != "state.time" and (np.abs(array) > limit).any():
-        raise ValueError(f"{name} is {array.tolist()}; values beyond {limit:g} have no precision left in float32: "
-                         "move the origin of the world nearer.")  # fmt: skip
+        raise ValueError(
+            f"{name} is {array.tolist()}; values beyond {limit:g} have no precision left in float32: "
+            "move the origin of the world nearer."
+        )
     return array

@@ -1,4 +1,4 @@
-"""Warp without words: stdout and stderr belong to the program that plans."""
+"""Start Warp without output: stdout and stderr belong to the program that plans."""
 
 from __future__ import annotations
 
@@ -10,34 +10,48 @@ from collections.abc import Iterator
 
 import warp as wp
 
-__all__ = ["quieten"]
+__all__ = ["find_device", "init_warp"]
 
 _lock = threading.Lock()
 _started = False
 
 
-def quieten() -> None:
-    """Start Warp, if that has not been done, without its banner and its complaint about a missing GPU; of the modules
-    that it loads it does not report either, unless another level of its log was chosen.
+def init_warp() -> None:
+    """Start Warp, once per process, without its banner and its warning about a missing GPU.
 
-    Call it before the first use of Warp, which would start it with all of these.
+    Module loading is not reported either, unless another log level was chosen. Call this before the first use of Warp,
+    which would start it with all of that output.
     """
     global _started
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
     with _lock:
         if not _started:
-            with _no_stderr():
+            with _silent_stderr():
                 wp.init()
             _started = True
 
 
+def find_device(name: str) -> wp.Device:
+    """Return the Warp device "cpu" or such as "cuda:0", after starting Warp.
+
+    Raises:
+        ValueError: this machine has no such device; the message lists those that it has.
+    """
+    init_warp()
+    try:
+        return wp.get_device(name)
+    except Exception as error:
+        known = ", ".join(str(device) for device in wp.get_devices())
+        raise ValueError(f"device {name!r} is not available: {error}; this machine has {known}.") from error
+
+
 @contextlib.contextmanager
-def _no_stderr() -> Iterator[None]:
-    """Keep what native code writes to stderr off the terminal."""
+def _silent_stderr() -> Iterator[None]:
+    """Discard what native code writes to stderr."""
     try:
         saved = os.dup(2)
-    except OSError:  # it is closed, as a service's may be
+    except OSError:  # stderr is closed, as a service's may be
         yield
         return
     if sys.stderr is not None:

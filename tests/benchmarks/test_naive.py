@@ -212,8 +212,8 @@ def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
     wp.launch(
         mppi.clearance, dim=a.distance.shape, device=device,
         inputs=[
-            M + guides.BRAKES, N, planner.inputs.ground_height, naive.params, a.count, a.filtered, a.positions,
-            a.distance,
+            M + guides.BRAKING_CANDIDATES, N, planner.inputs.ground_height, naive.params, a.count, a.filtered,
+            a.positions, a.distance,
         ],
     )  # fmt: skip
     expected = np.minimum(a.distance.numpy()[:M, 0, :N], np.float32(config.costs.distance_max))

@@ -105,7 +105,7 @@ def test_its_plans_are_those_of_python(ask: Callable[..., Outcome], bundle: Path
         seen.add(plan.status)
         requests += request(state, goal, points, age, ground)
         outputs = planner.outputs
-        arrays = (planner.command, outputs.controls, outputs.positions, outputs.S2)
+        arrays = (planner.command, outputs.controls, outputs.positions, outputs.stage2_cost)
         expected.append((int(plan.status), plan.best, [array.numpy()[0].copy() for array in arrays]))
     planner.close()
     assert seen == set(PlanStatus)

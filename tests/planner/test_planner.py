@@ -188,12 +188,12 @@ def test_each_drone_of_a_batch_may_have_its_own_configuration(device: str):
 def test_live_changes_keep_the_buffers(device: str):
     case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
     before = case.plan(planner)
-    pointers = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner._params)]
+    pointers = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner.params)]
     planner.configure(planner.config.replace({"costs.q_track": 50.0, "anchors.lookahead_rest": 0.5}))
     after = case.plan(planner)
     assert not np.array_equal(before.controls, after.controls)
     assert np.linalg.norm(after.anchors[7] - case.position) < np.linalg.norm(before.anchors[7] - case.position)
-    kept = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner._params)]
+    kept = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner.params)]
     assert kept == pointers
     # The history survives a live change: the previous candidate is the plan before.
     np.testing.assert_array_equal(after.anchors[15], before.positions[before.best, -1])

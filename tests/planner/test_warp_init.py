@@ -9,9 +9,9 @@ COMMAND = """
 import sys
 import warp as wp
 {level}
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 
-quieten()
+init_warp()
 print("the result")
 
 @wp.kernel

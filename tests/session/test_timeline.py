@@ -9,7 +9,7 @@ from aero_viz.session.timeline import Checkpoint, Timeline
 HISTORY = History(
     controls=np.zeros((1, 2, 4), np.float32),
     end=np.zeros((1, 3), np.float32),
-    turn=np.zeros((1, 3), np.float32),
+    waypoint=np.zeros((1, 3), np.float32),
     time=np.zeros(1),
     tick=np.zeros(1, np.int32),
 )

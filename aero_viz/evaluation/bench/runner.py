@@ -16,7 +16,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner import PlannerConfig
-from aero_planner.warp_init import quieten
+from aero_planner.warp_init import init_warp
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.machine import hardware, versions
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder, read_folder
@@ -72,7 +72,7 @@ def default_batch(device: str) -> int:
     Raises:
         UserError: the device is not available.
     """
-    quieten()
+    init_warp()
     try:
         return 256 if wp.get_device(device).is_cuda else 1
     except ValueError as error:

@@ -18,9 +18,10 @@ import warp as wp
 
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.kernel_tuning import CUDA
-from aero_planner.pipeline import made_kernels
+from aero_planner.pipeline import tuned_kernels
 from aero_planner.plan import Goal, VehicleState
-from aero_planner.planner import Planner, _find_device
+from aero_planner.planner import Planner
+from aero_planner.warp_init import init_warp
 
 __all__ = ["compile_ahead", "kernels_in", "warmup"]
 
@@ -52,7 +53,7 @@ def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
 @contextmanager
 def kernels_in(folder: str | Path) -> Iterator[Path]:
     """Make Warp keep its kernels in a folder, as with WARP_CACHE_PATH; yields the subfolder that Warp uses."""
-    _find_device("cpu")  # initialises Warp, which then sets its cache folder
+    init_warp()  # Warp then sets its cache folder
     cache = Path(folder).resolve() / wp.config.version
     cache.mkdir(parents=True, exist_ok=True)
     before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(cache)
@@ -118,4 +119,4 @@ def _cuda_modules() -> Iterator[tuple[Any, Iterable[int]]]:
     content = {id(value): value for name in names for value in vars(sys.modules[name]).values()}.values()
     written = {id(value.module): value.module for value in content if isinstance(value, wp.Kernel)}
     yield from ((module, _BLOCK_DIMS) for module in written.values())
-    yield from ((kernel.module, (block_dim,)) for kernel, block_dim in made_kernels(CUDA))
+    yield from ((kernel.module, (block_dim,)) for kernel, block_dim in tuned_kernels(CUDA))

@@ -31,7 +31,7 @@ from typing import IO, Any
 import warp as wp
 
 from aero_planner.config import PlannerConfig, parameters
-from aero_planner.planner import _find_device
+from aero_planner.warp_init import find_device
 
 __all__ = [
     "CONFIG",
@@ -101,7 +101,7 @@ class Bundle:
         Raises:
             ValueError: the kernels are for another Warp, planner, structure of the configuration, or processor.
         """
-        target = _find_device(device)
+        target = find_device(device)
         for name, exported, local in (
             ("Warp", self.warp, wp.config.version), ("state of aero-planner", self.planner, planner_digest()),
         ):  # fmt: skip
@@ -202,7 +202,7 @@ def structure_of(config: PlannerConfig) -> dict[str, Any]:
 
 def cpu_target() -> str:
     """Return the name of this machine's CPU and its features, as far as compiled kernels depend on them."""
-    _find_device("cpu")
+    find_device("cpu")
     key = getattr(wp, "get_cpu_kernel_cache_key", None)
     if key is not None:
         return str(key())

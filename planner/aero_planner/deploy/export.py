@@ -39,8 +39,8 @@ from aero_planner.deploy.bundle import (
     structure_of,
 )
 from aero_planner.plan import Goal, VehicleState
-from aero_planner.planner import Planner, _find_device
-from aero_planner.warp_init import quieten
+from aero_planner.planner import Planner
+from aero_planner.warp_init import init_warp
 
 __all__ = ["export", "makes_graphs", "pack", "parse_architecture", "save_graph", "write_manifest"]
 
@@ -90,7 +90,7 @@ def export(
         raise ValueError(f"{out} exists already; remove it, or give the bundle another name.")
     if not target.parent.is_dir():
         raise ValueError(f"the folder {target.parent} does not exist; make it, or write the bundle to another folder.")
-    quieten()
+    init_warp()
     if cpu and not wp.is_cpu_available():
         raise ValueError("this Warp has no compiler for the CPU; leave out --cpu, or install the Warp package of PyPI.")
     work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
@@ -133,9 +133,7 @@ def save_graph(config: PlannerConfig, max_points: int, path: Path, *, device: st
     Args:
         config: parameters; live ones can be changed in the loaded graph, structural ones can't.
         max_points: P, the largest number of points of a cloud.
-        path: file to write; kernels go to a folder next to it. Arrays are bound by the names of `Planner.inputs` and
-            `Planner.outputs`, and by "points", "params", "seed", "tick", "previous_controls", "previous_end",
-            "previous_turn" and "previous_time".
+        path: file to write; kernels go to a folder next to it. See `Planner.save_graph` for the names of the arrays.
         device: as for `Planner`.
 
     Returns:
@@ -146,13 +144,9 @@ def save_graph(config: PlannerConfig, max_points: int, path: Path, *, device: st
     planner.plan(state, Goal((5.0, 0.0, 0.0)), np.array([[2.0, 0.0, 0.0]]))  # loads the kernels
     planner.reserve(max_points)  # gives every launch its largest size
     planner.reset()
-    work = planner._work
-    names = ("seed", "tick", "previous_controls", "previous_end", "previous_turn", "previous_time")
-    inputs = vars(planner.inputs) | {"points": planner.points, "params": planner._params}
-    inputs |= {name: getattr(work, name) for name in names}
-    wp.capture_save(planner._pipeline.record(), str(path), inputs=inputs, outputs=vars(planner.outputs))
+    saved = planner.save_graph(path)
     planner.close()
-    return path.with_suffix(".wrp")
+    return saved
 
 
 def _compile_in_subprocess(work: Path, folder: Path, max_points: int, architectures: list[int], cpu: bool) -> None:
@@ -212,7 +206,7 @@ def _collect(compiled: Path, kernels: Path, cpu: bool) -> None:
 
 def write_manifest(folder: Path, architectures: list[int], cpu: bool) -> dict[str, Any]:
     """Write the manifest of the files in `folder`, and return it."""
-    _find_device("cpu")  # initialises Warp
+    init_warp()
     files = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         content = path.read_bytes()

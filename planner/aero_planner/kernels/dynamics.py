@@ -1,4 +1,4 @@
-"""Quadrotor model and its RK4 step.
+"""Quadrotor model and its Runge-Kutta step.
 
 State x = [p, q, v], control u = (F_t, omega): dp = v, dq = 1/2 q (x) [0, omega], dv = R(q) [0, 0, F_t] / m + g.
 Quaternions are wp.vec4 in the order w, x, y, z, body to world.
@@ -28,7 +28,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def atan_unit(x: float) -> float:
-    """atan(x) for |x| <= 1, to 1e-7 rad: a minimax polynomial, which a CPU computes for many points at once."""
+    """Return atan(x) for |x| <= 1, to 1e-7 rad, by a minimax polynomial that a CPU can vectorise."""
     z = x * x
     f = -0.00405456246
     f = f * z + 0.0218629402
@@ -43,7 +43,7 @@ def atan_unit(x: float) -> float:
 
 @wp.func
 def near_atan2(y: float, x: float) -> float:
-    """atan2(y, x) to 3e-7 rad, without a branch."""
+    """Return atan2(y, x) to 3e-7 rad, without a branch."""
     a = wp.abs(y)
     b = wp.abs(x)
     angle = 0.25 * wp.PI + atan_unit((a - b) / (a + b + 1.0e-30))
@@ -53,7 +53,7 @@ def near_atan2(y: float, x: float) -> float:
 
 @wp.func
 def quat_multiply(a: wp.vec4, b: wp.vec4) -> wp.vec4:
-    """Hamilton product a (x) b."""
+    """Return the Hamilton product a (x) b."""
     return wp.vec4(
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -64,7 +64,7 @@ def quat_multiply(a: wp.vec4, b: wp.vec4) -> wp.vec4:
 
 @wp.func
 def quat_rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
-    """R(q) x: from body to world."""
+    """Return R(q) x: x from the body to the world frame."""
     u = wp.vec3(q[1], q[2], q[3])
     t = 2.0 * wp.cross(u, x)
     return x + q[0] * t + wp.cross(u, t)
@@ -72,7 +72,7 @@ def quat_rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
 
 @wp.func
 def quat_inverse_rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
-    """R(q)^T x: from world to body."""
+    """Return R(q)^T x: x from the world to the body frame."""
     u = wp.vec3(-q[1], -q[2], -q[3])
     t = 2.0 * wp.cross(u, x)
     return x + q[0] * t + wp.cross(u, t)
@@ -80,19 +80,19 @@ def quat_inverse_rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
 
 @wp.func
 def quat_from_heading(heading: float) -> wp.vec4:
-    """Level attitude with the nose at `heading` [rad]."""
+    """Return the level attitude with yaw `heading` [rad]."""
     return wp.vec4(wp.cos(0.5 * heading), 0.0, 0.0, wp.sin(0.5 * heading))
 
 
 @wp.func
 def heading(q: wp.vec4) -> float:
-    """Yaw of an attitude [rad]."""
+    """Return the yaw of an attitude [rad]."""
     return wp.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3]))
 
 
 @wp.func
 def thrust_axis(q: wp.vec4) -> wp.vec3:
-    """R(q) e_3: the body's z axis in the world."""
+    """Return R(q) e_3: the body z axis in the world frame."""
     return wp.vec3(
         2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
     )
@@ -100,7 +100,7 @@ def thrust_axis(q: wp.vec4) -> wp.vec3:
 
 @wp.func
 def clamp_control(u: wp.vec4, params: Params) -> wp.vec4:
-    """u within the limits of the vehicle."""
+    """Return u clamped to the limits of the vehicle."""
     xy = params.rate_xy_max
     z = params.rate_z_max
     return wp.vec4(
@@ -113,17 +113,17 @@ def clamp_control(u: wp.vec4, params: Params) -> wp.vec4:
 
 @wp.func
 def _rate(q: wp.vec4, omega: wp.vec3) -> wp.vec4:
-    """1/2 q (x) [0, omega]."""
+    """Return dq = 1/2 q (x) [0, omega]."""
     return 0.5 * quat_multiply(q, wp.vec4(0.0, omega[0], omega[1], omega[2]))
 
 
 @wp.func
-def _turn(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec2:
-    """Factors of q and of dq in the unit quaternion after dt at constant body rates.
+def _step_factors(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec2:
+    """Return the factors of q and dq in the unit quaternion after dt at constant body rates.
 
-    dq is linear in q, and its matrix A satisfies A^2 = -|omega|^2 / 4, so that the four RK4 stages sum to a q + b A q.
-    A turns q by a right angle, so that |a q + b A q| follows from s = |omega dt|^2 / 4 and |q|: the new q waits for no
-    root. What rounding has made of |q| = 1 is corrected by the first terms of 1 / |q|.
+    dq = A q is linear in q with A^2 = -|omega|^2 / 4, so the four RK4 stages sum to a q + b A q. As A q is orthogonal
+    to q, the norm |a q + b A q| follows from s = |omega dt|^2 / 4 and |q|, and no square root depends on the new q. The
+    deviation of |q| from 1 by rounding is corrected by the first terms of the series of 1 / |q|.
     """
     s = 0.25 * dt * dt * wp.dot(omega, omega)
     unit = 1.0 / wp.sqrt(1.0 - s * s * s * (1.0 / 72.0) + s * s * s * s * (1.0 / 576.0))
@@ -136,19 +136,19 @@ def _turn(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec2:
 
 @wp.func
 def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
-    """Unit q after dt at constant body rates: the quaternion part of `rk4_step`."""
-    turn = _turn(q, omega, dt)
-    return turn[0] * q + turn[1] * _rate(q, omega)
+    """Return the unit quaternion after dt at constant body rates, the attitude part of `rk4_step`."""
+    factors = _step_factors(q, omega, dt)
+    return factors[0] * q + factors[1] * _rate(q, omega)
 
 
 @wp.func
 def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, gravity: float, dt: float):
-    """One RK4 step at constant control from a unit q; returns p, v, q with q renormalised."""
+    """Return p, v and q, renormalised, after one RK4 step at constant control from a unit q."""
     omega = wp.vec3(u[1], u[2], u[3])
     thrust = u[0] / mass
     g = wp.vec3(0.0, 0.0, -gravity)
-    # The stages q + dt/2 dq(q), q + dt/2 dq(q2) and q + dt dq(q3), by the algebra of `_turn` without waiting for each
-    # other.
+    # The stages q + dt/2 dq(q), q + dt/2 dq(q2) and q + dt dq(q3), by the algebra of `_step_factors`, which makes them
+    # independent of each other.
     dq = _rate(q, omega)
     s = 0.25 * dt * dt * wp.dot(omega, omega)
     half = (0.5 * dt) * dq
@@ -158,8 +158,8 @@ def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, gravit
     a1 = thrust_axis(q)
     a23 = thrust_axis(q2) + thrust_axis(q3)
     a4 = thrust_axis(q4)
-    # dp = v makes the position's stages combinations of a1, a2, a3.
+    # As dp = v, the stages of the position are combinations of a1, a2 and a3.
     p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (thrust * (a1 + a23) + 3.0 * g)
     v_next = v + (dt * (1.0 / 6.0)) * (thrust * (a1 + 2.0 * a23 + a4) + 6.0 * g)
-    turn = _turn(q, omega, dt)
-    return p_next, v_next, turn[0] * q + turn[1] * dq
+    factors = _step_factors(q, omega, dt)
+    return p_next, v_next, factors[0] * q + factors[1] * dq

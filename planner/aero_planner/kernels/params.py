@@ -18,8 +18,8 @@ def _warp_type(info: ParameterInfo) -> Any:
     return wp.int32 if info.choices or isinstance(info.default, bool | int) else wp.float32
 
 
-# One field per live parameter, under its own name: `params.q_track` is costs.q_track. Switches are 0 or 1, choices
-# count from 0.
+# One field per live parameter, by its name: `params.q_track` is costs.q_track. A switch is 0 or 1, a choice is its
+# index.
 Params: Any = wp.struct(
     type("Params", (), {"__annotations__": {info.name: _warp_type(info) for info in _LIVE}, "__module__": __name__})
 )

@@ -1,8 +1,8 @@
-"""Spherical partition of the cloud: fine ranges, coarse safe directions, filtered cloud.
+"""Spherical partition of the cloud: fine ranges, coarse safe directions and the filtered cloud.
 
-A direction d = (cos b cos a, cos b sin a, sin b) with azimuth a and elevation b in the body frame. Fine cells have
-equal angles; row 0 looks straight down, column 0 backward (a = -180 deg). Coarse cells pool fine_cells x fine_cells of
-them.
+A direction is d = (cos b cos a, cos b sin a, sin b) with azimuth a and elevation b in the body frame. Fine cells have
+equal angles; row 0 points straight down, column 0 backward (a = -180 deg). A coarse cell pools fine_cells x fine_cells
+fine cells.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ import functools
 import warp as wp
 
 from aero_planner.kernels.dynamics import near_atan2, quat_rotate
-from aero_planner.kernels.kernel_tuning import Widths, add_count
+from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.warp_ops import add_count
 
 __all__ = [
     "EMPTY",
     "cell_direction",
     "cell_of_direction",
     "fill_directions",
-    "finish_fine",
+    "finish_fine_cells",
     "pool_coarse",
     "safest_fine_cell",
     "scatter_points",
@@ -29,23 +30,23 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
-"""Key of a fine cell without a point."""
+"""Key of a fine cell that holds no point."""
 
 
 @wp.func
 def cell_of_direction(d: wp.vec3, rows: int, columns: int):
-    """Row and column of the cell that holds the direction d, which need not be a unit vector."""
+    """Return row and column of the cell that contains the direction d, which need not be a unit vector."""
     azimuth = wp.atan2(d[1], d[0])
     elevation = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
     row = int(wp.floor(elevation * (float(rows) / wp.PI) + 0.5 * float(rows)))
     column = int(wp.floor(azimuth * (0.5 * float(columns) / wp.PI) + 0.5 * float(columns)))
-    # a = +180 deg is a = -180 deg, b = +90 deg belongs to the uppermost row.
+    # a = +180 deg is the same as a = -180 deg; b = +90 deg belongs to the top row.
     return wp.clamp(row, 0, rows - 1), (column + columns) % columns
 
 
 @wp.func
 def cell_direction(row: int, column: int, rows: int, columns: int) -> wp.vec3:
-    """Unit direction of a cell's centre."""
+    """Return the unit direction of a cell's centre."""
     azimuth = ((float(column) + 0.5) / float(columns) - 0.5) * 2.0 * wp.PI
     elevation = ((float(row) + 0.5) / float(rows) - 0.5) * wp.PI
     c = wp.cos(elevation)
@@ -55,41 +56,42 @@ def cell_direction(row: int, column: int, rows: int, columns: int) -> wp.vec3:
 NEAR_EDGE = wp.constant(-1)
 OUT_OF_RANGE = wp.constant(-2)
 NOT_FINITE = wp.constant(-3)
-"""What `scatter_points` notes in place of a cell."""
+"""Markers that `scatter_points` stores instead of a cell number."""
 
 
 @functools.cache
-def scatter_points(of: Widths) -> wp.Kernel:
-    """Return the kernel that finds r_ij.
-
-    A CPU computes the cells of many points at once, with the same instructions, if they are in one thread; a GPU has a
-    thread for each.
-    """
-    WIDTH = wp.constant(of.cloud)
-    Reals = wp.types.vector(length=of.cloud, dtype=wp.float32)
-    Integers = wp.types.vector(length=of.cloud, dtype=wp.int32)
+def scatter_points(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that finds r_ij. Each thread handles `tuning.points_per_thread` points."""
+    WIDTH = wp.constant(tuning.points_per_thread)
+    Reals = wp.types.vector(length=tuning.points_per_thread, dtype=wp.float32)
+    Integers = wp.types.vector(length=tuning.points_per_thread, dtype=wp.int32)
 
     @wp.kernel(module="unique", enable_backward=False)
     def scatter_points(
-        first: int,
-        lane: int,
+        # slice of the cloud
+        first_point: int,
+        worker: int,
+        # problem
         points: wp.array2d(dtype=wp.vec3),
         point_count: wp.array(dtype=int),
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
+        # configuration
         params: wp.array(dtype=Params),
         rows: int,
         columns: int,
-        keys: wp.array3d(dtype=wp.uint64),
-        dropped: wp.array2d(dtype=int),
+        # out
+        cell_keys: wp.array3d(dtype=wp.uint64),
+        worker_dropped: wp.array2d(dtype=int),
     ):
-        """r_ij as a minimum over packed keys: range above, the point's index below, so that equal ranges take the
-        first point.
+        """Find r_ij as a minimum over packed keys.
 
-        Launched over [B, points of this lane / of.cloud]; lanes run at the same time on keys of their own.
+        The upper half of a key is the range, the lower half the index of the point, so that the first of several points
+        at the same range is kept. Launched over [B, points of this worker / WIDTH]. Workers run at the same time, each
+        on its own keys.
         """
         b, group = wp.tid()
-        start = first + group * WIDTH
+        start = first_point + group * WIDTH
         count = wp.min(WIDTH, point_count[b] - start)
         if count <= 0:
             return
@@ -122,7 +124,7 @@ def scatter_points(of: Widths) -> wp.Kernel:
             cell = int(wp.floor(row)) * columns + int(wp.floor(column))
             cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
             cell = wp.where(r >= range_min, wp.where(r <= range_max, cell, OUT_OF_RANGE), OUT_OF_RANGE)
-            # d - d is NaN for what is not finite, even where the squared range alone is not.
+            # d - d is NaN for a component that is not finite; the squared range may overflow for finite points, too.
             cell_of[j] = wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, cell, NOT_FINITE)
             range_bits[j] = wp.cast(r, wp.int32)
         not_finite = int(0)
@@ -134,61 +136,67 @@ def scatter_points(of: Widths) -> wp.Kernel:
                     body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
                     row_of, column_of = cell_of_direction(body, rows, columns)
                     cell = row_of * columns + column_of
-                # The bits of a non-negative float sort like the float.
+                # The bits of non-negative floats have the order of the floats.
                 key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(start + j)
-                if key < keys[lane, b, cell]:
-                    wp.atomic_min(keys, lane, b, cell, key)
+                if key < cell_keys[worker, b, cell]:
+                    wp.atomic_min(cell_keys, worker, b, cell, key)
             elif cell == NOT_FINITE:
                 not_finite += 1
-        add_count(dropped, lane, b, not_finite)
+        add_count(worker_dropped, worker, b, not_finite)
 
     return scatter_points
 
 
 @wp.kernel
-def finish_fine(
-    keys: wp.array3d(dtype=wp.uint64),
-    dropped_of_lane: wp.array2d(dtype=int),
+def finish_fine_cells(
+    # problem
     points: wp.array2d(dtype=wp.vec3),
+    # configuration
     params: wp.array(dtype=Params),
+    # in and reset
+    cell_keys: wp.array3d(dtype=wp.uint64),
+    worker_dropped: wp.array2d(dtype=int),
+    # out
     fine_range: wp.array2d(dtype=float),
     occupied: wp.array2d(dtype=int),
-    filtered: wp.array2d(dtype=wp.vec3),
-    dropped: wp.array(dtype=int),
+    filtered_points: wp.array2d(dtype=wp.vec3),
+    dropped_points: wp.array(dtype=int),
 ):
-    """Ranges, filtered cloud and number of dropped points from the keys and counters of all lanes, which are emptied
-    for the next plan. Launched over [B, cells]."""
+    """Merge the keys and counters of all workers into ranges, filtered cloud and the number of dropped points.
+
+    Keys and counters are reset for the next plan. Launched over [B, fine cells].
+    """
     b, cell = wp.tid()
     if cell == 0:
         count = int(0)
-        for lane in range(keys.shape[0]):
-            count += dropped_of_lane[lane, b]
-            dropped_of_lane[lane, b] = 0
-        dropped[b] = count
+        for worker in range(cell_keys.shape[0]):
+            count += worker_dropped[worker, b]
+            worker_dropped[worker, b] = 0
+        dropped_points[b] = count
     key = EMPTY
-    for lane in range(keys.shape[0]):
-        key = wp.min(key, keys[lane, b, cell])
-        keys[lane, b, cell] = EMPTY
+    for worker in range(cell_keys.shape[0]):
+        key = wp.min(key, cell_keys[worker, b, cell])
+        cell_keys[worker, b, cell] = EMPTY
     if key == EMPTY:
         fine_range[b, cell] = params[b].range_max
         occupied[b, cell] = 0
     else:
         fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
         occupied[b, cell] = 1
-        filtered[b, cell] = points[b, int(key & wp.uint64(0xFFFFFFFF))]
+        filtered_points[b, cell] = points[b, int(key & wp.uint64(0xFFFFFFFF))]
 
 
 @wp.kernel
 def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
-    """Directions of all cells. Launched over [rows, columns]."""
+    """Write the directions of the centres of all fine cells. Launched over [rows, columns]."""
     row, column = wp.tid()
     directions[row, column] = cell_direction(row, column, directions.shape[0], directions.shape[1])
 
 
-SIDE = wp.constant(6)
-"""Fine cells that are read at a time."""
+READ_WIDTH = wp.constant(6)
+"""Fine cells that are read together, so that a GPU waits for memory once for all of them."""
 
-Side = wp.types.vector(length=6, dtype=wp.float32)
+Reals = wp.types.vector(length=6, dtype=wp.float32)
 
 
 @wp.func
@@ -198,28 +206,28 @@ def safest_fine_cell(
     b: int,
     coarse_row: int,
     coarse_column: int,
-    pool: int,
+    fine_cells: int,
     toward: wp.vec3,
 ):
-    """Largest range in a coarse cell and its direction; among equal ranges the direction nearest to `toward`."""
+    """Return the largest range in a coarse cell, and its direction; among equal ranges the one nearest to `toward`."""
     columns = directions.shape[1]
     best_range = float(-1.0)
     best_cosine = float(-2.0)
     best_direction = wp.vec3(1.0, 0.0, 0.0)
-    r = Side()
-    cosine = Side()
-    for i in range(pool):
-        row = coarse_row * pool + i
-        # Some at a time are read, so that a GPU waits for memory once; the last one again changes nothing.
-        for j in range(0, pool, SIDE):
-            first = coarse_column * pool + j
-            last = (coarse_column + 1) * pool - 1
-            for k in range(SIDE):
+    r = Reals()
+    cosine = Reals()
+    for i in range(fine_cells):
+        row = coarse_row * fine_cells + i
+        # Past the end the last cell is read again, which changes nothing.
+        for j in range(0, fine_cells, READ_WIDTH):
+            first = coarse_column * fine_cells + j
+            last = (coarse_column + 1) * fine_cells - 1
+            for k in range(READ_WIDTH):
                 column = wp.min(first + k, last)
                 r[k] = fine_range[b, row * columns + column]
                 cosine[k] = wp.dot(directions[row, column], toward)
-            for k in range(SIDE):
-                # The margin lets the first of several equally near cells win, whatever the rounding.
+            for k in range(READ_WIDTH):
+                # The margin makes the first of several equally near cells win in spite of rounding.
                 if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + 1.0e-6):
                     best_range = r[k]
                     best_cosine = cosine[k]
@@ -229,29 +237,34 @@ def safest_fine_cell(
 
 @wp.kernel
 def pool_coarse(
-    fine_range: wp.array2d(dtype=float),
-    directions: wp.array2d(dtype=wp.vec3),
-    initial_direction: wp.array2d(dtype=wp.vec3),
-    anchor_count: int,
-    pool: int,
+    # configuration
+    fine_cells: int,
     coarse_rows: int,
     coarse_columns: int,
+    # in
+    fine_range: wp.array2d(dtype=float),
+    directions: wp.array2d(dtype=wp.vec3),
+    initial_directions: wp.array2d(dtype=wp.vec3),
+    # out
     safe_range: wp.array2d(dtype=float),
     safe_direction: wp.array2d(dtype=wp.vec3),
 ):
-    """Safe range and direction of each coarse cell. Launched over [B, coarse cells].
+    """Find the safe range and direction of each coarse cell. Launched over [B, coarse cells].
 
-    Equal ranges are decided toward the first anchor in the cell, else toward the cell's centre.
+    Ties are broken toward the first anchor in the cell, or toward the centre of a cell without an anchor.
     """
     b, cell = wp.tid()
     coarse_row = cell // coarse_columns
     coarse_column = cell % coarse_columns
     toward = cell_direction(coarse_row, coarse_column, coarse_rows, coarse_columns)
+    anchor_count = initial_directions.shape[1]
     for reverse in range(anchor_count):
-        d = initial_direction[b, anchor_count - 1 - reverse]
+        d = initial_directions[b, anchor_count - 1 - reverse]
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
         if row == coarse_row and column == coarse_column:
             toward = d
-    best_range, best_direction = safest_fine_cell(fine_range, directions, b, coarse_row, coarse_column, pool, toward)
+    best_range, best_direction = safest_fine_cell(
+        fine_range, directions, b, coarse_row, coarse_column, fine_cells, toward
+    )
     safe_range[b, cell] = best_range
     safe_direction[b, cell] = best_direction

@@ -1,23 +1,25 @@
-"""Stage II: roll out the optimised controls, pick the best instance, and brake where none is safe.
+"""Stage II: roll out the optimised controls, select the best instance, and brake if none is safe.
 
-After the M instances come the ways to brake. One of them takes the place of an instance where braking is what is left.
+The M instances are followed by the braking candidates. If no instance is safe, a braking candidate replaces one.
 """
 
-# No postponed annotations: those of kernels that `width` shapes name local types.
+# Postponed annotations are left out: kernels made for a tuning refer to local types.
 
 import functools
 from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, row_limit
+from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
 from aero_planner.kernels.costs import collision_cost, goal_cost, speed_cost
 from aero_planner.kernels.dynamics import rk4_step
-from aero_planner.kernels.kernel_tuning import Widths, block_type, least_of, of_thread, sum_of
-from aero_planner.kernels.mppi import PROBES, blocked_cost, probe
+from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
+from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 
-__all__ = ["conclude", "evaluate", "roll_out_best", "score"]
+__all__ = ["commit_plan", "evaluate_states", "roll_out_controls", "score_instances"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,280 +29,287 @@ STALE_CLOUD = wp.constant(2)
 
 
 @functools.cache
-def roll_out_best(of: Widths) -> wp.Kernel:
-    """Return the kernel with `of.steps` threads for an instance."""
-    LANES = wp.constant(of.steps)
+def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel of the Stage II rollouts, with `tuning.threads_per_instance` threads per instance."""
+    LANES = wp.constant(tuning.threads_per_instance)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def roll_out_best(
-        instances: int,
-        position: wp.array(dtype=wp.vec3),
-        velocity: wp.array(dtype=wp.vec3),
-        quaternion: wp.array(dtype=wp.vec4),
+    def roll_out_controls(
+        # problem
+        drone: DroneState,
+        # configuration
         params: wp.array(dtype=Params),
-        nominal: wp.array3d(dtype=wp.vec4),
-        controls: wp.array3d(dtype=wp.vec4),
-        positions: wp.array3d(dtype=wp.vec3),
-        velocities: wp.array3d(dtype=wp.vec3),
-        quaternions: wp.array3d(dtype=wp.vec4),
+        instances: int,
+        # in
+        nominal_controls: wp.array3d(dtype=wp.vec4),
+        # in (controls of the instances) and out
+        rollouts: Rollouts,
     ):
-        """Stage II rollouts of the optimised controls; of the ways to brake, the nominal ones. Launched over [B, M +
-        BRAKES, of.steps], which read the controls of as many steps at once."""
+        """Roll out the optimised controls of the instances and the nominal controls of the braking candidates.
+
+        Launched over [B, R, LANES]. The lanes read the controls of as many time steps at once.
+        """
         b, m, lane = wp.tid()
         c = params[b]
-        p = position[b]
-        v = velocity[b]
-        q = quaternion[b]
+        p = drone.position[b]
+        v = drone.velocity[b]
+        q = drone.quaternion[b]
         if lane == 0:
-            positions[b, m, 0] = p
-            velocities[b, m, 0] = v
-            quaternions[b, m, 0] = q
-        steps = controls.shape[2]
+            rollouts.positions[b, m, 0] = p
+            rollouts.velocities[b, m, 0] = v
+            rollouts.quaternions[b, m, 0] = q
+        steps = rollouts.controls.shape[2]
         for first in range(0, steps, LANES):
-            mine = wp.min(first + lane, steps - 1)
-            u_mine = wp.where(m < instances, controls[b, m, mine], nominal[b, m, mine])
-            controls[b, m, mine] = u_mine
+            t_lane = wp.min(first + lane, steps - 1)
+            u_lane = wp.where(m < instances, rollouts.controls[b, m, t_lane], nominal_controls[b, m, t_lane])
+            rollouts.controls[b, m, t_lane] = u_lane
             for t in range(first, wp.min(first + LANES, steps)):
                 step = t - first
                 u = wp.vec4(
-                    of_thread(u_mine[0], step), of_thread(u_mine[1], step),
-                    of_thread(u_mine[2], step), of_thread(u_mine[3], step),
+                    read_lane(u_lane[0], step), read_lane(u_lane[1], step),
+                    read_lane(u_lane[2], step), read_lane(u_lane[3], step),
                 )  # fmt: skip
                 p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, c.dt)
                 if lane == 0:
-                    positions[b, m, t + 1] = p
-                    velocities[b, m, t + 1] = v
-                    quaternions[b, m, t + 1] = q
+                    rollouts.positions[b, m, t + 1] = p
+                    rollouts.velocities[b, m, t + 1] = v
+                    rollouts.quaternions[b, m, t + 1] = q
 
-    return of.tune(roll_out_best)
+    return tuning.set_options(roll_out_controls)
 
 
 @functools.cache
-def evaluate(of: Widths) -> wp.Kernel:
-    """Return the kernel with a team of `of.team` threads for each position."""
-    nearest_point = clearance_at(of.points, of.team)
-    Block: Any = block_type(of.points)
+def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that evaluates Stage II states, with `tuning.threads_per_query` threads per position."""
+    clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_query)
+    Pack: Any = point_pack(tuning.points_per_pack)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def evaluate(
-        position: wp.array(dtype=wp.vec3),
+    def evaluate_states(
+        # problem
+        drone: DroneState,
         ground_height: wp.array(dtype=float),
-        goal_position: wp.array(dtype=wp.vec3),
-        goal_velocity: wp.array(dtype=wp.vec3),
-        goal_quaternion: wp.array(dtype=wp.vec4),
-        turn: wp.array2d(dtype=wp.vec3),
+        goal: GoalState,
+        # configuration
         params: wp.array(dtype=Params),
-        beside: int,
-        end: wp.array2d(dtype=int),
-        blocks: wp.array2d(dtype=Block),
-        positions: wp.array3d(dtype=wp.vec3),
-        velocities: wp.array3d(dtype=wp.vec3),
-        quaternions: wp.array3d(dtype=wp.vec4),
+        duplicate_rows: int,
+        # in
+        cell_ends: wp.array2d(dtype=int),
+        point_packs: wp.array2d(dtype=Pack),
+        waypoints: wp.array2d(dtype=wp.vec3),
+        rollouts: Rollouts,
+        # out
         clearance: wp.array3d(dtype=float),
-        terms: wp.array3d(dtype=wp.vec4),
+        state_terms: wp.array3d(dtype=wp.vec4),
     ):
-        """Costs and clearance of every state of Stage II, and the clearance on the way to the goal, half way between
-        the states, and at the start, in this order.
+        """Evaluate costs and clearance of the N states, the PROBES of the cost-to-go, the N midpoints between states,
+        and the start, in this order.
 
-        `terms` are J_goal, J_col, the speed's cost and the distance to the nearest point. Launched over [B, M + BRAKES,
-        N + PROBES + N + 1, of.team].
+        `state_terms` are J_goal, J_col, the speed cost and the clearance [m]. Launched over [B, R, N + PROBES + N + 1,
+        threads per query].
         """
         b, m, t, thread = wp.tid()
         c = params[b]
-        steps = positions.shape[2] - 1
-        x = positions[b, m, wp.min(t + 1, steps)]
-        limit = row_limit(t, steps, c)
+        steps = rollouts.positions.shape[2] - 1
+        x = rollouts.positions[b, m, wp.min(t + 1, steps)]
+        limit = query_limit(t, steps, c)
         if t >= steps + PROBES:
-            # The last is half way from the start to the start.
+            # The last row is the start, as the midpoint between the start and itself.
             half = (t - steps - PROBES) % steps
-            x = 0.5 * (positions[b, m, half] + positions[b, m, wp.where(t == terms.shape[2] - 1, half, half + 1)])
+            half_end = wp.where(t == state_terms.shape[2] - 1, half, half + 1)
+            x = 0.5 * (rollouts.positions[b, m, half] + rollouts.positions[b, m, half_end])
             limit = c.safe_clearance
         elif t >= steps:
-            x = probe(x, turn[b, m], goal_position[b], t - steps, c)
-        d = nearest_point(x, limit, b, thread, position[b], cell_size(c), beside, end, blocks)
+            x = probe_position(x, waypoints[b, m], goal.position[b], t - steps, c)
+        d = clearance_of(x, limit, b, thread, drone.position[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
         d = above_ground(d, x, ground_height[b], c)
         J_goal = float(0.0)
         J_speed = float(0.0)
         if t < steps:
-            v = velocities[b, m, t + 1]
-            q = quaternions[b, m, t + 1]
-            J_goal = goal_cost(x, v, q, goal_position[b], goal_velocity[b], goal_quaternion[b], c)
+            v = rollouts.velocities[b, m, t + 1]
+            q = rollouts.quaternions[b, m, t + 1]
+            J_goal = goal_cost(x, v, q, goal.position[b], goal.velocity[b], goal.quaternion[b], c)
             J_speed = speed_cost(v, c)
             clearance[b, m, t] = wp.min(d, c.distance_max)
-        terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d)
+        state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d)
 
-    return of.tune(evaluate, keep_loops=True)
+    return tuning.set_options(evaluate_states, keep_loops=True)
 
 
 @functools.cache
-def score(of: Widths) -> wp.Kernel:
-    """Return the kernel with `of.steps` threads for the terms of an instance."""
-    THREADS = wp.constant(of.steps)
-    least_of_all, sum_of_all = least_of(of.steps), sum_of(of.steps)
+def score_instances(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that sums S2, with `tuning.threads_per_instance` threads per instance."""
+    THREADS = wp.constant(tuning.threads_per_instance)
+    minimum, total = minimum_over(tuning.threads_per_instance), sum_over(tuning.threads_per_instance)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def score(
+    def score_instances(
+        # problem
         goal_position: wp.array(dtype=wp.vec3),
-        turn: wp.array2d(dtype=wp.vec3),
+        # configuration
         params: wp.array(dtype=Params),
+        # in
+        waypoints: wp.array2d(dtype=wp.vec3),
         positions: wp.array3d(dtype=wp.vec3),
-        terms: wp.array3d(dtype=wp.vec4),
-        J_goal: wp.array2d(dtype=float),
-        J_col: wp.array2d(dtype=float),
-        S2: wp.array2d(dtype=float),
-        scores: wp.array2d(dtype=wp.vec2),
+        state_terms: wp.array3d(dtype=wp.vec4),
+        # out
+        costs: InstanceCosts,
+        instance_scores: wp.array2d(dtype=wp.vec2),
     ):
-        """S2 of each instance and its terms; `scores` are S2 and how near it comes to a point [m].
+        """Sum S2 of each instance and its terms.
 
-        Launched over [B, M + BRAKES, of.steps].
+        `instance_scores` are S2 and the minimum clearance [m]. Launched over [B, R, THREADS].
         """
         b, m, thread = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
         sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        least = float(wp.INF)
+        nearest = float(wp.INF)
         blocked = float(0.0)
-        for t in range(thread, terms.shape[2] - 1, THREADS):
-            term = terms[b, m, t]
+        for t in range(thread, state_terms.shape[2] - 1, THREADS):
+            term = state_terms[b, m, t]
             if t < steps:
                 sums += term
             if t < steps or (c.between_steps != 0 and t >= steps + PROBES):
-                least = wp.min(least, term[3])
+                nearest = wp.min(nearest, term[3])
             elif t < steps + PROBES and term[3] < c.blocked_radius:
                 blocked += 1.0
-        goal = sum_of_all(sums[0])
-        col = sum_of_all(sums[1])
-        speed = sum_of_all(sums[2])
-        least = least_of_all(least)
-        blocked = sum_of_all(blocked)
+        J_goal = total(sums[0])
+        J_col = total(sums[1])
+        J_speed = total(sums[2])
+        nearest = minimum(nearest)
+        blocked = total(blocked)
         if thread == 0:
-            J_goal[b, m] = goal
-            J_col[b, m] = col
+            costs.goal_cost[b, m] = J_goal
+            costs.collision_cost[b, m] = J_col
             end = positions[b, m, steps]
-            total = goal + col + speed + blocked_cost(end, turn[b, m], goal_position[b], int(blocked), c)
-            S2[b, m] = total
-            scores[b, m] = wp.vec2(total, least)
+            to_go = blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), c)
+            S2 = J_goal + J_col + J_speed + to_go
+            costs.stage2_cost[b, m] = S2
+            instance_scores[b, m] = wp.vec2(S2, nearest)
 
-    return of.tune(score)
+    return tuning.set_options(score_instances)
 
 
 @wp.func
-def choose(
-    b: int, instances: int, brake_index: int, here: float, age: float, c: Params, scores: wp.array2d(dtype=wp.vec2)
+def select_best(
+    b: int,
+    instances: int,
+    brake_index: int,
+    start_clearance: float,
+    cloud_age: float,
+    c: Params,
+    instance_scores: wp.array2d(dtype=wp.vec2),
 ):
-    """The instance with the least S2, by `prefer_safe` among the safe ones where there are any: its index, what is
-    flown, the instance that is replaced, and the status.
+    """Select the instance with the lowest S2; with `prefer_safe`, among the safe ones if there are any.
 
-    An instance is safe when it stays `safe_clearance` away from every point, or, for a drone that is nearer already,
-    when it does not come nearer still. Where the status is not OK, what is flown is the farthest way to brake, and it
-    takes the place of the braking candidate, or of the chosen instance where there is none; else nothing, -1, is
-    replaced.
+    An instance is safe if it stays `safe_clearance` away from every point. For a drone that is nearer than that at the
+    start, it is safe if it does not come nearer still. If the status is not OK, the braking candidate with the largest
+    clearance is flown; it replaces the "brake" instance, or the selected one if there is no such instance.
+
+    Returns:
+        Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status.
     """
     safe = c.safe_clearance
-    if here < safe:
-        safe = here - 0.02
+    if start_clearance < safe:
+        safe = start_clearance - 0.02
     best = int(0)
-    least = scores[b, 0][0]
-    best_safe = scores[b, 0][1] >= safe
+    lowest = instance_scores[b, 0][0]
+    best_safe = instance_scores[b, 0][1] >= safe
     for m in range(1, instances):
-        score = scores[b, m]
+        score = instance_scores[b, m]
         is_safe = score[1] >= safe
-        better = score[0] < least
+        better = score[0] < lowest
         if c.prefer_safe != 0 and is_safe != best_safe:
             better = is_safe
         if better:
             best = m
-            least = score[0]
+            lowest = score[0]
             best_safe = is_safe
     flown = best
     replaced = int(-1)
     status = wp.where(best_safe, OK, NO_SAFE_CANDIDATE)
-    if age > c.cloud_age_max:
+    if cloud_age > c.cloud_age_max:
         status = STALE_CLOUD
     if status != OK:
         best = wp.where(brake_index >= 0, brake_index, best)
         replaced = best
         flown = instances
-        farthest = scores[b, instances][1]
-        for way in range(instances + 1, scores.shape[1]):
-            d = scores[b, way][1]
-            if d > farthest:
-                flown = way
-                farthest = d
+        largest_clearance = instance_scores[b, instances][1]
+        for candidate in range(instances + 1, instance_scores.shape[1]):
+            d = instance_scores[b, candidate][1]
+            if d > largest_clearance:
+                flown = candidate
+                largest_clearance = d
     return best, flown, replaced, status
 
 
 @wp.kernel
-def conclude(
+def commit_plan(
+    # problem
+    time: wp.array(dtype=wp.float64),
+    goal_position: wp.array(dtype=wp.vec3),
+    cloud_age: wp.array(dtype=float),
+    # configuration
+    params: wp.array(dtype=Params),
     instances: int,
     brake_index: int,
-    time: wp.array(dtype=wp.float64),
-    params: wp.array(dtype=Params),
-    cloud_age: wp.array(dtype=float),
-    goal_position: wp.array(dtype=wp.vec3),
-    turn: wp.array2d(dtype=wp.vec3),
-    terms: wp.array3d(dtype=wp.vec4),
-    scores: wp.array2d(dtype=wp.vec2),
-    anchor: wp.array2d(dtype=wp.vec3),
-    coefficient: wp.array3d(dtype=wp.vec3),
-    guide: wp.array3d(dtype=wp.vec3),
-    controls: wp.array3d(dtype=wp.vec4),
-    positions: wp.array3d(dtype=wp.vec3),
-    velocities: wp.array3d(dtype=wp.vec3),
-    quaternions: wp.array3d(dtype=wp.vec4),
-    J_goal: wp.array2d(dtype=float),
-    J_col: wp.array2d(dtype=float),
-    S2: wp.array2d(dtype=float),
+    # in
+    waypoints: wp.array2d(dtype=wp.vec3),
+    state_terms: wp.array3d(dtype=wp.vec4),
+    instance_scores: wp.array2d(dtype=wp.vec2),
+    # in and out
+    guides: GuideSet,
+    rollouts: Rollouts,
+    costs: InstanceCosts,
     clearance: wp.array3d(dtype=float),
+    tick: wp.array(dtype=int),
+    # out
     best: wp.array(dtype=int),
     status: wp.array(dtype=int),
-    braked: wp.array(dtype=int),
-    tick: wp.array(dtype=int),
-    previous_controls: wp.array2d(dtype=wp.vec4),
-    previous_end: wp.array(dtype=wp.vec3),
-    previous_turn: wp.array(dtype=wp.vec3),
-    previous_time: wp.array(dtype=wp.float64),
+    braking_instance: wp.array(dtype=int),
+    previous: PreviousPlan,
 ):
-    """Choose, put the way to brake in its place where it is needed, and keep what the next plan starts from.
+    """Select the best instance, replace it by a braking candidate if needed, and keep what the next plan starts from.
 
-    That is the controls to fly, the end they lead to, and the time. Launched over [B, N + 1]; every step chooses by
-    itself, the first one tells.
+    Launched over [B, N + 1]. The thread of every time step selects for itself; the first one writes the result.
     """
     b, t = wp.tid()
-    steps = controls.shape[2]
-    here = terms[b, 0, terms.shape[2] - 1][3]
-    m, source, replaced, outcome = choose(b, instances, brake_index, here, cloud_age[b], params[b], scores)
+    steps = rollouts.controls.shape[2]
+    start_clearance = state_terms[b, 0, state_terms.shape[2] - 1][3]
+    m, flown, replaced, outcome = select_best(
+        b, instances, brake_index, start_clearance, cloud_age[b], params[b], instance_scores
+    )
     if t == 0:
         best[b] = m
         status[b] = outcome
-        braked[b] = replaced
+        braking_instance[b] = replaced
     if replaced >= 0:
-        guide[b, m, t] = guide[b, source, t]
-        positions[b, m, t] = positions[b, source, t]
-        velocities[b, m, t] = velocities[b, source, t]
-        quaternions[b, m, t] = quaternions[b, source, t]
+        guides.positions[b, m, t] = guides.positions[b, flown, t]
+        rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]
+        rollouts.velocities[b, m, t] = rollouts.velocities[b, flown, t]
+        rollouts.quaternions[b, m, t] = rollouts.quaternions[b, flown, t]
         if t < steps:
-            controls[b, m, t] = controls[b, source, t]
-            clearance[b, m, t] = clearance[b, source, t]
+            rollouts.controls[b, m, t] = rollouts.controls[b, flown, t]
+            clearance[b, m, t] = clearance[b, flown, t]
         if t == 0:
-            anchor[b, m] = anchor[b, source]
-            J_goal[b, m] = J_goal[b, source]
-            J_col[b, m] = J_col[b, source]
-            S2[b, m] = S2[b, source]
+            guides.anchors[b, m] = guides.anchors[b, flown]
+            costs.goal_cost[b, m] = costs.goal_cost[b, flown]
+            costs.collision_cost[b, m] = costs.collision_cost[b, flown]
+            costs.stage2_cost[b, m] = costs.stage2_cost[b, flown]
             for i in range(6):
-                coefficient[b, m, i] = coefficient[b, source, i]
+                guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
     if t < steps:
-        previous_controls[b, t] = controls[b, source, t]
+        previous.controls[b, t] = rollouts.controls[b, flown, t]
     else:
-        previous_end[b] = positions[b, source, t]
-        previous_turn[b] = wp.where(
-            turn[b, source] == goal_position[b], wp.vec3(wp.NAN, wp.NAN, wp.NAN), turn[b, source]
-        )
+        previous.end[b] = rollouts.positions[b, flown, t]
+        waypoint = waypoints[b, flown]
+        previous.waypoint[b] = wp.where(waypoint == goal_position[b], wp.vec3(wp.NAN, wp.NAN, wp.NAN), waypoint)
         tick[b] = tick[b] + 1
         if not wp.isnan(time[b]):
-            previous_time[b] = time[b]
+            previous.time[b] = time[b]
         else:
-            before = previous_time[b]
+            before = previous.time[b]
             if wp.isnan(before):
                 before = wp.float64(0.0)
-            previous_time[b] = before + wp.float64(params[b].replan_period)
+            previous.time[b] = before + wp.float64(params[b].replan_period)

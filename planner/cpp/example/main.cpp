@@ -4,7 +4,7 @@
 //
 // DEVICE is cpu or cuda:0. REQUESTS holds binary records: double time; float position[3], velocity[3], quaternion[4],
 // acceleration[3], goal[3], cloud_age, ground_height; int32 count; float points[count][3]. ANSWERS holds for each: int32 status, best;
-// float command[N][4], controls[R][N][4], positions[R][N+1][3], S2[R].
+// float command[N][4], controls[R][N][4], positions[R][N+1][3], stage2_cost[R].
 #include "aero_planner.h"
 
 #include <algorithm>
@@ -89,7 +89,7 @@ int main(int count, char** arguments)
         write(answers, &status);
         write(answers, &best);
         write(answers, aero_command(planner.get()), 4 * static_cast<size_t>(sizes.steps));
-        for (const char* name : {"controls", "positions", "S2"})
+        for (const char* name : {"controls", "positions", "stage2_cost"})
             write_array(answers, planner.get(), name);
     }
     if (times.empty() || !answers.flush()) {

@@ -78,7 +78,8 @@ int32_t aero_get_best(const aero_planner* planner);
 const float* aero_command(aero_planner* planner);
 
 /* An array of the graph by its name in Python (`Planner.outputs`): "controls" R x N x 4, "positions" R x (N + 1) x 3,
- * "velocities" R x (N + 1) x 3, "quaternions" R x (N + 1) x 4, "S2" R, "J_goal" R, "J_col" R, "clearance" R x N, ..
+ * "velocities" R x (N + 1) x 3, "quaternions" R x (N + 1) x 4, "stage2_cost" R, "goal_cost" R, "collision_cost" R,
+ * "clearance" R x N, ..
  * Ask after each plan; valid until the next one. From a GPU it is copied when it is asked for.
  *
  * Writes the size in bytes where `size` is not NULL; returns NULL where there is no such array, or it can't be copied.

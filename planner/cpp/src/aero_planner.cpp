@@ -102,7 +102,7 @@ struct aero_planner {
         bool fits = true;
         for (const auto& one : fixed)
             fits &= graph->bytes(one.name) == one.bytes;
-        const size_t row = graph->bytes("previous_controls"), count = graph->bytes("S2") / sizeof(float);
+        const size_t row = graph->bytes("previous_controls"), count = graph->bytes("stage2_cost") / sizeof(float);
         fits &= row > 0 && row % 16 == 0 && graph->bytes("controls") == count * row && graph->bytes("points") >= 12;
         fits &= instances > 0 && static_cast<size_t>(instances) <= count;
         fits &= graph->bytes("positions") == count * (row / 16 + 1) * 12;

@@ -18,8 +18,8 @@ warmup = importlib.import_module("aero_planner.deploy.aot")
 warmup._BLOCK_DIMS = (256,)  # each takes as long as all of this
 warmup.compile_ahead(sys.argv[1], architectures=[87])
 from aero_planner.kernels.kernel_tuning import CUDA
-from aero_planner.pipeline import made_kernels
-print(*(kernel.module.name for kernel, _ in made_kernels(CUDA)), file=open(sys.argv[1] + "/made", "w"))
+from aero_planner.pipeline import tuned_kernels
+print(*(kernel.module.name for kernel, _ in tuned_kernels(CUDA)), file=open(sys.argv[1] + "/made", "w"))
 """
 PLAN = """
 import warp as wp

@@ -19,8 +19,8 @@ def check_against_brute_force(planner: Planner, case, config) -> None:
     expected = reference.clearance(positions, kept_points(plan), d_max).reshape(plan.clearance.shape)
     # Differences of coordinates up to 30 m plus 20 m of flight: 4e-6 m each.
     np.testing.assert_allclose(plan.clearance, expected, atol=2e-5)
-    cost = planner._work.sample_clearance_cost.numpy()
-    samples = planner._work.sample_positions.numpy()[..., : cost.shape[2]].swapaxes(2, 3).astype(np.float64)
+    cost: np.ndarray = planner.workspace.sample_clearance_cost.numpy()
+    samples = planner.workspace.sample_positions.numpy()[..., : cost.shape[2]].swapaxes(2, 3).astype(np.float64)
     steps, costs = config.sampling.steps, config.costs
     flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7], kept_points(plan), d_max)
     away = (np.abs(flown[:, None] - (costs.distance_min, d_max)) > 1e-4).all(axis=1)  # from steps of the cost

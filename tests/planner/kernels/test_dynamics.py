@@ -32,7 +32,7 @@ def test_stage1_rollouts_are_rk4(device: str):
     planner = Planner(config, device=device)
     plan = case.plan(planner, samples=True)
     assert plan.samples is not None and plan.samples.shape == (17, 16, 26, 3)
-    controls = planner._work.sample_controls.numpy()[..., :16].swapaxes(2, 3)
+    controls = planner.workspace.sample_controls.numpy()[..., :16].swapaxes(2, 3)
     for m, k in [(0, 0), (7, 5), (15, 15), (16, 3)]:
         x = reference.roll_out(case.position, case.quaternion, case.velocity, controls[m, :, k], config)
         np.testing.assert_allclose(plan.samples[m, k, 1:], x.p, atol=1e-4)

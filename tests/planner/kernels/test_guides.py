@@ -12,7 +12,7 @@ SEEDS = range(4)
 
 def nominal(planner: Planner) -> np.ndarray:
     """Nominal controls of the last plan, shape [M, N, 4]."""
-    return planner._work.nominal.numpy()[0, : len(planner.config.kinds)]
+    return planner.workspace.nominal_controls.numpy()[0, : len(planner.config.kinds)]
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -165,7 +165,7 @@ def test_ways_keep_their_direction_until_they_turn_to_the_goal(
     case.goal = case.beside(distance, 0, 0)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
-    turns = planner._work.turn.numpy()[0]
+    turns = planner.workspace.waypoints.numpy()[0]
     for m in range(len(turns)):
         expected = case.goal
         if m < config.anchor_count:
@@ -179,13 +179,13 @@ def test_the_previous_plan_keeps_its_way_until_it_is_near(device: str):
     config, case = config_of(), random_case(0, nearest=4.0, speed=0.3)
     planner = Planner(config, device=device)
     first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
-    turn, history = planner._work.turn.numpy()[0, first.best], planner.history()
+    turn, history = planner.workspace.waypoints.numpy()[0, first.best], planner.history()
     assert not np.array_equal(turn, case.goal)
     for step, expected in ((0.0, turn), (1.0, exact(case.goal))):
         planner.restore(history)
         case.position = case.position + step * reference.unit(turn - case.position)
         planner.plan(_at(case, 50.02), Goal(case.goal), case.points)
-        np.testing.assert_array_equal(planner._work.turn.numpy()[0, first.kinds.index("previous")], expected)
+        np.testing.assert_array_equal(planner.workspace.waypoints.numpy()[0, first.kinds.index("previous")], expected)
 
 
 @pytest.mark.parametrize("elapsed", [-0.1, 1.25, 100.0])

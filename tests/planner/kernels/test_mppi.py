@@ -12,12 +12,12 @@ from tests.planner.cases import Case, config_of, kept_points, random_case
 
 def sampled_controls(planner: Planner, plan: Plan) -> np.ndarray:
     """Controls of every sample, shape [M, N, K, 4]."""
-    return planner._work.sample_controls.numpy()[..., : plan.stage1_cost.shape[1]].swapaxes(2, 3)
+    return planner.workspace.sample_controls.numpy()[..., : plan.stage1_cost.shape[1]].swapaxes(2, 3)
 
 
 def turning_points(planner: Planner) -> np.ndarray:
-    """Where the ways of the instances turn to the goal, shape [M + BRAKES, 3]; test_guides checks them."""
-    return planner._work.turn.numpy()[0].astype(np.float64)
+    """Return the waypoints of all rows [m], shape [R, 3]; test_guides checks them."""
+    return planner.workspace.waypoints.numpy()[0].astype(np.float64)
 
 
 def on_an_edge(x: reference.Rollout, turn: np.ndarray, case: Case, plan: Plan, config: PlannerConfig) -> bool:
@@ -126,7 +126,7 @@ def test_weights_spread_with_the_temperature(device: str):
 def noise_of(planner: Planner, case: Case) -> np.ndarray:
     """Noise of every sample, shape [M, K, N, 4], where no limit clips it."""
     plan = case.plan(planner)
-    nominal = planner._work.nominal.numpy()[0, : len(plan.kinds)]
+    nominal = planner.workspace.nominal_controls.numpy()[0, : len(plan.kinds)]
     return (sampled_controls(planner, plan) - nominal[:, :, None]).transpose(0, 2, 1, 3)
 
 
@@ -171,7 +171,7 @@ def test_noise_stays_in_its_table(device: str):
     config = noisy_config(anchors__columns=1, anchors__rows=1).replace({"sampling.samples": 1024})
     planner = Planner(config, device=device, seed=166)
     noise = noise_of(planner, random_case(0, count=0))[0]
-    table = planner._work.noise.numpy().transpose(2, 0, 1)
+    table = planner.workspace.noise.numpy().transpose(2, 0, 1)
     rows = (len(table) - 64 + np.arange(1024)) % len(table)
     scale = np.sqrt([1.0, 1.0, 1.0, 0.5])
     np.testing.assert_allclose(np.abs(noise), np.abs(table[rows] * scale), atol=1e-4)

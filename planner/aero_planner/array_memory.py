@@ -1,0 +1,129 @@
+"""Declaration of device arrays as dataclass fields, and the allocation that follows from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import warp as wp
+
+__all__ = ["ArraySpec", "PackedArrays", "allocate", "array", "array_specs", "as_dict", "as_scalars", "as_vectors"]
+
+Arrays = TypeVar("Arrays")
+_ALIGNMENT = 256
+
+
+@dataclass(frozen=True)
+class ArraySpec:
+    """Declaration of a device array."""
+
+    dtype: Any
+    shape: str
+    """Symbols (fields of the sizes), numbers, and sums and products of them, such as "B R N+1"."""
+    unit: str
+    text: str
+    """Meaning, in one sentence."""
+
+    def evaluate_shape(self, sizes: Any) -> tuple[int, ...]:
+        """Return the shape for the sizes, an object with one attribute per symbol."""
+
+        def product(text: str) -> int:
+            return math.prod(int(factor) if factor.isdigit() else getattr(sizes, factor) for factor in text.split("*"))
+
+        return tuple(sum(map(product, entry.split("+"))) for entry in self.shape.split())
+
+
+def array(dtype: Any, shape: str, unit: str, text: str) -> Any:
+    """Return a dataclass field that declares a device array; see `ArraySpec`."""
+    return dataclasses.field(metadata={"array": ArraySpec(dtype, shape, unit, text)})
+
+
+class PackedArrays(Generic[Arrays]):
+    """Arrays that share one allocation, so that one copy moves all of them between host and device.
+
+    Args:
+        kind: dataclass whose fields declare the arrays.
+        sizes: an object with one attribute per symbol of their shapes.
+        device: device of the arrays.
+
+    Attributes:
+        arrays: an instance of `kind` with the device arrays.
+    """
+
+    def __init__(self, kind: type[Arrays], sizes: Any, device: wp.Device) -> None:
+        specs = array_specs(kind)
+        self._layout: dict[str, tuple[int, np.dtype[Any], tuple[int, ...]]] = {}
+        size = 0
+        for name, spec in specs.items():
+            size = -(-size // _ALIGNMENT) * _ALIGNMENT
+            scalar = np.dtype(wp.dtype_to_numpy(getattr(spec.dtype, "_wp_scalar_type_", spec.dtype)))
+            shape = (*spec.evaluate_shape(sizes), *getattr(spec.dtype, "_shape_", ()))
+            self._layout[name] = (size, scalar, shape)
+            size += scalar.itemsize * math.prod(shape)
+        self._memory = wp.zeros(size, dtype=wp.uint8, device=device)
+        pointer = int(self._memory.ptr or 0)
+        self.arrays: Arrays = kind(**{
+            name: wp.array(
+                ptr=pointer + self._layout[name][0], dtype=spec.dtype, shape=spec.evaluate_shape(sizes), device=device
+            )
+            for name, spec in specs.items()
+        })  # fmt: skip
+        # On the CPU the device's memory is the host's.
+        self._host = self._memory if device.is_cpu else wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=True)
+
+    def _views(self, memory: np.ndarray) -> dict[str, np.ndarray]:
+        views = {}
+        for name, (offset, dtype, shape) in self._layout.items():
+            size = dtype.itemsize * math.prod(shape)
+            views[name] = memory[offset : offset + size].view(dtype).reshape(shape)
+        return views
+
+    def host(self) -> dict[str, np.ndarray]:
+        """Return writable host views of all arrays, by name; `upload` copies them to the device."""
+        return self._views(self._host.numpy())
+
+    def upload(self) -> None:
+        """Copy the host's values to the device, ordered before later launches."""
+        if self._host is not self._memory:
+            wp.copy(self._memory, self._host)
+
+    def download(self) -> dict[str, np.ndarray]:
+        """Return copies of the device's present values, by name."""
+        if self._host is not self._memory:
+            wp.copy(self._host, self._memory)
+            wp.synchronize_stream(self._memory.device)
+        return self._views(self._host.numpy().copy())
+
+
+def array_specs(kind: type) -> dict[str, ArraySpec]:
+    """Return the declarations of the arrays of a dataclass, by name."""
+    return {field.name: field.metadata["array"] for field in dataclasses.fields(kind)}
+
+
+def as_dict(arrays: Any) -> dict[str, wp.array]:
+    """Return the arrays of a dataclass of arrays, by name."""
+    return {name: getattr(arrays, name) for name in array_specs(type(arrays))}
+
+
+def allocate(kind: type[Arrays], sizes: Any, device: wp.Device) -> Arrays:
+    """Return an instance of a dataclass of arrays, all zero, each with its own allocation."""
+    return kind(**{
+        name: wp.zeros(spec.evaluate_shape(sizes), dtype=spec.dtype, device=device)
+        for name, spec in array_specs(kind).items()
+    })  # fmt: skip
+
+
+def as_vectors(values: wp.array, width: int) -> wp.array:
+    """Return a view of a contiguous float array whose last axis is split into vectors of `width`."""
+    shape = (*values.shape[:-1], values.shape[-1] // width)
+    dtype = wp.types.vector(length=width, dtype=wp.float32)
+    return wp.array(ptr=values.ptr, dtype=dtype, shape=shape, device=values.device)
+
+
+def as_scalars(vectors: wp.array) -> wp.array:
+    """Return a view of a contiguous array of vectors as floats; the vectors' axis is merged into the last one."""
+    shape = (*vectors.shape[:-1], vectors.shape[-1] * vectors.dtype._length_)
+    return wp.array(ptr=vectors.ptr, dtype=wp.float32, shape=shape, device=vectors.device)

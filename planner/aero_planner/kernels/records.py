@@ -1,0 +1,75 @@
+"""Groups of arrays that kernels take as one argument. Shapes: B drones, R instances, N time steps."""
+
+# Postponed annotations are left out: Warp structs need the types themselves.
+
+from typing import Any
+
+import warp as wp
+
+__all__ = ["DroneState", "GoalState", "GuideSet", "InstanceCosts", "PreviousPlan", "Rollouts", "bundle"]
+
+
+@wp.struct
+class DroneState:
+    """State that plans start from, world frame, SI units."""
+
+    position: wp.array(dtype=wp.vec3)  # [B]
+    velocity: wp.array(dtype=wp.vec3)  # [B]
+    quaternion: wp.array(dtype=wp.vec4)  # [B], unit, body to world
+    acceleration: wp.array(dtype=wp.vec3)  # [B]
+
+
+@wp.struct
+class GoalState:
+    """State at the goal, world frame, SI units."""
+
+    position: wp.array(dtype=wp.vec3)  # [B]
+    velocity: wp.array(dtype=wp.vec3)  # [B]
+    quaternion: wp.array(dtype=wp.vec4)  # [B], unit, body to world
+
+
+@wp.struct
+class GuideSet:
+    """Guides of all instances, world frame, SI units."""
+
+    initial_endpoints: wp.array2d(dtype=wp.vec3)  # [B, R]
+    anchors: wp.array2d(dtype=wp.vec3)  # [B, R]
+    coefficients: wp.array3d(dtype=wp.vec3)  # [B, R, 6]
+    positions: wp.array3d(dtype=wp.vec3)  # [B, R, N + 1]
+
+
+@wp.struct
+class Rollouts:
+    """Stage II rollouts of all instances, world frame, SI units."""
+
+    controls: wp.array3d(dtype=wp.vec4)  # [B, R, N], F_t and omega
+    positions: wp.array3d(dtype=wp.vec3)  # [B, R, N + 1]
+    velocities: wp.array3d(dtype=wp.vec3)  # [B, R, N + 1]
+    quaternions: wp.array3d(dtype=wp.vec4)  # [B, R, N + 1], body to world
+
+
+@wp.struct
+class InstanceCosts:
+    """Stage II costs of all instances."""
+
+    goal_cost: wp.array2d(dtype=float)  # [B, R], J_goal
+    collision_cost: wp.array2d(dtype=float)  # [B, R], J_col
+    stage2_cost: wp.array2d(dtype=float)  # [B, R], S2
+
+
+@wp.struct
+class PreviousPlan:
+    """Result of the previous plan, from which the next one continues."""
+
+    controls: wp.array2d(dtype=wp.vec4)  # [B, N], F_t and omega
+    end: wp.array(dtype=wp.vec3)  # [B], final position of the rollout, world frame [m]
+    waypoint: wp.array(dtype=wp.vec3)  # [B], waypoint beyond that, NaN where there was none, world frame [m]
+    time: wp.array(dtype=wp.float64)  # [B], stamp [s], NaN where there is no previous plan
+
+
+def bundle(struct: Any, **arrays: wp.array) -> Any:
+    """Return an instance of a Warp struct with its arrays."""
+    instance = struct()
+    for name, array in arrays.items():
+        setattr(instance, name, array)
+    return instance
