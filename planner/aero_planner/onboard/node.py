@@ -30,6 +30,7 @@ from aero_planner.onboard.failsafe_table import (
     blind_time_left,
     is_inside_fence,
 )
+from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.periodic_loop import PeriodicLoop
 from aero_planner.onboard.plan_schedule import PlanSchedule
@@ -95,9 +96,7 @@ class Node:
         self.sent = 0
         self._link = link
         self._lidar = lidar
-        self._goal = None if goal is None else _checked_goal(goal, config)
-        self._link_goal: NDArray[np.float64] | None = None
-        self._goal_count = 0
+        self._goals = GoalTracker(config.limits, goal)
         self._clock = clock
         self._observers = tuple(observers)
         self._failsafe = failsafe
@@ -162,7 +161,7 @@ class Node:
     @property
     def goal(self) -> NDArray[np.float64] | None:
         """Where to fly [m], shape [3], world frame."""
-        return self._goal
+        return self._goals.goal
 
     def statistics(self) -> dict[str, Any]:
         """Return how well deadlines are met and what was lost, as plain numbers."""
@@ -250,18 +249,7 @@ class Node:
                 self._notify(lambda observer: observer.sample(sample))
         elif sample is not None and previous is not None and sample.time == previous.time:
             self._sample = sample  # a heartbeat has changed its flags
-        self._read_goal(self._link.goal)
-
-    def _read_goal(self, goal: NDArray[np.float64] | None) -> None:
-        """Accept a new goal from the link; one outside the fence is refused and the present goal is kept."""
-        if goal is None or (self._link_goal is not None and np.array_equal(goal, self._link_goal, equal_nan=True)):
-            return
-        self._link_goal = np.array(goal, dtype=np.float64)
-        if is_inside_fence(goal, self.config.limits):
-            self._goal, self._goal_count = self._link_goal, self._goal_count + 1
-            _log.info("the goal is %s", np.round(self._goal, 2).tolist())
-        else:
-            _log.error("the goal %s is refused: it lies outside the geofence", np.round(goal, 2).tolist())
+        self._goals.update(self._link.goal)
 
     def _read_points(self) -> None:
         for packet in self._lidar.poll():
@@ -271,7 +259,7 @@ class Node:
                 self._notify(lambda observer, packet=packet: observer.points(packet))
 
     def _gather_inputs(self, now: float, loop_age: float) -> tuple[Inputs, MotionState | None]:
-        latest, sample = self._link.state, self._sample
+        latest, sample, goal = self._link.state, self._sample, self.goal
         plan = self._schedule.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
         position = np.full(3, np.nan) if motion is None else motion.position
@@ -288,8 +276,8 @@ class Node:
             inside_fence=is_inside_fence(position, self.config.limits),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
-            goal_distance=math.inf if self._goal is None else float(np.linalg.norm(self._goal - position)),
-            goal_number=self._goal_count,
+            goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
+            goal_number=self._goals.count,
             stopping=self._stopping,
         )
         return inputs, motion
@@ -315,7 +303,7 @@ class Node:
         """Report the end of a tick to planning thread, watchdog and failsafe process."""
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
-            self._snapshot = ControlSnapshot(self._sample, motion, self._goal, obeyed, follows_plan)
+            self._snapshot = ControlSnapshot(self._sample, motion, self.goal, obeyed, follows_plan)
         heartbeat = Heartbeat(now, motion, obeyed, self._upcoming_commands(now) if follows_plan else None)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
@@ -424,12 +412,3 @@ def _run_step(step: Callable[[], Any], name: str) -> bool:
         _log.exception("%s failed", name)
         return False
     return True
-
-
-def _checked_goal(goal: ArrayLike, config: OnboardConfig) -> NDArray[np.float64]:
-    array = np.array(goal, dtype=np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise ValueError(f"the goal is {array.tolist()}; it must be three finite numbers [m].")
-    if not is_inside_fence(array, config.limits):
-        raise ValueError(f"the goal {array.tolist()} lies outside the geofence; correct it or limits.fence_*.")
-    return array

@@ -1,0 +1,57 @@
+"""The goal of the flight, as given at the start or received over the link."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner.onboard.failsafe_table import is_inside_fence
+from aero_planner.onboard.settings import LimitSettings
+
+__all__ = ["GoalTracker"]
+
+_log = logging.getLogger(__name__)
+
+
+class GoalTracker:
+    """Keeps the newest goal that lies inside the geofence.
+
+    Args:
+        limits: Settings of the geofence.
+        goal: The first goal [m], shape [3], world frame; None if there is none yet.
+
+    Raises:
+        ValueError: The goal is not three finite numbers, or lies outside the geofence.
+
+    Attributes:
+        goal: The present goal [m], shape [3], world frame; None before the first.
+        count: Number of goals accepted over the link.
+    """
+
+    def __init__(self, limits: LimitSettings, goal: ArrayLike | None) -> None:
+        self.goal: NDArray[np.float64] | None = None if goal is None else _checked(goal, limits)
+        self.count = 0
+        self._limits = limits
+        self._received: NDArray[np.float64] | None = None
+
+    def update(self, goal: NDArray[np.float64] | None) -> None:
+        """Accept the link's goal if it is new; a goal outside the fence is refused and the present one is kept."""
+        if goal is None or (self._received is not None and np.array_equal(goal, self._received, equal_nan=True)):
+            return
+        self._received = np.array(goal, dtype=np.float64)
+        if is_inside_fence(goal, self._limits):
+            self.goal, self.count = self._received, self.count + 1
+            _log.info("the goal is %s", np.round(self.goal, 2).tolist())
+        else:
+            _log.error("the goal %s is refused: it lies outside the geofence", np.round(goal, 2).tolist())
+
+
+def _checked(goal: ArrayLike, limits: LimitSettings) -> NDArray[np.float64]:
+    array = np.array(goal, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ValueError(f"the goal is {array.tolist()}; it must be three finite numbers [m].")
+    if not is_inside_fence(array, limits):
+        raise ValueError(f"the goal {array.tolist()} lies outside the geofence; correct it or limits.fence_*.")
+    return array
