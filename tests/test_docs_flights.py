@@ -1,4 +1,4 @@
-"""What docs/flights.md says is so: its flags, names and figures."""
+"""The flags, names and figures in docs/flights.md are those of the code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KINDS = {"lidar": LidarModel, "drone": VehicleModel, "noise": StateNoise, "rules
 
 
 def rows(heading: str) -> list[list[str]]:
-    """Cells of the tables below a heading."""
+    """Return the cells of the tables below a heading."""
     part = TEXT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
     table = [line for line in part.splitlines() if line.startswith("|") and "---" not in line]
     return [[cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in table]
@@ -37,8 +37,8 @@ def test_every_flag_exists(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_names_are_complete() -> None:
-    named = set(re.findall(r"`([\w-]+)`", " ".join(row[0] for row in rows("Worlds"))))
-    assert named == set(SCENES)
+    scenes = set(re.findall(r"`([\w-]+)`", " ".join(row[0] for row in rows("Worlds"))))
+    assert scenes == set(SCENES)
     assert {row[0].strip("`") for row in rows("What ends a flight")[1:]} == set(OUTCOMES) - {None}
     fields = set(re.findall(r"`(\w+)`", " ".join(row[0] for row in rows("Metrics"))))
     assert fields == {field.name for field in dataclasses.fields(FlightResult)}
@@ -47,21 +47,21 @@ def test_names_are_complete() -> None:
 
 
 def test_parameters_of_the_vehicle_are_complete() -> None:
-    told = " ".join(cell for row in rows("Vehicle") for cell in row) + TEXT
+    text = " ".join(cell for row in rows("Vehicle") for cell in row) + TEXT
     for section in ("drone", "noise"):
         for info in KINDS[section].parameters():
-            assert info.name.replace("_", "-") in told, info.path
+            assert info.name.replace("_", "-") in text, info.path
 
 
-def test_coverage_is_what_the_table_says() -> None:
+def test_coverage_equals_the_table() -> None:
     for cell, row in ((3.0, rows("Sensor")[-2]), (1.0, rows("Sensor")[-1])):
         assert row[0] == f"{cell:g} deg cells hit after 0.1, 0.5, 1.0 s"
         for name, text in zip(LIDARS, row[1:], strict=True):
-            told = [float(share) for share in re.findall(r"\d+", text)]
-            assert told == pytest.approx(100.0 * coverage(lidar_model(name), cell=cell), abs=0.51), (name, cell)
+            documented = [float(percent) for percent in re.findall(r"\d+", text)]
+            assert documented == pytest.approx(100.0 * coverage(lidar_model(name), cell=cell), abs=0.51), (name, cell)
 
 
-def test_the_form_of_a_world_is_the_one_that_loads() -> None:
+def test_keys_of_a_world_file_are_complete() -> None:
     keys = re.findall(r'"(\w+)":', TEXT.split("**A world on disk**")[1].split("```")[1])
     world = World.from_dict({"name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], "triangles": [[0] * 8 + [1]]})
     assert set(keys) == {*json.loads(json.dumps(world.to_dict())), "bounds"}
