@@ -22,6 +22,7 @@ from aero_planner.config.parameter import (
     structural,
     switch,
 )
+from aero_planner.config.presets import PRESETS
 
 __all__ = [
     "REMOVED",
@@ -357,7 +358,7 @@ class PlannerConfig(SectionedConfig):
     @classmethod
     def presets(cls) -> dict[str, str]:
         """Return the description of each preset by name."""
-        return {name: help for name, (help, _) in _PRESETS.items()}
+        return {name: help for name, (help, _) in PRESETS.items()}
 
     @classmethod
     def preset(cls, name: str) -> PlannerConfig:
@@ -366,41 +367,9 @@ class PlannerConfig(SectionedConfig):
         Raises:
             ValueError: there is no such preset; the message lists the presets.
         """
-        if name not in _PRESETS:
-            raise ValueError(f"unknown preset {name!r}{did_you_mean(name, _PRESETS)}; known: {', '.join(_PRESETS)}.")
-        return cls().replace(_PRESETS[name][1])
-
-
-_PAPER: dict[str, Value] = {
-    "vehicle.speed_limit": 50.0,
-    "partition.range_min": 0.0,
-    "anchors.lookahead_rest": 5.0,
-    "anchors.slow_spread": 1.0,
-    "candidates.previous": False,
-    "candidates.brake": False,
-    "candidates.safe_clearance": 0.25,
-    "candidates.prefer_safe": False,
-    "candidates.between_steps": False,
-    "candidates.brake_fan": 0.0,
-    "sampling.correlation": 0.0,
-    "sampling.keep_nominal": False,
-    "sampling.fresh_noise": False,
-    "costs.q_track": 15.0,
-    "costs.q_speed": 0.0,
-    "costs.distance_min": 0.4,
-    "costs.distance_max": 1.0,
-    "costs.penalty": 1e6,
-    "costs.shape": "exponential",
-    "costs.q_blocked": 0.0,
-    "costs.waypoint_distance": 0.0,
-    "costs.use_ground": False,
-}
-
-_PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
-    "default": ("The best configuration known.", {}),
-    "paper": ("The literal paper: every number and every formula.", _PAPER),
-    "fast-cpu": ("The default with a quarter of the samples, for slow machines.", {"sampling.samples": 32}),
-}
+        if name not in PRESETS:
+            raise ValueError(f"unknown preset {name!r}{did_you_mean(name, PRESETS)}; known: {', '.join(PRESETS)}.")
+        return cls().replace(PRESETS[name][1])
 
 
 def parameters() -> tuple[ParameterInfo, ...]:

@@ -58,6 +58,12 @@ def test_every_setting_is_described_and_its_default_is_valid(info: ParameterInfo
     assert not isinstance(info.default, float) or info.unit or info.name in ("hover_thrust", "curve")
 
 
+def test_labels_are_unique_within_a_section():
+    names = [(info.section, info.label) for info in OnboardConfig.parameters()]
+    assert len(names) == len(set(names))
+    assert all(label[0].isupper() and not label.endswith(".") for _, label in names)
+
+
 @every_number
 def test_errors_name_setting_value_and_range(info: ParameterInfo):
     for wrong in (info.high * 2 + 1, info.low - 1, math.nan, math.inf, "5", None, True):

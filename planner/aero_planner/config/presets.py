@@ -1,0 +1,39 @@
+"""Presets of the planner: named sets of changes to the default configuration."""
+
+from __future__ import annotations
+
+from aero_planner.config.parameter import Value
+
+__all__ = ["PRESETS"]
+
+_PAPER: dict[str, Value] = {
+    "vehicle.speed_limit": 50.0,
+    "partition.range_min": 0.0,
+    "anchors.lookahead_rest": 5.0,
+    "anchors.slow_spread": 1.0,
+    "candidates.previous": False,
+    "candidates.brake": False,
+    "candidates.safe_clearance": 0.25,
+    "candidates.prefer_safe": False,
+    "candidates.between_steps": False,
+    "candidates.brake_fan": 0.0,
+    "sampling.correlation": 0.0,
+    "sampling.keep_nominal": False,
+    "sampling.fresh_noise": False,
+    "costs.q_track": 15.0,
+    "costs.q_speed": 0.0,
+    "costs.distance_min": 0.4,
+    "costs.distance_max": 1.0,
+    "costs.penalty": 1e6,
+    "costs.shape": "exponential",
+    "costs.q_blocked": 0.0,
+    "costs.waypoint_distance": 0.0,
+    "costs.use_ground": False,
+}
+
+PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
+    "default": ("The best configuration known.", {}),
+    "paper": ("The literal paper: every number and every formula.", _PAPER),
+    "fast-cpu": ("The default with a quarter of the samples, for slow machines.", {"sampling.samples": 32}),
+}
+"""Description and changes of each preset by name."""
