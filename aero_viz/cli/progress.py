@@ -13,7 +13,7 @@ def progress_bar(label: str = "", *, enabled: bool = True) -> Iterator[Callable[
     """Show a progress bar on stderr while the context is open, if it is enabled and stderr is a terminal.
 
     The context's value is a function that updates the bar. Its arguments are the amount that is done, the total amount,
-    and a text to show beside the bar.
+    and a text to show next to the bar.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

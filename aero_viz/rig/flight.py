@@ -67,7 +67,7 @@ class RigFlight:
         self._arrivals = 0
         self._events: list[Event] = []
         self._engaged_at: float | None = None  # [s] since the start of the simulation
-        self._rows: list[tuple[float, ...]] = []  # time, position, velocity, whether OFFBOARD
+        self._rows: list[tuple[float, ...]] = []  # time, position, velocity, 1.0 in OFFBOARD
         self._overruns = 0
         self._at_rest_since = self._near_goal_since = math.inf
         self._mode = autopilot.mode

@@ -44,10 +44,10 @@ def test_fly_prints_the_result_and_writes_the_trajectory(
     assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(result["length_m"], rel=1e-3)
 
 
-def test_fly_reads_presets_and_files(capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path) -> None:
+def test_fly_reads_presets_and_files(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path) -> None:
     path = tmp_path / "tuned.yaml"
     path.write_text("preset: paper\nsampling:\n  samples: 16\n")
-    result = run_json(capsys, "fly", poles, "--config", str(path), "--seed", "1")
+    result = run_json(capsys, "fly", short_poles, "--config", str(path), "--seed", "1")
     assert result["config"] == str(path)
 
 
@@ -105,11 +105,11 @@ def test_the_voxel_size_of_a_map_is_a_flag(capsys: pytest.CaptureFixture[str], t
         assert min(box[5] for box in world["boxes"]) == pytest.approx(float(voxel))
 
 
-def test_progress_is_shown_on_a_terminal_but_not_with_json(poles: str) -> None:
-    code, printed, shown = run_in_terminal("fly", poles, "--sampling.samples", "16")
+def test_progress_is_shown_on_a_terminal_but_not_with_json(short_poles: str) -> None:
+    code, printed, shown = run_in_terminal("fly", short_poles, "--sampling.samples", "16")
     assert code == 0 and "reason           arrived" in printed
     assert "poles" in shown and "% of the distance" in shown
-    code, printed, shown = run_in_terminal("fly", poles, "--sampling.samples", "16", "--json")
+    code, printed, shown = run_in_terminal("fly", short_poles, "--sampling.samples", "16", "--json")
     assert (code, shown) == (0, "") and json.loads(printed)["arrived"]
 
 

@@ -94,10 +94,10 @@ def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str
     interrupt(process)
 
 
-def test_no_headless_flies_in_the_page(start_python: StartPython, poles: str, browser: Browser) -> None:
+def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: str, browser: Browser) -> None:
     """Playback starts when the page is open in a real Chromium, and the drone arrives."""
     options = ["--no-headless", "--port", "0", "--speed", "5", "--sampling.samples", "16"]
-    process = start_python("-m", "aero_viz", "fly", poles, *options)
+    process = start_python("-m", "aero_viz", "fly", short_poles, *options)
     url = read_url(process)
     with browser.new_page() as page:
         page.goto(url)
