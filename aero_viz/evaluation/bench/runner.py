@@ -6,18 +6,16 @@ import dataclasses
 import datetime
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import warp as wp
-
 from aero_planner import PlannerConfig
-from aero_planner.warp_init import init_warp
 from aero_viz.errors import UserError
+from aero_viz.evaluation.batching import Progress, default_batch
 from aero_viz.evaluation.bench.machine import hardware, versions
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder, read_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
@@ -25,10 +23,7 @@ from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel, lidar_model
 
-__all__ = ["Progress", "Run", "default_batch", "load_run", "run_benchmark"]
-
-Progress = Callable[[int, int, str], None]
-"""Called with the number of finished flights, the total number, and a description of the current work."""
+__all__ = ["Run", "load_run", "run_benchmark"]
 
 
 @dataclass(frozen=True)
@@ -64,19 +59,6 @@ class _PlannedFlight:
     rules: FlightRules
     group: tuple[Any, ...]
     """Flights can share a batch if their groups are equal."""
-
-
-def default_batch(device: str) -> int:
-    """Return the default number of simultaneous flights: 256 on a GPU, 1 on a CPU, where batches are not faster.
-
-    Raises:
-        UserError: the device is not available.
-    """
-    init_warp()
-    try:
-        return 256 if wp.get_device(device).is_cuda else 1
-    except ValueError as error:
-        raise UserError(f"The device {device!r} is not available: {error}.") from error
 
 
 def run_benchmark(

@@ -9,7 +9,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.bench.runner import Progress, default_batch
+from aero_viz.evaluation.batching import Progress, default_batch
 from aero_viz.evaluation.tune.search_space import ParameterRange, draw_candidates
 from aero_viz.evaluation.tune.tuning_result import Check, Score, TuningResult
 from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
