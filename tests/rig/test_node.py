@@ -106,7 +106,7 @@ def test_the_failsafe_brakes_for_a_killed_node_and_the_restarted_node_stays_sile
     # Nothing else is sent for ten seconds, in which the node starts again.
     assert result.flight_time_s > 11.0
     assert not [time for time in all_after(result, killed) if time > killed + blind_time + 0.2]
-    assert any("armed already when the node started" in line for line in result.log)
+    assert any("already armed when the node started" in line for line in result.log)
 
 
 def test_the_failsafe_brakes_for_a_paused_node_which_then_continues(world):
