@@ -1,4 +1,4 @@
-"""What judges the planner's speed: a naive reference beside it, other libraries, floors and scaling.
+"""Benchmarks of the planner: a naive reference, other libraries, lower bounds and scaling.
 
-Run from the repository's root, for example `python -m benchmarks.guard`; see docs/speed.md.
+Run them from the root of the repository, for example `python -m benchmarks.guard`; see docs/speed.md.
 """

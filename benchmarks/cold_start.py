@@ -1,4 +1,4 @@
-"""Cold start: from the import of the planner to the first plan, with the kernels compiled already and without."""
+"""Measure the time from the import of the planner to the first plan, with and without compiled kernels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ print(json.dumps({"import_s": imported - started, "planner_s": built - imported,
 
 
 def first_plan(cache: str, *, device: str = "cpu", points: int = 200_000) -> dict[str, float]:
-    """In a process of its own, import the planner, build it and plan once, with Warp's cache in the folder `cache`.
+    """Import the planner, build it and plan once in a new process, with Warp's cache in the folder `cache`.
 
     Returns:
         "import_s", "planner_s" (in which kernels are compiled and loaded), "plan_s" and their sum, "total_s"; "cpu_s",

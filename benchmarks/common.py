@@ -1,4 +1,4 @@
-"""What the benchmarks share: the situation that is planned in, the clock, the machine."""
+"""Parts shared by the benchmarks: the planning problem, the timer and the name of the machine."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ __all__ = ["elapsed_ms", "machine", "positive", "situation"]
 
 
 def situation(points: int, batch: int | None = None) -> tuple[VehicleState, Goal, Any]:
-    """A drone at 4 m/s in a forest of `points` points, as in `aero_planner.benchmark`; with a batch, B times the
-    same."""
+    """Return state, goal and cloud of a drone at 4 m/s in a forest; with a batch, B copies of them."""
     values = ([0.0, 0.0, 2.0], [4.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [30.0, 0.0, 2.0])
     position, velocity, quaternion, goal = (
         np.array(value) if batch is None else np.tile(value, (batch, 1)) for value in values
@@ -30,7 +29,7 @@ def situation(points: int, batch: int | None = None) -> tuple[VehicleState, Goal
 
 
 def elapsed_ms(work: Callable[[], Any], device: str) -> float:
-    """Time of `work` [ms], on CUDA between two events of the device's stream."""
+    """Return the time of `work` [ms], on CUDA between two events of the device's stream."""
     warp_device = wp.get_device(device)
     if not warp_device.is_cuda:
         started = time.perf_counter()
@@ -45,7 +44,7 @@ def elapsed_ms(work: Callable[[], Any], device: str) -> float:
 
 
 def machine(device: str) -> str:
-    """Name of what `device` is, such as the GPU's."""
+    """Return the name of the processor behind `device`."""
     warp_device = find_device(device)
     if warp_device.is_cuda:
         return warp_device.name
@@ -58,7 +57,7 @@ def machine(device: str) -> str:
 
 
 def positive(text: str) -> int:
-    """Whole number of at least 1, for argparse."""
+    """Return the integer, at least 1, that a command-line argument states."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{value} is less than 1")

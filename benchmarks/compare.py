@@ -1,7 +1,7 @@
-"""The same MPPI problem in this planner, pytorch_mppi and jax_mppi, side by side in one run.
+"""Time one MPPI problem with this planner, pytorch_mppi and jax_mppi in one run.
 
-Dynamics, horizon, samples, costs and cloud are the same. The planner is timed over its whole plan, from 200 000 points
-on; the libraries over what they have: sampling, rollouts, costs and update, with the filtered cloud given to them.
+Dynamics, horizon, samples, costs and cloud are the same. The time of the planner is that of its whole plan, starting
+from 200 000 points. The time of a library is that of sampling, rollouts, costs and update for a given filtered cloud.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from benchmarks.comparison.problem import Problem, make_problem, problem_config
 __all__ = ["LIBRARIES", "compare", "main", "planner_runner"]
 
 LIBRARIES = {"pytorch-mppi": "benchmarks.comparison.with_torch", "jax-mppi": "benchmarks.comparison.with_jax"}
-"""Module for each distribution; both are in the extra `bench`."""
+"""Module of each distribution; both are in the extra `bench`."""
 
 
 def planner_runner(problem: Problem, device: str, points: int) -> Callable[[], None]:
@@ -69,12 +69,12 @@ def compare(
             try:
                 runners[name] = module.make_runner(problem, device)
                 runners[name]()  # compiles
-            except Exception as error:  # whatever a library raises without the device
+            except Exception as error:  # a library may raise anything if the device is missing
                 missing(f"{name} is left out: it can't run on {device}: {str(error).splitlines()[0]}")
                 runners.pop(name, None)
                 del modules[name]
         times: dict[str, list[float]] = {name: [] for name in runners}
-        for i in range(repeat + 1):  # the first warms up
+        for i in range(repeat + 1):  # the first run warms up
             for name, run in runners.items():
                 started = time.perf_counter()
                 run()
@@ -95,7 +95,7 @@ def compare(
 def _version(name: str) -> str:
     try:
         return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:  # run from the sources
+    except importlib.metadata.PackageNotFoundError:  # not installed, run from the sources
         return "not installed"
 
 
@@ -120,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
     parser.add_argument("--samples", type=positive, default=128, help="rollouts of each of the 15 instances")
-    parser.add_argument("--repeat", type=positive, default=5, help="runs to time")
+    parser.add_argument("--repeat", type=positive, default=5, help="number of runs to time")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
     result = compare(

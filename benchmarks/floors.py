@@ -1,8 +1,8 @@
-"""What each stage takes at the least: floating-point operations, bytes, and results that wait for each other.
+"""Lower bounds on the time of each stage, from floating-point operations, bytes and dependent results.
 
-A floor holds for the stage as its equations stand, whoever writes it: every operation once at the machine's peak, only
-what enters and leaves the stage moved, and the longest chain of dependent operations at full clock. Clearance counts
-one look-up and one distance for each position; starting a kernel counts nothing.
+A floor follows from the equations of a stage, not from their implementation: every operation once at the peak rate of
+the machine, only the bytes that enter and leave the stage, and the longest chain of dependent operations at full clock.
+The clearance counts one look-up and one distance per position. Kernel launches are not counted.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ __all__ = ["MACHINES", "Floor", "Machine", "floors", "main"]
 
 @dataclass(frozen=True)
 class Machine:
-    """Peak figures of a processor, of one core where `per_core`."""
+    """Peak figures of a processor, or of one core if `per_core`."""
 
     operations: float
-    """Single-precision operations per second, a fused product and sum being two."""
+    """Single-precision operations per second; a fused product and sum counts as two."""
     bytes: float
-    """From and to memory, per second."""
+    """Bytes from and to memory per second."""
     clock: float
-    """[Hz]"""
+    """Clock frequency [Hz]."""
     latency: Latency
     memory: int
-    """Cycles until a word of the second-level cache is there."""
+    """Latency of the second-level cache [cycles]."""
     per_core: bool
     source: str
 
@@ -67,14 +67,14 @@ MACHINES = {
 
 @dataclass(frozen=True)
 class Floor:
-    """One stage."""
+    """Lower bound on the time of one stage."""
 
     operations: float
     bytes: float
     cycles: float
 
     def parts_us(self, machine: Machine, threads: int) -> tuple[float, float, float]:
-        """Time for operations, bytes and latency [us]."""
+        """Return the times of operations, bytes and latency [us]."""
         cores = threads if machine.per_core else 1
         return (
             1e6 * self.operations / (cores * machine.operations),
@@ -91,10 +91,10 @@ def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, b
     sampled, final = rollout(latency, N), rollout(latency, N, noisy=False)
     guided, point = nominal_controls(latency, N), partition_point(latency)
     rows = N + (PROBES if config.costs.q_blocked > 0.0 else 0)
-    # A position: its cell in the index, one distance, and the cost that follows.
+    # Per position: its cell of the grid, one distance and its cost.
     position = 9 + 8 + 6
     look_up = 2 * machine.memory + 5 * latency.arithmetic + latency.special
-    # A tree of minima, a tree of sums, the weights between, and the tree over the weighted noise.
+    # A tree of minima, the weights, a tree of sums, and a tree over the weighted noise.
     tree = int(np.ceil(np.log2(max(K, 2)))) * latency.arithmetic
     per_drone = {
         "partition": Floor(points * point.operations, 12 * points + 4 * cells + 12 * kept, point.cycles
@@ -103,7 +103,7 @@ def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, b
         "rollouts": Floor(M * K * sampled.operations, M * N * 28 + M * K * 4, sampled.cycles),
         "clearance": Floor(M * K * rows * position, 12 * kept + M * K * 4, look_up),
         "update": Floor(M * K * (4 + 12 * N), M * K * 4 + M * N * 32, 3 * tree + 2 * latency.special),
-        # The ways to brake as well, and positions half way between two steps.
+        # Includes the braking candidates and the midpoints between states.
         "stage2": Floor(
             (M + BRAKING_CANDIDATES) * (final.operations + (rows + N * config.candidates.between_steps) * position),
             (M + BRAKING_CANDIDATES) * N * (16 + 40), final.cycles + look_up,
@@ -115,13 +115,13 @@ def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, b
 
 
 _PART_OF = {"anchors": "guides", "grid": "clearance"}
-"""Stages that the planner times apart from the one whose floor they belong to."""
+"""Stages that the planner times separately, by the stage whose floor includes them."""
 
 
 def _measure(
     config: PlannerConfig, device: str, points: int, batch: int, threads: int | None, repeat: int
 ) -> tuple[dict[str, float], float, int]:
-    """Least times of the stages that the planner tells, of `launch`, [us], and the points kept."""
+    """Return the minimum time of each stage and of `launch` [us], and the size of the filtered cloud."""
     planner = Planner(config, device=device, batch=batch, threads=threads)
     state, goal, cloud = situation(points, batch)
     stages: dict[str, list[float]] = {}

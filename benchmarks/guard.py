@@ -1,4 +1,4 @@
-"""Regression guard: the planner against the naive reference in one run, as a ratio that any machine can judge."""
+"""Speed guard: compare the planner with the naive reference in one run, by ratios that hold on any machine."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from benchmarks.naive import NaivePlanner
 __all__ = ["BOUNDS", "PlansDifferError", "compare_with_naive", "main"]
 
 BOUNDS = {"cpu": {"plan": 40.0, "partition": 1.6, "rollouts": 4.0}, "cuda": {"plan": 1.2}}
-"""Least ratio of the whole plan and of stages, by kind of device: about half of what was measured. The whole plan's
-is mostly the clearance's, which the naive reference finds by brute force, hence those of other stages."""
+"""Minimum ratios of the whole plan and of stages, by kind of device: about half of the measured values. The clearance,
+which the naive reference finds by brute force, dominates the whole plan, hence the bounds on other stages."""
 
 _WARM_UP = 2
-_BESIDE_STAGES = ("inputs", "graph", "total")
+_NOT_STAGES = ("inputs", "graph", "total")
 
 
 class PlansDifferError(RuntimeError):
-    """Naive and present kernels plan differently."""
+    """The naive and the current kernels plan differently."""
 
 
 def compare_with_naive(
     config: PlannerConfig, *, device: str = "cpu", points: int = 200_000, threads: int | None = 1, repeat: int = 20
 ) -> dict[str, Any]:
-    """Time naive and present kernels in turn, on the same plans.
+    """Time naive and current kernels alternately, on the same plans.
 
-    One thread by default, as the naive kernels have, so that the ratio does not depend on the number of cores.
+    By default the planner has one thread, like the naive kernels, so the ratio does not depend on the number of cores.
 
     Returns:
-        "stages": {name: {"naive_ms", "current_ms", "ratio"}}, None where one side has no stage of that name (a stage
-        can be timed on the CPU only); "plan": the same for everything from the device's inputs to its outputs; each
-        the least of `repeat` times, to which others on the machine can only add; and the arguments.
+        "stages": {name: {"naive_ms", "current_ms", "ratio"}}, None if one side has no stage of that name; stages are
+        timed on the CPU only. "plan": the same for the whole plan, from the device inputs to the device outputs. Every
+        time is the minimum of `repeat` times, since other processes can only add to it. And the arguments.
 
     Raises:
         ValueError: the device does not exist.
-        PlansDifferError: naive and present kernels plan differently, so that their times say nothing.
+        PlansDifferError: naive and current kernels plan differently, so that their times say nothing.
     """
     planner = Planner(config, device=device, threads=threads)
     naive = NaivePlanner(planner)
@@ -65,7 +65,7 @@ def compare_with_naive(
         # On CUDA the naive stages are one graph as well, and `stage_ms` is what its capture took.
         for side, times in enumerate((naive.stage_ms if device == "cpu" else {}, plan.stage_ms)):
             for name, milliseconds in times.items():
-                if name not in _BESIDE_STAGES:
+                if name not in _NOT_STAGES:
                     stages.setdefault(name, ([], []))[side].append(milliseconds)
     planner.close()
     return {
@@ -85,8 +85,8 @@ def compare_with_naive(
 def _check_agreement(fine_range: Any, best: Any, naive: dict[str, Any]) -> None:
     if not np.array_equal(fine_range.ravel(), naive["fine_range"][0]) or best != naive["best"][0]:
         raise PlansDifferError(
-            "naive and present kernels plan differently, so that their times can't be compared; "
-            "run tests/benchmarks/test_naive.py to see where."
+            "naive and current kernels plan differently, so their times can't be compared; "
+            "run tests/benchmarks/test_naive.py to see where they differ."
         )
 
 
@@ -96,7 +96,7 @@ def _row(naive: Sequence[float], current: Sequence[float]) -> dict[str, float | 
     return {"naive_ms": naive_ms, "current_ms": current_ms, "ratio": ratio}
 
 
-def _report(result: dict[str, Any]) -> str:
+def _format_report(result: dict[str, Any]) -> str:
     def cell(value: float | None) -> str:
         return f"{'-':>12}" if value is None else f"{value:12.3f}"
 
@@ -113,7 +113,7 @@ def _report(result: dict[str, Any]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns 0, or 1 when a ratio is below its bound or the plans differ.
+    """Run the command line; returns 0, or 1 if a ratio is below its bound or the plans differ.
 
     Raises:
         ValueError: the device or the configuration does not exist.
@@ -123,9 +123,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
     parser.add_argument("--samples", type=positive, help="rollouts of each instance")
     parser.add_argument("--preset", default="default", help="preset or configuration file")
-    parser.add_argument("--threads", type=positive, default=1, help="CPU threads of the planner; the naive has one")
-    parser.add_argument("--repeat", type=positive, default=20, help="plans to time")
-    parser.add_argument("--bound", type=float, help=f"least ratio of the whole plan; else by device, {BOUNDS}")
+    parser.add_argument(
+        "--threads", type=positive, default=1, help="CPU threads of the planner; naive kernels have one"
+    )
+    parser.add_argument("--repeat", type=positive, default=20, help="number of plans to time")
+    parser.add_argument("--bound", type=float, help=f"minimum ratio of the whole plan; by default {BOUNDS}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
     config = config_from_name(options.preset)
@@ -143,11 +145,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bounds["plan"] = options.bound
     ratios = {name: row["ratio"] for name, row in ({"plan": result["plan"]} | result["stages"]).items()}
     slow = [name for name, bound in bounds.items() if (ratios.get(name) or np.inf) < bound]
-    print(json.dumps(result | {"bounds": bounds, "slow": slow}) if options.json else _report(result))
+    print(json.dumps(result | {"bounds": bounds, "slow": slow}) if options.json else _format_report(result))
     for name in slow:
         print(
-            f"{name}: {ratios[name]:.2f} times as fast as the naive reference; {bounds[name]:g} times or more is "
-            "expected, so that something has become slower.",
+            f"{name}: {ratios[name]:.2f} times as fast as the naive reference, {bounds[name]:g} times or more is "
+            "expected: something has become slower.",
             file=sys.stderr,
         )
     return 1 if slow else 0

@@ -1,7 +1,7 @@
-"""Floating-point operations and dependent latency of the planner's equations, by running them on numbers that count.
+"""Operations and dependent latency of the planner's equations, from an evaluation with numbers that count.
 
-Every result knows after how many cycles it can be there at the earliest, when all that does not depend on each other
-happens at once; a product that is added to something costs one fused instruction.
+Every result knows the earliest cycle at which it can be available if independent operations run at the same time. A
+product that is added to a number is one fused instruction.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["Count", "Latency", "nominal_controls", "partition_point", "rollout"]
 
 @dataclass(frozen=True)
 class Latency:
-    """Cycles from operands to result."""
+    """Latency of operations [cycles]."""
 
     arithmetic: int
     """Addition, product, fused product and sum, comparison."""
@@ -24,7 +24,7 @@ class Latency:
 
 @dataclass
 class Count:
-    """What a computation takes."""
+    """Operations and latency of a computation."""
 
     latency: Latency
     operations: int = 0
@@ -34,7 +34,7 @@ class Count:
     numbers: list[Real] = field(default_factory=list, repr=False)
 
     def given(self, size: int) -> list[Real]:
-        """Return numbers that are there from the start."""
+        """Return numbers that are available from the start."""
         return [Real(self, 0) for _ in range(size)]
 
     def result(self, ready: int, factors: int | None = None) -> Real:
@@ -45,12 +45,12 @@ class Count:
 
 
 class Real:
-    """A number without a value.
+    """Number without a value, which counts the operations on it.
 
     Args:
-        count: where operations are counted.
-        ready: cycle at which it is known.
-        factors: for a product, the cycle at which its factors are known.
+        count: counter of the operations.
+        ready: cycle at which the number is available.
+        factors: for a product, the cycle at which its factors are available.
     """
 
     def __init__(self, count: Count, ready: int, factors: int | None = None) -> None:
@@ -74,11 +74,11 @@ class Real:
     __rmul__, __radd__, __sub__, __rsub__ = __mul__, __add__, __add__, __add__
 
     def special(self) -> Real:
-        """Root, inverse root, or the like."""
+        """Return the result of a root, an inverse root or a similar operation."""
         return self._count.result(self.ready + self._count.latency.special)
 
     def clamp(self) -> Real:
-        """Limit on both sides."""
+        """Return the number clamped on both sides."""
         return (self + 0.0) + 0.0
 
 
@@ -94,7 +94,7 @@ def _dot(a: Sequence[Real | float], b: Sequence[Real]) -> Real:
 
 
 def _sum(terms: Sequence[Real]) -> Real:
-    """Sum as a tree."""
+    """Return the sum of numbers, added as a tree."""
     terms = list(terms)
     while len(terms) > 1:
         terms = [terms[i] + terms[i + 1] if i + 1 < len(terms) else terms[i] for i in range(0, len(terms), 2)]
@@ -114,7 +114,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 
 def _q_rate(q: Vector, omega: Vector) -> Vector:
-    """1/2 q (x) [0, omega], the half within omega."""
+    """Return 1/2 q (x) [0, omega]; omega includes the factor 1/2."""
     w, x, y, z = q
     a, b, c = omega
     return [
@@ -126,13 +126,13 @@ def _q_rate(q: Vector, omega: Vector) -> Vector:
 
 
 def _axis(q: Vector) -> Vector:
-    """R(q) e_3, with q scaled by the root of 2."""
+    """Return R(q) e_3 for q scaled by the square root of 2."""
     w, x, y, z = q
     return [_dot([x, w], [z, y]), _dot([y, w], [z, x]), 1.0 - _dot([x, y], [x, y])]
 
 
 def _step_attitude(q: Vector, omega: Vector) -> Vector:
-    """q after a step: a polynomial in |omega|^2 times q and its rate, normalised."""
+    """Return q after a time step: q and its rate times polynomials in |omega|^2, normalised."""
     s = _dot(omega, omega)
     own, of_rate = s * (s * 1.0 + 1.0) + 1.0, s * 1.0 + 1.0
     rate = _q_rate(q, omega)
@@ -142,7 +142,7 @@ def _step_attitude(q: Vector, omega: Vector) -> Vector:
 
 
 def _step(p: Vector, v: Vector, q: Vector, u: Vector) -> tuple[Vector, Vector, Vector]:
-    """One Runge-Kutta step."""
+    """Return the state after one Runge-Kutta step."""
     thrust, omega = u[0], u[1:]
     stage, accelerations = q, [_axis(q)]
     for _ in range(3):
@@ -155,7 +155,7 @@ def _step(p: Vector, v: Vector, q: Vector, u: Vector) -> tuple[Vector, Vector, V
 
 
 def rollout(latency: Latency, steps: int, *, noisy: bool = True) -> Count:
-    """Count one rollout of N steps with all its costs but the clearance's; without noise it is Stage II's."""
+    """Count one rollout of N time steps with all costs except the clearance; without noise it is one of Stage II."""
     n = Count(latency)
     p, v, q, p_goal, v_goal, q_goal = (n.given(size) for size in (3, 3, 4, 3, 3, 4))
     noise, before = n.given(4), n.given(4)
@@ -181,7 +181,7 @@ def rollout(latency: Latency, steps: int, *, noisy: bool = True) -> Count:
 
 
 def nominal_controls(latency: Latency, steps: int) -> Count:
-    """Count one guide and the controls that follow it, each step's attitude from the one before."""
+    """Count one guide and its nominal controls; the attitude of each time step depends on the previous one."""
     n = Count(latency)
     coefficients = [n.given(3) for _ in range(6)]
     q = n.given(4)
@@ -198,7 +198,7 @@ def nominal_controls(latency: Latency, steps: int) -> Count:
         z = [x + q[0] * a + b for x, a, b in zip(axis, cross, _cross(q[1:], cross), strict=True)]
         sine = _length(z[:2])
         angle = (sine * z[2].special()) * 1.0
-        for _ in range(_ARC_TERMS):  # of the arctangent's polynomial
+        for _ in range(_ARC_TERMS):  # polynomial of the arctangent
             angle = angle * 1.0 + 1.0
         gain = angle * sine.special()
         u = [_dot(axis, _axis(q)).clamp(), (gain * z[1]).clamp(), (gain * z[0]).clamp(), n.given(1)[0]]
@@ -207,7 +207,7 @@ def nominal_controls(latency: Latency, steps: int) -> Count:
 
 
 def partition_point(latency: Latency) -> Count:
-    """Count range and cell of one point: two arctangents, or as much."""
+    """Count range and cell of one point, with two arctangents."""
     n = Count(latency)
     d = _difference(n.given(3), n.given(3))
     _length(d)

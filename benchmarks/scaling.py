@@ -1,4 +1,4 @@
-"""How the time of a plan grows with samples K, steps N, instances M, the batch, and the number of threads."""
+"""Measure how the time of a plan grows with samples K, steps N, instances M, the batch and the number of threads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from benchmarks.common import elapsed_ms, machine, positive, situation
 __all__ = ["Row", "main", "superlinear", "sweep", "time_plan"]
 
 _TOLERANCE = 1.1
-"""Factor by which a cost per M K N may exceed the smallest size's before it counts as growing faster than linearly."""
+"""Factor by which the time per state may exceed that of the smallest size before growth counts as superlinear."""
 
 
 @dataclass(frozen=True)
@@ -40,21 +40,21 @@ class Row:
     median_ms: float
     p99_ms: float
     memory_mib: float | None
-    """Device memory in use at the most so far, on CUDA."""
+    """Peak device memory so far, on CUDA."""
 
     @property
     def work(self) -> int:
-        """M K N of all drones."""
+        """Number of sampled states of all drones, B M K N."""
         return self.instances * self.samples * self.steps * self.batch
 
     @property
     def nanoseconds(self) -> float:
-        """Least time per state that is sampled [ns]: what others do on the machine only adds to it."""
+        """Minimum time per sampled state [ns]; other processes can only add to it."""
         return 1e6 * self.least_ms / self.work
 
 
 def _config(rows: int, columns: int, samples: int, steps: int) -> PlannerConfig:
-    """M anchors without other candidates, so that M is what it says."""
+    """Return a configuration with M anchors and no other candidates."""
     return PlannerConfig().replace(
         {
             "anchors.rows": rows, "anchors.columns": columns, "sampling.samples": samples, "sampling.steps": steps,
@@ -173,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--points", type=positive, default=20_000, help="points of each cloud")
-    parser.add_argument("--repeat", type=positive, default=10, help="plans to time for each size")
+    parser.add_argument("--repeat", type=positive, default=10, help="number of plans to time per size")
     parser.add_argument("--largest", type=positive, default=45 * 1024 * 50, help="largest M K N to measure")
     parser.add_argument("--batch", type=positive, nargs="*", default=[1, 4, 16], help="drones planned at once")
     parser.add_argument("--output", type=Path, default=Path("results/scaling"), help="folder of CSV, JSON and plot")

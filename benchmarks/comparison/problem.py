@@ -22,34 +22,34 @@ class Problem:
 
     config: PlannerConfig
     state: Array
-    """p, q, v, shape [10]."""
+    """State p, q, v, SI units, shape [10]."""
     goal: Array
-    """p, q, v, shape [10]."""
+    """State p, q, v, SI units, shape [10]."""
     cloud: Array
     """Filtered cloud, shape [F, 3]."""
     guides: Array
-    """Shape [M, N + 1, 3]."""
+    """Guides [m], shape [M, N + 1, 3]."""
     nominal: Array
-    """Shape [M, N, 4]."""
+    """Nominal controls [N, rad/s], shape [M, N, 4]."""
     nominal_cost: Array
-    """S1 of the nominal controls, shape [M]: what every library has to find for them."""
+    """S1 of the nominal controls, shape [M], which every library must reproduce."""
 
     @property
     def variance(self) -> list[float]:
-        """Noise variances of the four controls."""
+        """Variances of the noise of the four controls."""
         s = self.config.sampling
         return [s.variance_thrust, s.variance_rate_xy, s.variance_rate_xy, s.variance_rate_z]
 
     @property
     def limits(self) -> tuple[list[float], list[float]]:
-        """Least and largest controls."""
+        """Lower and upper limits of the controls."""
         v = self.config.vehicle
         high = [v.rate_xy_max, v.rate_xy_max, v.rate_z_max]
         return [v.thrust_min, *(-rate for rate in high)], [v.thrust_max, *high]
 
 
 def problem_config(instances: tuple[int, int], samples: int) -> PlannerConfig:
-    """The paper's costs and white noise, which every library can express, for M_h x M_v instances of K samples."""
+    """Return the paper's costs with white noise, which all libraries support, for M_h x M_v instances of K samples."""
     columns, rows = instances
     return PlannerConfig.preset("paper").replace(
         {"anchors.columns": columns, "anchors.rows": rows, "sampling.samples": samples}
@@ -57,7 +57,7 @@ def problem_config(instances: tuple[int, int], samples: int) -> PlannerConfig:
 
 
 def make_problem(config: PlannerConfig, points: int, device: str = "cpu") -> Problem:
-    """Let the planner, on a device, partition the cloud of `situation` and place the guides."""
+    """Return the problem whose filtered cloud and guides come from the planner on a device."""
     quiet: dict[str, Any] = {"sampling.samples": 1, "candidates.safe_clearance": 0.0}
     quiet |= {f"sampling.variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
     state, goal, cloud = situation(points)

@@ -1,4 +1,4 @@
-"""The problem in jax_mppi: one jitted call, instances by vmap, clearance by brute force."""
+"""The problem with jax_mppi: one jitted call, instances under vmap, brute-force clearance."""
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ __all__ = ["make_runner", "nominal_costs"]
 
 
 def _functions(problem: Problem) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any], Any]:
-    """Dynamics, running and terminal cost given a guide, and the start. The state carries the control before it, since
-    the library prices a state together with the control after it."""
+    """Return dynamics, running cost and terminal cost for a guide, and the start.
+
+    The state includes the previous control, since the library evaluates a state together with the next control.
+    """
     config, N = problem.config, problem.config.sampling.steps
     c, vehicle, dt = config.costs, config.vehicle, config.sampling.dt
     cloud, goal = jnp.asarray(problem.cloud), jnp.asarray(problem.goal)
@@ -71,10 +73,10 @@ def _functions(problem: Problem) -> tuple[Callable[..., Any], Callable[..., Any]
 
 
 def make_runner(problem: Problem, device: str) -> Callable[[], None]:
-    """Return a function that lets every instance improve its nominal controls once, and waits for the result."""
+    """Return a function that updates the nominal controls of every instance once, and waits for the result."""
     config = problem.config
     if device == "cpu":
-        jax.config.update("jax_platforms", "cpu")  # its CUDA plugin may be there without a driver
+        jax.config.update("jax_platforms", "cpu")  # the CUDA plugin may be installed without a driver
     with jax.default_device(jax.devices("cpu" if device == "cpu" else "cuda")[0]):
         dynamics, running_cost, terminal_cost, state = _functions(problem)
         guides, nominal = jnp.asarray(problem.guides), jnp.asarray(problem.nominal)
@@ -101,7 +103,7 @@ def make_runner(problem: Problem, device: str) -> Callable[[], None]:
 
 
 def nominal_costs(problem: Problem) -> list[float]:
-    """S1 of every instance's nominal controls."""
+    """Return S1 of the nominal controls of every instance, shape [M]."""
     dynamics, running_cost, terminal_cost, state = _functions(problem)
     settings, _ = mppi.create(
         nx=14, nu=4, noise_sigma=jnp.eye(4), horizon=problem.config.sampling.steps, step_dependent_dynamics=True

@@ -1,4 +1,4 @@
-"""The problem in pytorch_mppi: one `MPPI` per instance, costs in one go over all states, clearance by cdist."""
+"""The problem with pytorch_mppi: one `MPPI` per instance, costs of all states at once, clearance by cdist."""
 # pyright: reportMissingImports=false
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from benchmarks.comparison.problem import Problem
 __all__ = ["make_runner", "nominal_costs"]
 
 _ROWS = 4096
-"""Positions for which distances to the whole cloud are held at once."""
+"""Positions whose distances to the whole cloud are held in memory at once."""
 
 
 def _controllers(problem: Problem, device: str) -> tuple[list[MPPI], torch.Tensor]:
@@ -90,7 +90,7 @@ def _controllers(problem: Problem, device: str) -> tuple[list[MPPI], torch.Tenso
 
 
 def make_runner(problem: Problem, device: str) -> Callable[[], None]:
-    """Return a function that lets every instance improve its nominal controls once, and waits for the result."""
+    """Return a function that updates the nominal controls of every instance once, and waits for the result."""
     controllers, state = _controllers(problem, device)
     nominal = [controller.U for controller in controllers]
 
@@ -106,7 +106,7 @@ def make_runner(problem: Problem, device: str) -> Callable[[], None]:
 
 
 def nominal_costs(problem: Problem) -> list[float]:
-    """S1 of every instance's nominal controls."""
+    """Return S1 of the nominal controls of every instance, shape [M]."""
     controllers, state = _controllers(problem, "cpu")
     found = []
     for controller in controllers:

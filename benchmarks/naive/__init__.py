@@ -1,7 +1,7 @@
-"""The planner once more, as simply as its equations read: the yardstick of results and of speed.
+"""Naive reference implementation of the planner, to check its results and its speed.
 
-One thread per point, cell, sample or position, no pruning, no tables, no fused stages. It shares configuration,
-parameters and sampled noise with `aero_planner`, and no kernel or function. It is not to be made faster.
+It has one thread per point, cell, sample or position, and no pruning, tables or fused stages. It shares configuration,
+parameters and sampled noise with `aero_planner`, but no kernel and no function. Do not make it faster.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def power(t: float, n: int) -> float:
-    """t^n."""
+    """Return t^n."""
     product = float(1.0)
     for _ in range(n):
         product *= t
@@ -26,7 +26,7 @@ def write_guide(
     b: int, m: int, p0: wp.vec3, v0: wp.vec3, a0: wp.vec3, p1: wp.vec3, v1: wp.vec3, dt: float,
     coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3),
 ):  # fmt: skip
-    """The quintic from (p0, v0, a0) to (p1, v1, 0) on [0, T], and its samples."""
+    """Write the quintic from (p0, v0, a0) to (p1, v1, 0) on [0, T], and its samples."""
     steps = guide.shape[2] - 1
     T = float(steps) * dt
     dp = p1 - p0 - T * v0 - 0.5 * T * T * a0
@@ -47,7 +47,7 @@ def write_guide(
 
 @wp.func
 def acceleration_at(b: int, m: int, s: float, coefficient: wp.array3d(dtype=wp.vec3)) -> wp.vec3:
-    """Second derivative of a guide at time s."""
+    """Return the acceleration of a guide at time s."""
     a = wp.vec3(0.0, 0.0, 0.0)
     for n in range(2, 6):
         a += float(n * (n - 1)) * power(s, n - 2) * coefficient[b, m, n]
@@ -59,7 +59,7 @@ def follow_guide(
     b: int, m: int, q0: wp.vec4, heading: float, c: Params, coefficient: wp.array3d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
 ):  # fmt: skip
-    """Thrust and rates that follow a guide by differential flatness, turning evenly to `heading`."""
+    """Write thrust and rates that follow a guide by differential flatness and turn evenly to `heading`."""
     steps = nominal.shape[2]
     difference = heading - yaw(q0)
     difference -= 2.0 * wp.PI * wp.floor(difference / (2.0 * wp.PI) + 0.5)
@@ -81,12 +81,12 @@ def follow_guide(
 
 
 BRAKING_CANDIDATES = wp.constant(5)
-"""Ways to brake: straight ahead, and turned to both sides."""
+"""Braking candidates: straight ahead, and turned to both sides."""
 
 
 @wp.func
 def turned(v: wp.vec3, angle: float) -> wp.vec3:
-    """v turned about the vertical."""
+    """Return v turned about the vertical axis."""
     c = wp.cos(angle)
     s = wp.sin(angle)
     return wp.vec3(c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
@@ -98,7 +98,7 @@ def write_brake(
     anchor: wp.array2d(dtype=wp.vec3), coefficient: wp.array3d(dtype=wp.vec3), guide: wp.array3d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
 ):  # fmt: skip
-    """A guide to rest within brake_reach v T, `angle` to the left of straight ahead, and its controls."""
+    """Write a guide that stops within brake_reach v T, `angle` to the left of the velocity, and its controls."""
     end = p0 + c.brake_reach * float(nominal.shape[2]) * c.dt * turned(v0, angle)
     anchor[b, m] = end
     write_guide(b, m, p0, v0, a0, end, wp.vec3(0.0, 0.0, 0.0), c.dt, coefficient, guide)
@@ -128,22 +128,22 @@ def guides(
     guide: wp.array3d(dtype=wp.vec3),
     waypoint: wp.array2d(dtype=wp.vec3),
 ):
-    """Guide of every candidate, and where its way turns to the goal. Launched over [B, M].
+    """Write the guide and the waypoint of every candidate. Launched over [B, M].
 
-    `elapsed` becomes the time since the previous plan, or -1 where there is none to go on from.
+    `elapsed` becomes the time since the previous plan [s], or -1 if there is none to continue from.
     """
     b, m = wp.tid()
     c = params[b]
     p0 = position[b]
     T = float(guide.shape[2] - 1) * c.dt
-    way = goal_position[b] - p0
+    to_goal = goal_position[b] - p0
     v1 = wp.vec3(0.0, 0.0, 0.0)
     waypoint[b, m] = goal_position[b]
     if m < anchor_count:
         v1 = c.arrival_speed * wp.normalize(anchor[b, m] - p0)
-        if reach[b] >= wp.length(way):
+        if reach[b] >= wp.length(to_goal):
             v1 = goal_velocity[b]
-        elif reach[b] < c.waypoint_distance and c.waypoint_distance < wp.length(way):
+        elif reach[b] < c.waypoint_distance and c.waypoint_distance < wp.length(to_goal):
             waypoint[b, m] = p0 + c.waypoint_distance * wp.normalize(anchor[b, m] - p0)
     if m == previous_index:
         passed = float(time[b] - previous_time[b])
@@ -152,7 +152,7 @@ def guides(
         anchor[b, m] = previous_end[b]
         if not (passed >= 0.0 and passed < T):
             passed = float(-1.0)
-            anchor[b, m] = p0 + reach[b] / wp.max(wp.length(way), 1.0e-6) * way
+            anchor[b, m] = p0 + reach[b] / wp.max(wp.length(to_goal), 1.0e-6) * to_goal
         elif wp.length(previous_waypoint[b] - p0) > reach[b]:
             waypoint[b, m] = previous_waypoint[b]
         elapsed[b] = passed
@@ -173,7 +173,7 @@ def nominal_controls(
     coefficient: wp.array3d(dtype=wp.vec3),
     nominal: wp.array3d(dtype=wp.vec4),
 ):
-    """Nominal controls of every candidate. Launched over [B, M]."""
+    """Write the nominal controls of every candidate. Launched over [B, M]."""
     b, m = wp.tid()
     c = params[b]
     steps = nominal.shape[2]

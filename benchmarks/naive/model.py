@@ -1,4 +1,4 @@
-"""Quadrotor and costs, function by function from the equations; see the sections of docs/design.md and `costs.py`.
+"""Quadrotor and costs, one function per equation; see `aero_planner.kernels.costs`.
 
 Quaternions are wp.vec4, w x y z, body to world.
 """
@@ -28,12 +28,12 @@ __all__ = [
 wp.set_module_options({"enable_backward": False})
 
 PROBES = wp.constant(10)
-"""Positions on the way from the last state to the goal that the cost-to-go looks at."""
+"""Positions on the path from the final state to the goal that the cost-to-go checks."""
 
 
 @wp.func
 def multiply(a: wp.vec4, b: wp.vec4) -> wp.vec4:
-    """a (x) b."""
+    """Return a (x) b."""
     return wp.vec4(
         a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
         a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
@@ -44,7 +44,7 @@ def multiply(a: wp.vec4, b: wp.vec4) -> wp.vec4:
 
 @wp.func
 def rotation(q: wp.vec4) -> wp.mat33:
-    """R(q)."""
+    """Return R(q)."""
     w = q[0]
     x = q[1]
     y = q[2]
@@ -58,7 +58,7 @@ def rotation(q: wp.vec4) -> wp.mat33:
 
 @wp.func
 def rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
-    """R(q) x by Rodrigues' formula."""
+    """Return R(q) x by Rodrigues' formula."""
     u = wp.vec3(q[1], q[2], q[3])
     t = 2.0 * wp.cross(u, x)
     return x + q[0] * t + wp.cross(u, t)
@@ -66,20 +66,20 @@ def rotate(q: wp.vec4, x: wp.vec3) -> wp.vec3:
 
 @wp.func
 def rotate_back(q: wp.vec4, x: wp.vec3) -> wp.vec3:
-    """R(q)^T x."""
+    """Return R(q)^T x."""
     return rotate(wp.vec4(q[0], -q[1], -q[2], -q[3]), x)
 
 
 @wp.func
 def yaw(q: wp.vec4) -> float:
-    """Heading [rad]."""
+    """Return the yaw angle [rad]."""
     R = rotation(q)
     return wp.atan2(R[1, 0], R[0, 0])
 
 
 @wp.func
 def clamp_control(u: wp.vec4, c: Params) -> wp.vec4:
-    """u within the vehicle's limits."""
+    """Return u clamped to the limits of the vehicle."""
     return wp.vec4(
         wp.clamp(u[0], c.thrust_min, c.thrust_max),
         wp.clamp(u[1], -c.rate_xy_max, c.rate_xy_max),
@@ -90,19 +90,19 @@ def clamp_control(u: wp.vec4, c: Params) -> wp.vec4:
 
 @wp.func
 def q_rate(q: wp.vec4, u: wp.vec4) -> wp.vec4:
-    """dq = 1/2 q (x) [0, omega]."""
+    """Return dq = 1/2 q (x) [0, omega]."""
     return 0.5 * multiply(q, wp.vec4(0.0, u[1], u[2], u[3]))
 
 
 @wp.func
 def v_rate(q: wp.vec4, u: wp.vec4, c: Params) -> wp.vec3:
-    """dv = R(q) [0, 0, F_t] / m + g."""
+    """Return dv = R(q) [0, 0, F_t] / m + g."""
     return rotation(q) * wp.vec3(0.0, 0.0, u[0] / c.mass) - wp.vec3(0.0, 0.0, c.gravity)
 
 
 @wp.func
 def rk4(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, c: Params):
-    """One Runge-Kutta step of dt with u held; returns p, v and q, normalised."""
+    """Return p, v and q, normalised, after one Runge-Kutta step of dt at constant u."""
     h = c.dt
     q1 = q_rate(q, u)
     v1 = v_rate(q, u, c)
@@ -125,7 +125,7 @@ def rk4(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, c: Params):
 
 @wp.func
 def attitude_cost(q: wp.vec4, q_goal: wp.vec4) -> float:
-    """|R(q) R(q_goal)^T - I|_F."""
+    """Return |R(q) R(q_goal)^T - I|_F."""
     E = rotation(q) * wp.transpose(rotation(q_goal)) - wp.identity(n=3, dtype=float)
     return wp.sqrt(wp.ddot(E, E))
 
@@ -134,7 +134,7 @@ def attitude_cost(q: wp.vec4, q_goal: wp.vec4) -> float:
 def goal_cost(
     p: wp.vec3, v: wp.vec3, q: wp.vec4, p_goal: wp.vec3, v_goal: wp.vec3, q_goal: wp.vec4, c: Params
 ) -> float:
-    """One step of J_goal."""
+    """Return J_goal of one time step."""
     return (
         c.q_position * wp.length(p - p_goal)
         + c.q_velocity * wp.length(v - v_goal)
@@ -144,14 +144,14 @@ def goal_cost(
 
 @wp.func
 def speed_cost(v: wp.vec3, c: Params) -> float:
-    """One step of the price of speed above the limit."""
+    """Return the cost of speed above the limit, of one time step."""
     excess = wp.max(0.0, wp.length(v) - c.speed_limit)
     return c.q_speed * excess * excess
 
 
 @wp.func
 def collision_cost(d: float, c: Params) -> float:
-    """One step of J_col at clearance d."""
+    """Return J_col of one time step at clearance d."""
     if d >= c.distance_max:
         return float(0.0)
     if c.shape == 1:  # exponential
@@ -165,15 +165,15 @@ def collision_cost(d: float, c: Params) -> float:
 
 
 @wp.func
-def way_length(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, c: Params) -> float:
-    """Length of the way from p by the turning point to the goal, as far as it is looked at."""
+def path_length(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, c: Params) -> float:
+    """Return the length of the path from p by the waypoint to the goal, at most blocked_range [m]."""
     return wp.min(c.blocked_range, wp.length(waypoint - p) + wp.length(goal - waypoint))
 
 
 @wp.func
 def probe_position(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, j: int, c: Params) -> wp.vec3:
-    """Middle of the j-th piece of the way from p by the turning point to the goal."""
-    s = (float(j) + 0.5) / float(PROBES) * way_length(p, waypoint, goal, c)
+    """Return the centre of segment j of the path from p by the waypoint to the goal."""
+    s = (float(j) + 0.5) / float(PROBES) * path_length(p, waypoint, goal, c)
     first = wp.length(waypoint - p)
     if s <= first:
         return p + s / wp.max(first, 1.0e-6) * (waypoint - p)
@@ -182,5 +182,5 @@ def probe_position(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, j: int, c: Para
 
 @wp.func
 def blocked_cost(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, blocked: int, c: Params) -> float:
-    """Price of the blocked metres on the way from p to the goal."""
-    return c.q_blocked * way_length(p, waypoint, goal, c) * float(blocked) / float(PROBES)
+    """Return the cost of the blocked length of the path from p to the goal."""
+    return c.q_blocked * path_length(p, waypoint, goal, c) * float(blocked) / float(PROBES)

@@ -43,8 +43,11 @@ def draw_noise(
     table: wp.array3d(dtype=float),
     noise: wp.array3d(dtype=wp.vec4),
 ):
-    """White noise of unit variance, shape [B M, K, N], as `kernels.mppi` draws it from its table [N, 4, rows]:
-    successive rows from a random multiple of NOISE_STEP on, with random signs. Launched over [B M, K]."""
+    """Write white noise of unit variance, shape [B M, K, N]. Launched over [B M, K].
+
+    It is the noise that `aero_planner.kernels.mppi` draws from its table [N, 4, rows]: consecutive rows from a random
+    multiple of NOISE_STEP on, with random signs.
+    """
     i, k = wp.tid()
     b = i // instances
     draw = tick[b] * params[b].fresh_noise
@@ -77,7 +80,7 @@ def rollouts(
     positions: wp.array3d(dtype=wp.vec3),
     cost: wp.array2d(dtype=float),
 ):
-    """Noisy controls, their states, and J_track + J_vnorm + J_ctrl + J_goal + the price of speed.
+    """Write noisy controls, their states, and J_track + J_vnorm + J_ctrl + J_goal + the speed cost.
 
     Shapes [B M, K, N], positions [B M, K, N + PROBES]. Launched over [B M, K].
     """
@@ -146,8 +149,10 @@ def clearance(
     positions: wp.array3d(dtype=wp.vec3),
     distance: wp.array3d(dtype=float),
 ):
-    """Clearance of every position by looking at every point: after each step, of the probes, and half way between two
-    steps where there are such rows. Launched over [B M, K, rows]."""
+    """Find the clearance of every position by a search over all points. Launched over [B M, K, rows].
+
+    Rows are the states, the probes and, if there are such rows, the midpoints between states.
+    """
     i, k, t = wp.tid()
     b = i // instances
     c = params[b]
@@ -162,7 +167,7 @@ def clearance(
 @wp.func
 def collision_and_blocked(i: int, k: int, steps: int, waypoint: wp.vec3, goal: wp.vec3, c: Params,
                           positions: wp.array3d(dtype=wp.vec3), distance: wp.array3d(dtype=float)):  # fmt: skip
-    """J_col of one rollout, and its cost-to-go."""
+    """Return J_col of one rollout, and its cost-to-go."""
     J_col = float(0.0)
     for t in range(steps):
         J_col += collision_cost(distance[i, k, t], c)
@@ -187,8 +192,8 @@ def scores(
     i, k = wp.tid()
     b = i // instances
     steps = distance.shape[2] - PROBES
-    way_turn = waypoint[b, i % instances]
-    J_col, to_go = collision_and_blocked(i, k, steps, way_turn, goal_position[b], params[b], positions, distance)
+    waypoint_m = waypoint[b, i % instances]
+    J_col, to_go = collision_and_blocked(i, k, steps, waypoint_m, goal_position[b], params[b], positions, distance)
     cost[i, k] = cost[i, k] + J_col + to_go
 
 

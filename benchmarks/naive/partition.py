@@ -1,4 +1,4 @@
-"""Cloud to cells, filtered cloud and safe directions; the goal to anchors."""
+"""Partition of the cloud into cells, filtered cloud, safe directions and anchors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOTHING = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 
 @wp.func
 def cell_of(d: wp.vec3, rows: int, columns: int):
-    """Row and column of the cell in direction d."""
+    """Return row and column of the cell in direction d."""
     azimuth = wp.atan2(d[1], d[0])
     elevation = wp.atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
     row = int(wp.floor(elevation * (float(rows) / wp.PI) + 0.5 * float(rows)))
@@ -26,7 +26,7 @@ def cell_of(d: wp.vec3, rows: int, columns: int):
 
 @wp.func
 def center_of(row: int, column: int, rows: int, columns: int) -> wp.vec3:
-    """d_ij = (cos b cos a, cos b sin a, sin b) at the centre of a cell."""
+    """Return d_ij = (cos b cos a, cos b sin a, sin b) at the centre of a cell."""
     a = ((float(column) + 0.5) / float(columns) - 0.5) * 2.0 * wp.PI
     b = ((float(row) + 0.5) / float(rows) - 0.5) * wp.PI
     return wp.vec3(wp.cos(b) * wp.cos(a), wp.cos(b) * wp.sin(a), wp.sin(b))
@@ -43,7 +43,7 @@ def complete_goal(
     goal_velocity: wp.array(dtype=wp.vec3),
     goal_quaternion: wp.array(dtype=wp.vec4),
 ):
-    """Normalise attitudes and derive what a goal leaves open, as `aero_planner.Goal` says. Launched over [B]."""
+    """Normalise the attitudes and complete the goal, as `aero_planner.Goal` says. Launched over [B]."""
     b = wp.tid()
     quaternion[b] = wp.normalize(quaternion_in[b])
     goal_velocity[b] = goal_velocity_in[b]
@@ -70,7 +70,7 @@ def cells_of_points(
     keys: wp.array2d(dtype=wp.uint64),
     dropped: wp.array(dtype=int),
 ):
-    """Least (range, index) of each cell as one packed number. Launched over [B, P]."""
+    """Find the minimum (range, index) of each cell as one packed number. Launched over [B, P]."""
     b, i = wp.tid()
     if i >= point_count[b]:
         return
@@ -95,7 +95,7 @@ def fine_cells(
     count: wp.array(dtype=int),
     filtered: wp.array2d(dtype=wp.vec3),
 ):
-    """r_ij, and the filtered cloud as a list in any order. Launched over [B, fine cells]."""
+    """Write r_ij, and the filtered cloud as a list in any order. Launched over [B, fine cells]."""
     b, cell = wp.tid()
     fine_range[b, cell] = params[b].range_max
     key = keys[b, cell]
@@ -109,8 +109,10 @@ def safest(
     fine_range: wp.array2d(dtype=float), b: int, row: int, column: int, pool: int, rows: int, columns: int,
     toward: wp.vec3,
 ):  # fmt: skip
-    """Largest range in a coarse cell, and its direction; equal ranges: the direction nearest to `toward`, the first of
-    several within 1e-6."""
+    """Return the largest range in a coarse cell, and its direction.
+
+    Among equal ranges it is the direction nearest to `toward`, and the first of several within 1e-6.
+    """
     best_range = float(-1.0)
     best_cosine = float(-2.0)
     best_direction = wp.vec3(0.0, 0.0, 0.0)
@@ -139,7 +141,7 @@ def initial_anchors(
     reach: wp.array(dtype=float),
     direction: wp.array2d(dtype=wp.vec3),
 ):
-    """Look-ahead l, and M_h x M_v directions around the goal's, body frame. Launched over [B, M_h M_v]."""
+    """Write the look-ahead l and the M_h x M_v initial directions, body frame. Launched over [B, M_h M_v]."""
     b, m = wp.tid()
     c = params[b]
     way = goal_position[b] - position[b]
@@ -174,7 +176,7 @@ def coarse_cells(
     safe_range: wp.array2d(dtype=float),
     safe_direction: wp.array2d(dtype=wp.vec3),
 ):
-    """Safe direction of each coarse cell, ties toward its first anchor or its centre. Launched over [B, cells]."""
+    """Find the safe direction of each coarse cell, ties toward its first anchor or its centre. Launched over [B, C]."""
     b, cell = wp.tid()
     row = cell // columns
     column = cell % columns
@@ -203,7 +205,7 @@ def refined_anchors(
     columns: int,
     anchor: wp.array2d(dtype=wp.vec3),
 ):
-    """p0 + l d with d the safe direction of the anchor's coarse cell. Launched over [B, M_h M_v]."""
+    """Write p0 + l d with d the safe direction of the anchor's coarse cell. Launched over [B, M_h M_v]."""
     b, m = wp.tid()
     d = direction[b, m]
     if params[b].refine != 0:

@@ -1,4 +1,4 @@
-"""The naive kernels in their order, beside a `Planner` whose inputs, cloud, history and noise they take over."""
+"""The naive kernels in sequence, with the inputs, cloud, history and noise of a `Planner`."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _STAGES = ("anchors", "partition", "guides", "rollouts", "clearance", "update", 
 
 
 class NaivePlanner:
-    """Plans what `planner` plans, from the same device arrays, one plain launch after another.
+    """Repeats the plans of a `Planner` from the same device arrays, with one plain launch after another.
 
-    Call `take_over` before `planner.plan`, and `run` after it: both then start from the same history and noise.
+    Call `take_over` before `planner.plan` and `run` after it, so that both start from the same history and noise.
 
     Args:
         planner: the planner to follow; its configuration must not change afterwards.
 
     Attributes:
         params: live parameters, shape [B].
-        arrays: device arrays of the last run; instance i = b M + m, samples k, positions [B M, K, N + PROBES]. Those of
-            Stage II have the ways to brake after the M instances, and rows half way between two steps.
-        stage_ms: time of each stage of the last `run` [ms]; on CUDA that of launching only.
+        arrays: device arrays of the last run; instance i = b M + m, samples k, positions [B M, K, N + PROBES]. Arrays
+            of Stage II also have rows for the braking candidates and for the midpoints between states.
+        stage_ms: time of each stage of the last `run` [ms]; on CUDA the time of launching only.
     """
 
     def __init__(self, planner: Planner) -> None:
@@ -101,7 +101,6 @@ class NaivePlanner:
         a.previous_waypoint.assign(history.waypoint)
         a.previous_time.assign(history.time)
         a.tick.assign(history.tick)
-        # The one thing that is not in the planner's interface: which numbers it draws.
         work = self._planner.workspace
         self._launch(mppi.draw_noise, a.cost.shape, self._M, work.seed, a.tick, self.params, work.noise, a.noise)
 
@@ -113,7 +112,7 @@ class NaivePlanner:
         wp.launch(kernel, dim=dim, inputs=list(arguments), device=self._device)
 
     def run(self, *, first: str = "anchors") -> None:
-        """Run the stages from `first` on; what earlier ones would give is taken from `arrays` as it stands there."""
+        """Run the stages from `first` on; the results of earlier stages are taken from `arrays`."""
         self.stage_ms = {}
         for name in _STAGES[_STAGES.index(first) :]:
             started = time.perf_counter()
@@ -121,7 +120,7 @@ class NaivePlanner:
             self.stage_ms[name] = 1e3 * (time.perf_counter() - started)
 
     def replay(self) -> None:
-        """`run` as one CUDA graph, captured at the first call; on the CPU the same as `run`."""
+        """Run all stages as one CUDA graph, which the first call captures; on the CPU the same as `run`."""
         if self._device.is_cpu:
             return self.run()
         if self._graph is None:
@@ -132,7 +131,7 @@ class NaivePlanner:
         wp.capture_launch(self._graph)
 
     def result(self) -> dict[str, NDArray[Any]]:
-        """Return `arrays` as NumPy, copies of their own."""
+        """Return copies of `arrays` as NumPy arrays, by name."""
         return {name: array.numpy().copy() for name, array in vars(self.arrays).items()}
 
     def _anchors(self) -> None:
@@ -214,7 +213,7 @@ class NaivePlanner:
     def _stage2(self) -> None:
         i, a, kinds = self._planner.inputs, self.arrays, self._config.kinds
         self._launch(
-            stage2.ways_to_brake, self._batch, i.position, i.velocity, a.quaternion, i.acceleration, self.params,
+            stage2.braking_candidates, self._batch, i.position, i.velocity, a.quaternion, i.acceleration, self.params,
             a.anchor, a.coefficient, a.guide, i.goal_position, a.waypoint, a.controls,
         )  # fmt: skip
         count, instances = a.positions.shape[0], self._M + guides.BRAKING_CANDIDATES
@@ -231,10 +230,10 @@ class NaivePlanner:
             a.J_goal, a.J_speed, a.J_col, a.S2, a.nearest,
         )  # fmt: skip
         self._launch(
-            stage2.choose, self._batch, kinds.index("brake") if "brake" in kinds else -1, i.position, i.ground_height,
+            stage2.select, self._batch, kinds.index("brake") if "brake" in kinds else -1, i.position, i.ground_height,
             self.params, i.cloud_age, a.count, a.filtered, a.S2, a.nearest, a.best, a.status, a.source,
         )  # fmt: skip
         self._launch(
-            stage2.conclude, self._batch, a.best, a.source, a.anchor, a.guide, a.controls, a.states, a.J_goal, a.J_col,
+            stage2.commit, self._batch, a.best, a.source, a.anchor, a.guide, a.controls, a.states, a.J_goal, a.J_col,
             a.S2,
         )  # fmt: skip

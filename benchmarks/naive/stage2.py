@@ -1,6 +1,7 @@
-"""Stage II: rollouts of the optimised controls, choice, braking.
+"""Stage II: rollouts of the optimised controls, selection, braking.
 
-Instance i = b (M + BRAKING_CANDIDATES) + m is instance m of drone b; after the M candidates come the ways to brake.
+Instance i = b (M + BRAKING_CANDIDATES) + m is instance m of drone b; the braking candidates
+follow the M instances.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ from benchmarks.naive.guides import BRAKING_CANDIDATES, write_brake
 from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
-__all__ = ["choose", "conclude", "final_rollouts", "final_scores", "ways_to_brake"]
+__all__ = ["braking_candidates", "commit", "final_rollouts", "final_scores", "select"]
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def ways_to_brake(
+def braking_candidates(
     position: wp.array(dtype=wp.vec3),
     velocity: wp.array(dtype=wp.vec3),
     quaternion: wp.array(dtype=wp.vec4),
@@ -34,13 +35,13 @@ def ways_to_brake(
     """Write the controls that brake straight ahead, left, right, farther left and farther right. Launched over [B]."""
     b = wp.tid()
     M = controls.shape[1] - BRAKING_CANDIDATES
-    for way in range(BRAKING_CANDIDATES):
-        angle = float((way + 1) // 2) * wp.radians(params[b].brake_fan)
-        if way % 2 == 0:
+    for candidate in range(BRAKING_CANDIDATES):
+        angle = float((candidate + 1) // 2) * wp.radians(params[b].brake_fan)
+        if candidate % 2 == 0:
             angle = -angle
-        waypoint[b, M + way] = goal_position[b]
-        write_brake(b, M + way, angle, position[b], velocity[b], acceleration[b], quaternion[b], params[b], anchor,
-                    coefficient, guide, controls)  # fmt: skip
+        waypoint[b, M + candidate] = goal_position[b]
+        write_brake(b, M + candidate, angle, position[b], velocity[b], acceleration[b], quaternion[b], params[b],
+                    anchor, coefficient, guide, controls)  # fmt: skip
 
 
 @wp.kernel
@@ -60,7 +61,7 @@ def final_rollouts(
     J_goal: wp.array2d(dtype=float),
     J_speed: wp.array2d(dtype=float),
 ):
-    """Roll out the optimised controls and the ways to brake. Launched over [B (M + BRAKING_CANDIDATES)]."""
+    """Roll out the optimised controls and the braking candidates. Launched over [B (M + BRAKING_CANDIDATES)]."""
     i = wp.tid()
     b = i // instances
     m = i % instances
@@ -99,7 +100,7 @@ def final_scores(
     S2: wp.array2d(dtype=float),
     nearest: wp.array2d(dtype=float),
 ):
-    """S2 and the least clearance of every instance. Launched over [B (M + BRAKING_CANDIDATES)]."""
+    """Sum S2 and find the minimum clearance of every instance. Launched over [B (M + BRAKING_CANDIDATES)]."""
     i = wp.tid()
     b = i // instances
     m = i % instances
@@ -117,7 +118,7 @@ def final_scores(
 
 
 @wp.kernel
-def choose(
+def select(
     brake_index: int,
     position: wp.array(dtype=wp.vec3),
     ground_height: wp.array(dtype=float),
@@ -131,19 +132,18 @@ def choose(
     status: wp.array(dtype=int),
     source: wp.array(dtype=int),
 ):
-    """The least S2, among the safe instances first where prefer_safe says so; brake where it is not safe. Launched over
-    [B].
+    """Select the lowest S2, with prefer_safe among the safe instances; brake if it is not safe. Launched over [B].
 
-    status: 0 OK, 1 none safe, 2 cloud too old. `source` is the instance whose controls are flown; of the ways to brake
-    it is the one that stays farthest from the points, straight ahead before others.
+    status: 0 OK, 1 none safe, 2 cloud too old. `source` is the row whose controls are flown. Of the braking candidates
+    it is the one with the largest clearance, and the first of several equal ones.
     """
     b = wp.tid()
     c = params[b]
     M = S2.shape[1] - BRAKING_CANDIDATES
     safe = c.safe_clearance
-    here = distance_to(position[b], safe, b, ground_height[b], c, count, filtered)
-    if here < safe:  # too near already: not nearer still
-        safe = here - 0.02
+    start_distance = distance_to(position[b], safe, b, ground_height[b], c, count, filtered)
+    if start_distance < safe:  # too near already: do not come nearer
+        safe = start_distance - 0.02
     chosen = int(0)
     for m in range(1, M):
         better = S2[b, m] < S2[b, chosen]
@@ -159,16 +159,16 @@ def choose(
     source[b] = chosen
     if status[b] != 0:
         source[b] = M
-        for way in range(M + 1, M + BRAKING_CANDIDATES):
-            if nearest[b, way] > nearest[b, source[b]]:
-                source[b] = way
+        for candidate in range(M + 1, M + BRAKING_CANDIDATES):
+            if nearest[b, candidate] > nearest[b, source[b]]:
+                source[b] = candidate
         if brake_index >= 0:
             chosen = brake_index
     best[b] = chosen
 
 
 @wp.kernel
-def conclude(
+def commit(
     best: wp.array(dtype=int),
     source: wp.array(dtype=int),
     anchor: wp.array2d(dtype=wp.vec3),
@@ -179,7 +179,7 @@ def conclude(
     J_col: wp.array2d(dtype=float),
     S2: wp.array2d(dtype=float),
 ):
-    """Put what is flown in the place of the chosen instance. Launched over [B]."""
+    """Replace the selected instance by the row that is flown. Launched over [B]."""
     b = wp.tid()
     m = best[b]
     n = source[b]
