@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import logging
 import os
 import sys
 import time
@@ -260,6 +259,8 @@ def _run(options: argparse.Namespace) -> int:
         print(json.dumps(statistics, allow_nan=False))
     if not has_ended:
         # A thread that hangs, for example in a driver, would keep the process alive.
+        import logging
+
         sys.stdout.flush()
         logging.shutdown()
         os._exit(0)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import functools
-import logging
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -32,8 +31,6 @@ __all__ = [
 
 Value = float | int | bool | str
 Config = TypeVar("Config", bound="SectionedConfig")
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -251,10 +248,10 @@ class SectionedConfig:
             source: beginning of the notice, such as "tuned.yaml, line 3: ".
         """
         if path in cls.renamed:
-            _log.warning("%s%s is now %s; the old name works until the next release.", source, path, cls.renamed[path])
+            _warn("%s%s is now %s; the old name works until the next release.", source, path, cls.renamed[path])
             return cls.renamed[path]
         if path in cls.removed:
-            _log.warning("%s%s is ignored: %s.", source, path, cls.removed[path])
+            _warn("%s%s is ignored: %s.", source, path, cls.removed[path])
             return None
         return path
 
@@ -299,6 +296,12 @@ class SectionedConfig:
                 raise ValueError(f"section {section!r} is {content!r}; it must hold names and values.")
             changes.update({f"{section}.{name}": value for name, value in content.items()})
         return cls().replace(changes)
+
+
+def _warn(message: str, *values: str) -> None:
+    import logging  # imported here because it would add a quarter to the import time of this package
+
+    logging.getLogger(__name__).warning(message, *values)
 
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
