@@ -13,12 +13,12 @@ __all__ = ["small_config", "small_source"]
 
 
 def small_config() -> PlannerConfig:
-    """The default with few samples, to plan in a few milliseconds."""
+    """Return the default configuration with few samples, which plans in a few milliseconds."""
     return PlannerConfig().replace({"sampling.samples": 16})
 
 
 def small_source(*, goal: float = 12.0, kind: type[FlightSource] = FlightSource) -> FlightSource:
-    """A flight of a few seconds between three poles."""
+    """Return a flight of a few seconds between three poles."""
     poles = [[4.0, y, 0.0, 0.0, 0.0, 1.0, 0.3, 4.0] for y in (-2.0, 0.3, 2.5)]
     world = World(
         name="poles", start=np.array([0.0, 0.0, 2.0]), goal=np.array([goal, 0.0, 2.0]), cylinders=np.array(poles),

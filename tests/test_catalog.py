@@ -19,7 +19,7 @@ def test_every_choice_opens() -> None:
     source.close()
 
 
-def test_a_saved_world_is_the_same_world(tmp_path: Path) -> None:
+def test_a_saved_world_loads_unchanged(tmp_path: Path) -> None:
     world = load_world("forest", seed=4, count=7)
     path = tmp_path / "world.json"
     world.save(path)
@@ -35,7 +35,7 @@ def test_a_saved_world_is_the_same_world(tmp_path: Path) -> None:
         ("forest", {"lidar": "mid361"}, "mid360"),
     ],
 )
-def test_what_cannot_be_opened_is_told_with_the_way_out(spec: str, options: dict[str, str], message: str) -> None:
+def test_errors_name_the_source_or_the_alternatives(spec: str, options: dict[str, str], message: str) -> None:
     with pytest.raises(UserError, match=message):
         open_source(spec, **options)  # type: ignore[arg-type]
 

@@ -71,7 +71,7 @@ def read_mesh(path: str | Path) -> Points:
 
 
 def _read(path: Path, kind: str, reader: Callable[[Path], Any]) -> Any:
-    """Return what `reader` makes of a file; whatever it raises becomes a UserError of one sentence."""
+    """Return the result of `reader` for a file; errors become a UserError of one sentence."""
     if path.exists() and not path.is_file():
         raise UserError(f"Cannot read the {kind} {path}: it is not a regular file.")
     try:

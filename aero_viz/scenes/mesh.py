@@ -64,8 +64,8 @@ def _cylinder_frames(table: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[
 
 
 def _box_frames(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    c, s, zero, one = np.cos(table[:, 6]), np.sin(table[:, 6]), np.zeros(len(table)), np.ones(len(table))
-    rotation = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
+    c, s, zeros, ones = np.cos(table[:, 6]), np.sin(table[:, 6]), np.zeros(len(table)), np.ones(len(table))
+    rotation = np.stack([c, -s, zeros, s, c, zeros, zeros, zeros, ones], axis=1).reshape(-1, 3, 3)
     return rotation * table[:, None, 3:6], table[:, :3]
 
 

@@ -60,9 +60,9 @@ def test_same_seed_same_flight_bit_for_bit(sparse, tmp_path, device):
         fly(sparse, config=CONFIG, device=device, seed=seed, lidar=LIDAR, rules=SHORT, trajectory=tmp_path / f"{i}.csv")
         for i, seed in enumerate((7, 7, 8))
     ]
-    first, again, other = (dataclasses.replace(result, plan_ms_median=None) for result in results)
-    assert first == again and first.reason == "timeout"
-    assert first.length_m != other.length_m
+    first, repeated, different = (dataclasses.replace(result, plan_ms_median=None) for result in results)
+    assert first == repeated and first.reason == "timeout"
+    assert first.length_m != different.length_m
     assert (tmp_path / "0.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()
 
 
@@ -73,7 +73,7 @@ def panels() -> World:
     return World("panels", np.array([0.0, 0, 2]), np.array([45.0, 0, 2]), triangles=corners.reshape(25, 9))
 
 
-def test_batch_flies_as_one_by_one(device):
+def test_a_batch_flies_as_single_flights(device):
     worlds = [
         panels(),
         scene("forest", seed=1, count=30),
@@ -99,7 +99,7 @@ REAL = {
 }
 
 
-def test_batch_with_everything_that_disturbs_flies_as_one_by_one(sparse, device):
+def test_a_batch_with_every_disturbance_flies_as_single_flights(sparse, device):
     worlds = [sparse, scene("inclines", seed=2, count=60)]
     together = FlightBatch(worlds, config=CONFIG, device=device, seed=3, lidar=LIDAR, **REAL)
     together.run()
@@ -126,9 +126,9 @@ def test_ten_plans_per_second_fly_their_controls_at_fifty():
         batch.step()
         plan = batch.planner.command.numpy()[0].astype(float)
         ticks.append(int(batch.planner.history().tick[0]))
-        place = tick % 5 * 0.02 / step
-        i = int(place)
-        expected = plan[i] + (place - i) * (plan[i + 1] - plan[i])
+        phase = tick % 5 * 0.02 / step
+        i = int(phase)
+        expected = plan[i] + (phase - i) * (plan[i + 1] - plan[i])
         np.testing.assert_allclose(batch.simulator.vehicle.control.numpy()[0], expected, atol=1e-5)
     assert ticks == [1] * 5 + [2] * 5
 
@@ -160,12 +160,12 @@ def test_ctrl_c_keeps_what_is_finished(sparse):
     results = batch.run(progress=press_at_a_tenth)
     assert batch.interrupted and [result.reason for result in results] == [None, "arrived"]
     assert results[0].flight_time_s == pytest.approx(0.1)
-    # It can go on.
+    # The batch can continue.
     batch.step()
     assert batch.simulator.time == pytest.approx(0.12)
 
 
-def test_memory_per_flight_is_what_a_batch_grows_by(sparse):
+def test_memory_per_flight_is_the_growth_of_a_batch(sparse):
     config, lidar = CONFIG, LIDAR
     share = memory_per_flight(config=config, lidar=lidar)
     two, five = (device_bytes(FlightBatch([sparse] * n, config=config, lidar=lidar, threads=1)) for n in (2, 5))
@@ -212,7 +212,7 @@ def test_empty_world_has_no_clearance():
         ({"rules": FlightRules(period=0.07)}, "tick"),
     ],
 )
-def test_impossible_options_are_one_sentence(sparse, options, expected):
+def test_invalid_options_are_refused_in_one_sentence(sparse, options, expected):
     with pytest.raises(UserError, match=expected):
         fly(sparse, config=CONFIG, lidar=LIDAR, **options)
 

@@ -1,4 +1,4 @@
-"""Errors of the state estimate: their statistics, and that the truth flies on unharmed."""
+"""Errors of the state estimate: their statistics, and their independence from the true state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RULES = FlightRules(stall_time=1e9, time_limit=1e9)
 
 
 def shell() -> World:
-    """Walls 6 m around (0, 0, 2)."""
+    """Return a world of walls 6 m around (0, 0, 2)."""
     faces = [[s * 6.5 * (k == i) for k in range(3)] for i in range(3) for s in (-1, 1)]
     boxes = [[*np.add(c, [0, 0, 2]), *[1.0 if v else 14.0 for v in c], 0.0] for c in faces]
     return World("shell", np.array([0.0, 0.0, 2.0]), np.array([5.0, 0.0, 2.0]), boxes=np.array(boxes))
@@ -28,13 +28,13 @@ def simulate(noise, seeds) -> Simulator:
 
 
 def rotation_vectors(quaternions, reference):
-    """Rotation vectors in body axes from `reference` to w, x, y, z quaternions, [.., 4], level attitudes only."""
+    """Return rotation vectors in body axes from `reference` to quaternions w, x, y, z [.., 4]; level attitudes only."""
     sign = np.sign(np.sum(quaternions * reference, axis=-1, keepdims=True))
     return 2.0 * sign * quaternions[..., 1:]  # small angles
 
 
 def errors(simulator, ticks):
-    """Errors of position, velocity and attitude, each [ticks + 1, B, 3], of hovering drones."""
+    """Return the errors of position, velocity and attitude of hovering drones, each [ticks + 1, B, 3]."""
     commands = wp.array([[HOVER]] * len(simulator.outcomes()), dtype=wp.vec4)
     rows = []
     for tick in range(ticks + 1):
@@ -71,7 +71,7 @@ def test_attitude_stays_a_unit_quaternion():
     np.testing.assert_allclose(np.linalg.norm(simulator.estimate.quaternion.numpy(), axis=1), 1.0, atol=1e-6)
 
 
-def test_the_truth_does_not_depend_on_the_noise():
+def test_true_states_do_not_depend_on_the_noise():
     paths = []
     for noise in (None, StateNoise(position=0.3, velocity=0.3, attitude=5.0)):
         simulator = simulate(noise, [3])
@@ -82,7 +82,7 @@ def test_the_truth_does_not_depend_on_the_noise():
     np.testing.assert_array_equal(*paths)
 
 
-def test_without_noise_the_estimate_is_the_truth():
+def test_without_noise_the_estimate_is_the_true_state():
     simulator = simulate(None, [0])
     assert simulator.estimate.position is simulator.vehicle.position and simulator.estimate.state() == []
 
@@ -97,9 +97,9 @@ def test_an_error_depends_on_seed_and_tick_not_on_the_batch():
 
 def test_sweeps_are_placed_in_the_estimated_frame():
     noise = StateNoise(position=0.5, correlation_time=1e6)  # one constant offset
-    simulator, exact = (simulate(one, [2]) for one in (noise, None))
-    for one in (simulator, exact):
-        one.measure_sweep(-1)
+    simulator, exact = (simulate(n, [2]) for n in (noise, None))
+    for s in (simulator, exact):
+        s.measure_sweep(-1)
     offset = simulator.estimate.position.numpy()[0] - simulator.vehicle.position.numpy()[0]
     assert np.linalg.norm(offset) > 0.1
     np.testing.assert_allclose(simulator.lidar.points.numpy() - exact.lidar.points.numpy(), [[offset] * 100], atol=1e-5)
@@ -116,6 +116,6 @@ def test_restored_errors_continue():
 
 
 @pytest.mark.parametrize("changes", [{"position": -0.1}, {"attitude": float("inf")}, {"correlation_time": 0.0}])
-def test_impossible_noise_is_refused(changes):
+def test_invalid_noise_is_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         StateNoise(**changes)

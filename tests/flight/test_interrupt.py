@@ -44,7 +44,7 @@ def test_the_first_ctrl_c_waits_and_the_second_does_not() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_other_threads_are_never_asked() -> None:
+def test_other_threads_are_never_interrupted() -> None:
     answers = []
 
     def ask() -> None:
@@ -57,7 +57,7 @@ def test_other_threads_are_never_asked() -> None:
     assert answers == [False]
 
 
-def test_what_was_flown_is_in_the_exception_and_in_the_file(tmp_path) -> None:
+def test_exception_and_file_hold_the_flight_so_far(tmp_path) -> None:
     world = scene("wall", seed=1)
     with pytest.raises(FlightInterrupted) as caught:
         fly(world, trajectory=tmp_path / "a.csv", progress=press_at(0.3), **OPTIONS)
@@ -71,7 +71,7 @@ def test_what_was_flown_is_in_the_exception_and_in_the_file(tmp_path) -> None:
     )
 
 
-def test_a_log_ends_whole(tmp_path) -> None:
+def test_an_interrupted_log_is_complete(tmp_path) -> None:
     with pytest.raises(FlightInterrupted) as caught:
         fly(scene("wall", seed=1), recorder=flight_recorder(tmp_path / "a.mcap"), progress=press_at(0.3), **OPTIONS)
     assert caught.value.result.flight_time_s == pytest.approx(0.3)

@@ -36,7 +36,7 @@ def set_velocity(simulator: Simulator, velocity) -> None:
     simulator.vehicle.velocity.assign(np.array([velocity] * len(simulator.outcomes()), dtype=np.float32))
 
 
-def test_start_inside_an_obstacle_is_a_collision_at_once():
+def test_a_start_inside_an_obstacle_is_an_immediate_collision():
     simulator = simulate(world(spheres=[[0.0, 0.0, 2.5, 1.0]]))
     assert simulator.outcomes() == ["collision"]
     record = simulator.records()[0]
@@ -87,7 +87,7 @@ def test_stall_without_a_metre_of_progress_in_five_seconds():
     assert simulator.outcomes() == ["stall"]
 
 
-def test_slow_progress_is_no_stall():
+def test_slow_progress_is_not_a_stall():
     simulator = simulate(world(), time_limit=12.0)
     set_velocity(simulator, (0.25, 0.0, 0.0))
     fly(simulator, HOVER, 600)
@@ -172,17 +172,17 @@ def test_restored_simulator_continues_bit_for_bit():
     fly(simulator, (10.0, 0.2, 0.3, 0.1), 13)
     checkpoint = simulator.checkpoint()
 
-    def ahead():
+    def fly_on():
         fly(simulator, (9.0, -0.2, 0.1, 0.0), 12)
         return [
             array.numpy().copy() for array in (simulator.vehicle.position, simulator.lidar.points, simulator.record)
         ]
 
-    first = ahead()
+    first = fly_on()
     fly(simulator, HOVER, 5)
     simulator.restore(checkpoint)
     assert simulator.tick == 13
-    for a, b in zip(first, ahead(), strict=True):
+    for a, b in zip(first, fly_on(), strict=True):
         assert a.tobytes() == b.tobytes()
 
 

@@ -87,7 +87,7 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
 
 @pytest.mark.parametrize("noise", [None, StateNoise(position=0.2, velocity=0.1, attitude=1.0)], ids=["exact", "noisy"])
 @pytest.mark.parametrize("ticks", [0, 33])  # looking back to before the start, and within the seventh sweep
-def test_forgotten_points_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
+def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
     monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)  # only the last ten sweeps
     mounted = LidarModel(
         "mounted", points_per_sweep=2000, mount_position=(0.1, 0.0, 0.05), mount_angles=(0.0, 20.0, 0.0)
@@ -106,7 +106,7 @@ def test_forgotten_points_are_measured_again_bit_for_bit(planner, monkeypatch, t
             np.testing.assert_array_equal(x, y)
 
 
-def test_the_marks_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
+def test_checkpoints_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
     monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)
     tracemalloc.start()
     try:
@@ -154,7 +154,7 @@ def test_goal_moves_and_returns_with_the_checkpoint(source, planner):
 
 
 @pytest.mark.parametrize("goal", [[1.0, 2.0], [1.0, float("nan"), 2.0]])
-def test_impossible_goals_are_refused(source, goal):
+def test_invalid_goals_are_refused(source, goal):
     with pytest.raises(UserError, match="three finite numbers"):
         source.set_goal(goal)
 
@@ -171,7 +171,7 @@ def test_impossible_goals_are_refused(source, goal):
         ([1e30, 0.0, 2.0], r"\(1e\+30, 0, 2\) lies outside the bounds .* x -?\d+ to \d+"),
     ],
 )
-def test_a_goal_that_cannot_be_reached_is_refused_and_the_one_before_stays(source, planner, goal, words):
+def test_an_unreachable_goal_is_refused_and_the_previous_goal_stays(source, planner, goal, words):
     with pytest.raises(UserError, match=words):
         source.set_goal(goal)
     np.testing.assert_array_equal(source.observe().goal.position, [45.0, 0.0, 2.0])
@@ -187,7 +187,7 @@ def test_a_start_inside_an_obstacle_is_explained():
     assert source.explanation is not None and re.match("The start .*inside an obstacle", source.explanation)
 
 
-def test_a_flight_under_way_has_nothing_to_explain(source, planner):
+def test_a_flight_that_is_not_over_has_no_explanation(source, planner):
     fly(source, planner, 1)
     assert source.explanation is None
 
@@ -236,7 +236,7 @@ def test_one_plan_for_five_ticks(planner):
     np.testing.assert_allclose(source.simulator.vehicle.control.numpy()[0], expected, atol=1e-4)
 
 
-def test_flights_have_no_time_line(source):
+def test_a_flight_cannot_seek(source):
     with pytest.raises(TypeError, match="restore"):
         source.seek(1.0)
 

@@ -1,4 +1,4 @@
-"""The vehicle kernel against closed forms and a float64 reference written from the equations."""
+"""The vehicle compared with closed forms and a float64 reference written from the equations."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_controls_are_interpolated_between_those_of_the_plan(phase, thrust):
 
 
 def gusts(model, seeds, ticks):
-    """Wind at each tick [ticks, B, 3] and vertical speed at the end [B] of hovering vehicles."""
+    """Return the wind at each tick [ticks, B, 3] and the final vertical speed [B] of hovering vehicles."""
     count = len(seeds)
     vehicle = Vehicle(model, np.zeros((count, 3)), [0.0] * count, period=0.02, device="cpu", seeds=seeds)
     commands, winds = wp.array([[HOVER]] * count, dtype=wp.vec4), []
@@ -227,6 +227,6 @@ def test_vehicle_of_a_configuration():
         {"gust_time": 0.0},
     ],
 )
-def test_impossible_vehicles_are_refused(changes):
+def test_invalid_vehicles_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         VehicleModel(**changes)

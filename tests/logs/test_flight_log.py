@@ -46,7 +46,7 @@ def write(path, frames) -> None:
 
 
 def decoded(path):
-    """Messages by topic, as a ROS 2 reader with the embedded definitions sees them."""
+    """Return the messages by topic, decoded by a ROS 2 reader with the embedded definitions."""
     messages = {}
     with Path(path).open("rb") as file:
         for _, channel, message, ros in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
@@ -71,7 +71,7 @@ def metadata(path):
         return {item.name: dict(item.metadata) for item in make_reader(file).iter_metadata()}
 
 
-def test_messages_hold_what_the_frames_hold(session, tmp_path):
+def test_messages_hold_the_content_of_the_frames(session, tmp_path):
     frames = [session.tick() for _ in range(12)]
     write(tmp_path / "a.mcap", frames)
     topics = decoded(tmp_path / "a.mcap")
@@ -155,8 +155,8 @@ def test_configurations_world_and_settings_are_attached(session, tmp_path):
     assert metadata(tmp_path / "a.mcap")["flight_log"] == {"frames": "3", "dropped": "0"}
 
 
-def test_what_the_page_changes_on_the_way_is_logged(session, tmp_path):
-    """Another goal, a goal that is taken back by going back in time, another world, and a recording of all that."""
+def test_changes_from_the_page_are_logged(session, tmp_path):
+    """Another goal, a goal that is undone by going back in time, another world, and a recording as the source."""
     worlds = [session.source.world, scene("wall", seed=1)]
     path = tmp_path / "a.mcap"
     with record(session, path):
@@ -219,7 +219,7 @@ def test_logging_does_not_change_the_flight(tmp_path):
     assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
 
 
-def test_time_runs_on_when_the_session_goes_back(session, tmp_path):
+def test_stamps_increase_when_the_session_goes_back(session, tmp_path):
     frames = [session.tick() for _ in range(8)]
     session.step(-5)
     frames += [session.frame, session.tick()]
@@ -229,7 +229,7 @@ def test_time_runs_on_when_the_session_goes_back(session, tmp_path):
     replanned = session.configure({"costs.q_track": 9.0}) and session.frame
     write(tmp_path / "b.mcap", [frames[-1], replanned])
     counts = Counter({name: len(messages) for name, messages in decoded(tmp_path / "b.mcap").items()})
-    assert (counts["/plan"], counts["/odometry"]) == (2, 1)  # planned twice, at one place
+    assert (counts["/plan"], counts["/odometry"]) == (2, 1)  # planned twice from the same state
 
 
 def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path, monkeypatch):
@@ -253,7 +253,7 @@ def test_a_running_session_is_recorded_and_drops_are_counted(session, tmp_path, 
     assert wait_for(lambda: any("cannot keep up" in notice.text for notice in notices))
 
 
-def test_frames_that_wait_at_the_end_for_too_long_are_counted_and_announced(session, tmp_path, monkeypatch):
+def test_frames_that_wait_too_long_at_the_end_are_counted_and_reported(session, tmp_path, monkeypatch):
     monkeypatch.setattr(flight_log, "_CLOSE_TIMEOUT", 0.1)
     notices = []
     session.subscribe_notices(notices.append)
@@ -266,8 +266,8 @@ def test_frames_that_wait_at_the_end_for_too_long_are_counted_and_announced(sess
         threading.Timer(2.5, gate.set).start()  # longer than the end of a sink is waited for elsewhere
     kept = {name: int(value) for name, value in metadata(path)["flight_log"].items()}
     assert kept == {"frames": 1, "dropped": 19} and len(decoded(path)["/plan"]) == 1
-    said = f"The flight log {path} lacks 19 frames: the disk was too slow for them."
-    assert wait_for(lambda: any(notice.text == said for notice in notices))
+    message = f"The flight log {path} lacks 19 frames: the disk was too slow for them."
+    assert wait_for(lambda: any(notice.text == message for notice in notices))
 
 
 def test_a_full_disk_ends_the_log_and_not_the_flight(session, tmp_path):

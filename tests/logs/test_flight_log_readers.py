@@ -1,4 +1,4 @@
-"""What other programs make of a flight log: every reader that can be had here, on a whole file and on a torn one."""
+"""Flight logs read by other libraries, complete and truncated."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KINDS = {
     "/plan/guides": "visualization_msgs/msg/MarkerArray",
     "/plan/rollouts": "visualization_msgs/msg/MarkerArray",
 }
-"""Types that Foxglove, RViz and PlotJuggler know by these names, and the costs."""
+"""Types that Foxglove, RViz and PlotJuggler know by name, and the plan."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def world() -> World:
 
 @pytest.fixture(scope="module")
 def flown(world: World, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FlightResult]:
-    """A log of a flight with five ticks to a plan, and its result."""
+    """Return the log of a flight with five ticks per plan, and its result."""
     path = tmp_path_factory.mktemp("log") / "flight.mcap"
     rules = FlightRules(ticks_per_plan=5, arrival_radius=0.5)
     lidar = LidarModel("small", points_per_sweep=1000)
@@ -77,7 +77,7 @@ def test_channels_are_named_as_foxglove_and_rviz_expect(flown: tuple[Path, Fligh
 
 @pytest.mark.parametrize("release", [Stores.ROS2_FOXY, Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY])
 def test_embedded_definitions_are_those_of_ros(flown: tuple[Path, FlightResult], release: Stores) -> None:
-    """A ROS 2 machine ignores the text and decodes by its own types: they must say the same, field by field."""
+    """A ROS 2 machine ignores the embedded definitions and decodes with its own types: they must be equal."""
     ros = get_typestore(release)
     ros.register(get_types_from_msg(PLAN_DEFINITION, PLAN))
     markers_grew = release is Stores.ROS2_FOXY  # Galactic gave markers textures and meshes
@@ -109,7 +109,7 @@ def test_rosbags_decodes_every_message_by_the_definitions_in_the_file(flown: tup
 
 
 def stamped(message: Any) -> list[Any]:
-    """The headers in a message."""
+    """Return the headers in a message."""
     if hasattr(message, "header"):
         return [message.header]
     items = getattr(message, "transforms", None) or getattr(message, "markers", None) or []
@@ -165,7 +165,7 @@ def test_score_reads_the_log_as_it_was_flown(flown: tuple[Path, FlightResult], w
 
 
 def test_killed_while_flying_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """kill -9 of the real program: what was flown up to the last chunk and all attachments are there."""
+    """After kill -9 of the real program, the flight up to the last chunk and all attachments are there."""
     path, csv_path = tmp_path / "flight.mcap", tmp_path / "flight.csv"
     command = [sys.executable, "-m", "aero_viz", "fly", "forest", "--count", "20", "--seed", "2", "--speed", "2"]
     command += ["--sampling.samples", "8", "--log", str(path), "--trajectory", str(csv_path)]

@@ -1,4 +1,4 @@
-"""What the desk makes of the drone's own flight log."""
+"""The workbench reads the drone's own flight log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a second of flight."""
+    """Return the log of a second of flight."""
     path, planner = tmp_path_factory.mktemp("log") / "flight.mcap", Planner(SMALL, seed=1)
     simulation = Simulation(planner, poles(PLACES), (18.0, 0.0, 2.0))
     simulation.node._observers = (FlightLog(path, SMALL, OnboardConfig(), clock=lambda: simulation.now),)
@@ -71,7 +71,7 @@ while True:
 """
 
 
-def test_a_log_that_was_cut_off_plays(tmp_path: Path):
+def test_a_truncated_log_plays(tmp_path: Path):
     path = tmp_path / "cut.mcap"
     with subprocess.Popen(
         [sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL

@@ -16,9 +16,9 @@ def tables(world: World):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_same_seed_same_world(name):
-    first, again, other = (scene(name, seed=seed) for seed in (4, 4, 5))
-    np.testing.assert_array_equal(tables(first), tables(again))
-    assert not np.array_equal(tables(first), tables(other))
+    first, repeated, different = (scene(name, seed=seed) for seed in (4, 4, 5))
+    np.testing.assert_array_equal(tables(first), tables(repeated))
+    assert not np.array_equal(tables(first), tables(different))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -47,14 +47,14 @@ def test_obstacles_stand_in_the_area(name):
     np.testing.assert_array_equal([world.start, world.goal], [[0, 0, 2], [45, 0, 2]])
 
 
-def test_forest_is_trunks_under_canopies():
+def test_forest_has_trunks_under_canopies():
     world = forest(seed=2)
     assert (len(world.cylinders), len(world.spheres)) == (100, 400)
     assert np.degrees(np.arccos(world.cylinders[:, 5])).max() <= 15.0
     assert (world.spheres[:, 2] - world.spheres[:, 3]).min() >= 3.0 - 1e-9
 
 
-def test_verticals_have_widths_as_diameters():
+def test_widths_of_verticals_are_diameters():
     cylinders = verticals(seed=0).cylinders
     assert len(cylinders) == 1000
     assert 0.2 <= cylinders[:, 6].min() < 0.21 and 0.54 < cylinders[:, 6].max() <= 0.55
@@ -98,12 +98,12 @@ def test_count_is_the_number_of_obstacles_and_may_be_zero(name):
 
 
 @pytest.mark.parametrize("name", ["wall", "double_wall_trap"])
-def test_scenes_without_a_count_refuse_one(name):
+def test_scenes_of_fixed_count_refuse_a_count(name):
     with pytest.raises(UserError, match="leave the count out"):
         scene(name, seed=0, count=3)
 
 
-def test_unknown_scene_suggests_the_nearest():
+def test_unknown_scene_suggests_the_closest_name():
     with pytest.raises(UserError, match="Did you mean 'forest'"):
         scene("forrest", seed=0)
 

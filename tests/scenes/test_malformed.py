@@ -1,4 +1,4 @@
-"""World files of all kinds of wrong: whatever they hold, they make a world, or one sentence that names the file."""
+"""Malformed world files either load as a valid world, or are refused in one sentence that names the file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from aero_viz.errors import UserError
 from aero_viz.scenes import World
 
-GOOD: dict[str, Any] = {
+VALID: dict[str, Any] = {
     "name": "w", "start": [0, 0, 2], "goal": [9, 0, 2],
     "cylinders": [[4, 3, 0, 0, 0, 1, 0.3, 4], [5, -3, 0, 0, 0, 1, 0.3, 4]],
     "boxes": [[5, 0, -0.5, 60, 60, 1, 0]], "spheres": [[3, 3, 3, 0.5]],
@@ -32,37 +32,37 @@ ODD = st.one_of(
 
 @st.composite
 def mutants(draw: st.DrawFn) -> Any:
-    """The good world with one to three things replaced, removed, added or renamed, at any depth."""
-    world = copy.deepcopy(GOOD)
+    """Draw the valid world with one to three values replaced, removed, added or renamed, at any depth."""
+    world = copy.deepcopy(VALID)
     for _ in range(draw(st.integers(1, 3))):
         node: Any = world
         while True:
-            places = list(node) if isinstance(node, dict) else list(range(len(node)))
-            if not places:
+            keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+            if not keys:
                 break
-            place = draw(st.sampled_from(places))
-            if isinstance(node[place], (dict, list)) and draw(st.booleans()):
-                node = node[place]
+            key = draw(st.sampled_from(keys))
+            if isinstance(node[key], (dict, list)) and draw(st.booleans()):
+                node = node[key]
                 continue
             action = draw(st.sampled_from(["replace", "replace", "replace", "remove", "add"]))
             if action == "remove":
-                del node[place]
+                del node[key]
             elif action == "add" and isinstance(node, list):
-                node.insert(place, copy.deepcopy(draw(ODD)))
+                node.insert(key, copy.deepcopy(draw(ODD)))
             else:
-                key = draw(st.sampled_from(["boxs", "Start", ""])) if action == "add" else place
-                node[key] = copy.deepcopy(draw(ODD))
+                new_key = draw(st.sampled_from(["boxs", "Start", ""])) if action == "add" else key
+                node[new_key] = copy.deepcopy(draw(ODD))
             break
     return world
 
 
-def check(path: Path) -> None:
-    """Load a file: a sound world, or a UserError fit for a terminal."""
+def check_loading(path: Path) -> None:
+    """Load a file, which must give a valid world or a UserError with a short message."""
     try:
         world = World.load(path)
     except UserError as error:
-        said = str(error)
-        assert str(path) in said and "\n" not in said and len(said) < 400
+        message = str(error)
+        assert str(path) in message and "\n" not in message and len(message) < 400
         return
     for table in (world.start, world.goal, world.cylinders, world.boxes, world.spheres, world.bounds):
         assert np.isfinite(table).all()
@@ -74,22 +74,22 @@ def check(path: Path) -> None:
 def test_mutants(tmp_path: Path, content: Any) -> None:
     path = tmp_path / "w.json"
     path.write_text(json.dumps(content), encoding="utf-8")
-    check(path)
+    check_loading(path)
 
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_damaged_text(tmp_path: Path, data: st.DataObject) -> None:
-    text = bytearray(json.dumps(GOOD).encode())
+    text = bytearray(json.dumps(VALID).encode())
     for _ in range(data.draw(st.integers(1, 4))):
         text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
     path = tmp_path / "w.json"
     path.write_bytes(bytes(text[: data.draw(st.integers(0, len(text)))]))
-    check(path)
+    check_loading(path)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"spheres": [[0, 0, 0, 1e6]]}, '"spheres" row 0 has radius = 1e+06; it must be greater than 0 and at most'),
         ({"boxes": [[0, 2e5, 0, 1, 1, 1, 0]]}, '"boxes" row 0 has cy = 200000; it must be within 100000 m'),
@@ -99,14 +99,14 @@ def test_damaged_text(tmp_path: Path, data: st.DataObject) -> None:
         ({"goals": [0, 0, 0]}, "unknown key 'goals' (did you mean 'goal'?)"),
     ],
 )
-def test_what_is_wrong_is_said_precisely_and_briefly(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+def test_errors_are_precise_and_short(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     path = tmp_path / "w.json"
-    path.write_text(json.dumps(GOOD | changes), encoding="utf-8")
+    path.write_text(json.dumps(VALID | changes), encoding="utf-8")
     with pytest.raises(UserError) as caught:
         World.load(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_a_folder_is_no_world(tmp_path: Path) -> None:
+def test_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="Is a directory"):
         World.load(tmp_path)

@@ -30,7 +30,7 @@ def contains(boxes, points):
     return np.all(np.abs(points[:, None, :] - boxes[None, :, :3]) <= 0.5 * boxes[None, :, 3:6] + 1e-9, axis=2)
 
 
-def test_boxes_fill_the_occupied_voxels_and_nothing_else(tmp_path):
+def test_boxes_fill_exactly_the_occupied_voxels(tmp_path):
     points = np.random.default_rng(0).uniform(0.0, 2.0, (300, 3))
     path = save(tmp_path / "cloud.npy", points)
     world = load_map(path, voxel=0.25, start=[0, 0, 5], goal=[5, 0, 5])
@@ -72,7 +72,7 @@ def test_default_goal_is_reachable_when_the_wall_is_closed(hall, tmp_path):
     assert world.goal[0] < 20.0
 
 
-def test_given_start_and_goal_are_kept(hall):
+def test_explicit_start_and_goal_are_kept(hall):
     world = load_map(hall, start=[1.0, 2.0, 1.0], goal=[9.0, 3.0, 1.0])
     np.testing.assert_array_equal([world.start, world.goal], [[1, 2, 1], [9, 3, 1]])
     only_goal = load_map(hall, goal=[-5.0, 0.0, 1.0])
@@ -92,12 +92,12 @@ def test_geographic_coordinates_move_to_the_origin(hall, tmp_path):
     ("options", "expected"),
     [({"voxel": 0.0}, "must be in"), ({"start": [0.0, 1.0]}, "start"), ({"goal": [0.0, 1.0, np.inf]}, "goal")],
 )
-def test_impossible_arguments_are_refused(hall, options, expected):
+def test_invalid_arguments_are_refused(hall, options, expected):
     with pytest.raises(UserError, match=expected):
         load_map(hall, **options)
 
 
-def test_no_free_place(tmp_path):
+def test_a_map_without_free_space_is_refused(tmp_path):
     grid = np.stack(np.meshgrid(*[np.arange(0.0, 4.0, 0.2)] * 3), axis=-1).reshape(-1, 3)
     with pytest.raises(UserError, match="give start and goal"):
         load_map(save(tmp_path / "solid.npy", grid), voxel=0.4)

@@ -22,7 +22,7 @@ def walled(gap: float, *, centre: float = 0.6) -> World:
 @pytest.mark.parametrize("radius", [0.2, 0.25, 0.4])
 @pytest.mark.parametrize("centre", [0.0, 0.63])
 def test_wall_with_a_gap_of_known_width(radius, centre):
-    # What no grid decides lies within 0.9 cell above the radius; narrower is never passable.
+    # Undecided cases lie within 0.9 cell above the radius; narrower gaps are never passable.
     assert is_passable(walled(2.0 * radius + 0.2, centre=centre), radius=radius, region=REGION)
     assert not is_passable(walled(2.0 * radius - 0.002, centre=centre), radius=radius, region=REGION)
 
@@ -61,7 +61,7 @@ def test_empty_world_is_passable():
     assert is_passable(World("empty", START, GOAL), radius=1.0)
 
 
-def test_distances_of_the_grid_are_exact_up_to_the_reach():
+def test_distances_of_the_grid_are_exact_up_to_the_maximum():
     rng = np.random.default_rng(0)
     axis = rng.normal(size=(20, 3))
     world = World(
@@ -87,17 +87,17 @@ def test_distances_of_the_grid_are_exact_up_to_the_reach():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_thousand_cylinders_read_as_radii_leave_no_path(seed):
+def test_a_thousand_cylinders_leave_no_path_if_widths_are_radii(seed):
     # The paper's text; read as widths, as in its figure, a drone of radius 0.25 m gets through.
     assert not is_passable(verticals(seed=seed, width=(0.8, 2.2)), radius=0.02)
     assert is_passable(verticals(seed=seed), radius=0.25)
 
 
-def test_the_usual_scenes_are_passable():
+def test_default_scenes_are_passable():
     assert is_passable(forest(seed=0)) and is_passable(inclines(seed=0), radius=0.4)
 
 
-def test_impossible_arguments():
+def test_invalid_arguments_are_refused():
     with pytest.raises(ValueError, match="positive"):
         is_passable(walled(1.0), radius=0.0)
     with pytest.raises(ValueError, match="too large"):

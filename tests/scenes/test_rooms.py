@@ -19,7 +19,7 @@ def line(world, end, count=400):
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_rooms_bar_the_straight_way_and_leave_another(name):
+def test_rooms_block_the_direct_line_and_are_passable(name):
     for seed in range(8):
         world = scene(name, seed=seed)
         np.testing.assert_array_equal([world.start, world.goal], [[0, 0, 0.8], [3.75, 0, 0.8]])
@@ -72,18 +72,18 @@ def test_pillars_are_apart():
     assert gap[~np.eye(6, dtype=bool)].min() >= 0.6
 
 
-def test_clutter_is_of_all_kinds():
+def test_clutter_has_boxes_poles_and_balls():
     world = random_clutter(seed=0, count=6)
     walls = 5
     assert (len(world.boxes) - walls, len(world.cylinders), len(world.spheres)) == (2, 2, 2)
 
 
 @pytest.mark.parametrize("room", [pillars, random_clutter])
-def test_too_many_things_for_the_room(room):
+def test_too_many_obstacles_for_the_room(room):
     with pytest.raises(UserError, match="ask for fewer"):
         room(seed=0, count=60)
 
 
-def test_a_ceiling_on_the_drone_is_refused():
+def test_a_ceiling_below_the_clear_height_is_refused():
     with pytest.raises(UserError, match="ceiling is at"):
         wall(seed=0, ceiling=1.0)

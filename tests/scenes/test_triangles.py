@@ -1,4 +1,4 @@
-"""Surfaces of triangles: rays, distances, paths, files and flights."""
+"""Triangulated surfaces: rays, distances, paths, files and flights."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def first_hit(triangles, origin, direction) -> float:
 
 
 def nearest_point(triangle, point) -> float:
-    """Distance to a triangle in float64: to its plane where the foot lies inside, else to the nearest edge."""
+    """Distance to a triangle in float64: to its plane if the projection lies inside, otherwise to the nearest edge."""
     a, b, c = triangle.reshape(3, 3)
     normal = np.cross(b - a, c - a)
     foot = point - normal * (normal @ (point - a)) / (normal @ normal)
@@ -58,8 +58,8 @@ def nearest_point(triangle, point) -> float:
     return min(sides)
 
 
-def ranges(of: World, origin, directions, **options):
-    worlds = DeviceWorlds([of])
+def ranges(solid: World, origin, directions, **options):
+    worlds = DeviceWorlds([solid])
     rays = wp.array([np.asarray(directions, dtype=np.float32)], dtype=wp.vec3)
     return cast(worlds, wp.array([origin], dtype=wp.vec3), rays, **options).numpy()[0]
 
@@ -76,7 +76,7 @@ def test_rays_match_the_float64_reference():
     np.testing.assert_allclose(found[sure], expected[sure], atol=1e-4)
 
 
-def test_both_sides_are_seen_and_the_nearer_of_all_kinds_wins():
+def test_both_sides_are_seen_and_the_nearest_obstacle_of_any_kind_wins():
     square = [[4, -1, 1, 4, 1, 1, 4, 1, 3], [4, -1, 1, 4, 1, 3, 4, -1, 3]]
     forward, back = [[1.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]]
     assert ranges(world(square), [0, 0, 2], forward)[0] == pytest.approx(4.0)
@@ -98,20 +98,20 @@ def test_distances_match_the_float64_reference():
     assert world(triangles).nearest(points[0]) == (pytest.approx(expected[0], abs=2e-5), f'"triangles" row {row}')
 
 
-def test_json_keeps_triangles_and_other_worlds_have_no_such_key(tmp_path):
+def test_json_keeps_triangles_and_omits_the_key_without_them(tmp_path):
     surface = world(scattered(3), spheres=[[5, 5, 5, 1]])
     surface.save(tmp_path / "w.json")
     loaded = World.load(tmp_path / "w.json")
     np.testing.assert_array_equal(loaded.triangles, surface.triangles)
     np.testing.assert_array_equal(loaded.bounds, surface.bounds)
     assert "triangles" not in world(spheres=[[5, 5, 5, 1]]).to_dict()
-    for rows, said in (([[0] * 8], '"triangles" row 0 has 8 values'), ([[0] * 8 + [2e5]], "row 0 has z3 = 200000")):
-        with pytest.raises(ValueError, match=said):
+    for rows, message in (([[0] * 8], '"triangles" row 0 has 8 values'), ([[0] * 8 + [2e5]], "row 0 has z3 = 200000")):
+        with pytest.raises(ValueError, match=message):
             World("", START, GOAL, triangles=rows)  # type: ignore[arg-type]
 
 
 def of_boxes(boxes):
-    """The faces of boxes without yaw as triangles."""
+    """Return the faces of boxes without yaw as triangles."""
     meshes = [trimesh.creation.box(extents=row[3:6]).apply_translation(row[:3]) for row in boxes]
     return np.concatenate([mesh.triangles.reshape(-1, 9) for mesh in meshes])
 
@@ -119,14 +119,14 @@ def of_boxes(boxes):
 GAP = [[5.0, -5.3, 2.0, 0.4, 9.8, 8.0, 0.0], [5.0, 5.3, 2.0, 0.4, 9.8, 8.0, 0.0]]  # 0.8 m between two walls
 
 
-def test_paths_among_triangles_are_those_among_the_boxes_they_enclose():
+def test_triangles_of_boxes_block_the_same_paths_as_the_boxes():
     for radius in (0.25, 0.35, 0.45):
         answers = [is_passable(w, radius=radius, cell=0.1) for w in (world(boxes=GAP), world(of_boxes(GAP)))]
         assert answers == [radius < 0.4] * 2, radius
     assert widest_radius(world(of_boxes(GAP))) == pytest.approx(widest_radius(world(boxes=GAP)), abs=1e-3)
 
 
-def test_surface_points_lie_on_triangles_and_leave_no_hole():
+def test_surface_points_lie_on_triangles_without_gaps():
     points = surface_points(world([[0, 0, 0, 3, 0, 0, 0, 2, 1]]), spacing=0.1)
     assert np.abs(world([[0, 0, 0, 3, 0, 0, 0, 2, 1]]).distance(points)).max() < 1e-5
     corners = np.array([[0, 0, 0], [3, 0, 0], [0, 2, 1.0]])
@@ -137,7 +137,7 @@ def test_surface_points_lie_on_triangles_and_leave_no_hole():
 
 @pytest.fixture
 def hall(tmp_path):
-    """A floor and a ball of triangles; written in any format."""
+    """Return a function that writes a floor and a ball as a mesh in any format."""
     floor = trimesh.creation.box(extents=(60, 40, 1)).apply_translation((20, 0, -0.5))
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0).apply_translation((15, 0.5, 2))
     mesh = trimesh.util.concatenate([floor, ball])
@@ -156,7 +156,7 @@ def test_mesh_files(hall, suffix):
     np.testing.assert_allclose(loaded.distance([[15, 0.5, 6.0], [0, 0, 2.0]]), [2.0, 2.0], atol=0.03)
 
 
-def test_start_and_goal_stand_over_the_floor_of_a_mesh(hall):
+def test_start_and_goal_are_chosen_above_the_floor_of_a_mesh(hall):
     found = load_map(hall(".stl"))
     assert found.start[2] == found.goal[2] == 2.0 and np.linalg.norm(found.goal - found.start) > 20.0
     assert found.distance([found.start, found.goal]).min() >= 0.75
@@ -169,7 +169,7 @@ def test_a_ply_of_points_stays_a_map_of_voxels(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("bad.obj", b"junk", "holds no triangles"),
         ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangles"),
@@ -178,11 +178,11 @@ def test_a_ply_of_points_stays_a_map_of_voxels(tmp_path):
         ("far.obj", b"v 0 0 0\nv 9e5 0 0\nv 0 1 0\nf 1 2 3\n", "within 100000 m of the origin"),
     ],
 )
-def test_damaged_meshes_are_named_in_one_sentence(tmp_path, name, content, said):
+def test_damaged_meshes_are_refused_in_one_sentence(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(UserError) as caught:
         load_map(tmp_path / name, start=[0, 0, 2], goal=[9, 0, 2])
-    assert said in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_mesh_has_no_voxels_and_voxels_have_a_size(hall, tmp_path):
@@ -214,6 +214,6 @@ def test_each_flight_of_a_batch_has_its_own_triangles():
         world(scattered(30, seed=4) + np.tile([20, 0, 0], 3)),
     ]
     together = FlightBatch(worlds, config=config, lidar=lidar, rules=rules, seed=3)
-    for b, (one, result) in enumerate(zip(worlds, together.run(), strict=True)):
-        alone = FlightBatch([one], config=config, lidar=lidar, rules=rules, seed=3 + b).run()[0]
+    for b, (world_b, result) in enumerate(zip(worlds, together.run(), strict=True)):
+        alone = FlightBatch([world_b], config=config, lidar=lidar, rules=rules, seed=3 + b).run()[0]
         assert (alone.min_clearance, alone.smoothness) == (result.min_clearance, result.smoothness)

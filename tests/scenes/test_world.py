@@ -110,7 +110,7 @@ def test_malformed_world_names_file_key_and_row(tmp_path, changes, expected):
     assert "\n" not in str(caught.value)
 
 
-def test_not_finite_numbers_are_refused(tmp_path):
+def test_numbers_that_are_not_finite_are_refused(tmp_path):
     path = tmp_path / "w.json"
     path.write_text('{"name": "w", "start": [0, 0, NaN], "goal": [1, 1, 1]}')
     with pytest.raises(UserError, match="z = nan"):
@@ -121,7 +121,7 @@ def test_not_finite_numbers_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"{", b"[1, 2]", b"\xff\xfe\x00", b"[" * 100_000])
-def test_file_that_is_no_world(tmp_path, content):
+def test_a_file_that_is_not_a_world_is_refused(tmp_path, content):
     path = tmp_path / "w.json"
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"w\.json"):
@@ -166,7 +166,7 @@ def test_mesh_faces_point_outward(world):
         assert 0.6 * volume < np.sum(np.cross(a, b) * c) / 6.0 < volume
 
 
-def test_the_height_of_the_ground():
+def test_ground_height():
     ends = np.array([0.0, 0, 2]), np.array([10.0, 0, 2])
     assert World("none", *ends).ground_height is None
     assert World("aside", *ends, boxes=np.array([[5.0, 0, 0.5, 1, 1, 1, 0]])).ground_height is None

@@ -31,13 +31,13 @@ def test_coverage_of_even_rays():
     assert coverage(even)[0] >= 0.995  # in the coarser cells at once
 
 
-def test_a_spinning_lidar_never_sees_between_its_rings():
+def test_a_spinning_lidar_never_covers_the_space_between_its_rings():
     # 64 rings over 45 degrees in 90 rows of half a degree: no more rows than rings, however long it turns.
     shares = coverage(spinning64(), cell=0.5)
     assert shares[0] == shares[-1] <= 64 / 90 + 1e-9
 
 
-def test_poles_of_the_full_sphere_stay_thin():
+def test_the_poles_of_the_full_sphere_are_covered_slowly():
     # 2.4e-6 of the sphere is in a cell at the pole: half a hit expected there after a second.
     first, half, second = coverage(full_sphere())
     assert 0.85 < first < half < second < 1.0
@@ -62,6 +62,6 @@ def test_agrees_with_the_points_of_the_sensor():
 
 
 @pytest.mark.parametrize("options", [{"cell": 0.0}, {"cell": 7.0}, {"cell": 60.0}, {"times": (0.5, 0.1)}])
-def test_impossible_arguments(options):
+def test_invalid_arguments_are_refused(options):
     with pytest.raises(ValueError, match="cell"):
         coverage(livox_mid360(), **options)

@@ -17,7 +17,7 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 @pytest.fixture
 def shell() -> World:
-    """Six walls 10 m from the origin: every ray has a return."""
+    """Return a world of six walls 10 m from the origin, in which every ray has a return."""
     faces = [[s * 15.0 * (k == i) for k in range(3)] for i in range(3) for s in (-1, 1)]
     return World(
         "", np.zeros(3), np.ones(3), boxes=np.array([[*c, *[10.0 if v else 60.0 for v in c], 0.0] for c in faces])
@@ -44,7 +44,7 @@ def directions(points):
 
 
 def coverage(points):
-    """Share of the 3 deg cells of the Mid-360's field of view that hold a point."""
+    """Return the fraction of the 3 deg cells in the field of view of a Mid-360 that hold a point."""
     d = directions(points)
     elevation = np.degrees(np.arcsin(np.clip(d[:, 2], -1.0, 1.0)))
     azimuth = np.degrees(np.arctan2(d[:, 1], d[:, 0])) + 180.0
@@ -61,7 +61,7 @@ def test_mid360_field_of_view_and_rate(shell):
 
 
 def test_mid360_draws_tilted_rings_that_swing(shell):
-    """The pattern against its equation in float64, from where the seed lets it begin."""
+    """Compare the pattern with its equation in float64, from the phase that the seed selects."""
     model = exact(livox_mid360())
     d = directions(sweep(model, shell, number=3)[0].astype(float))
     azimuth, elevation = np.unwrap(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2]))
@@ -85,7 +85,7 @@ def test_mid360_draws_tilted_rings_that_swing(shell):
     assert sorted(misfit(first) < 0.05 for first in range(4)) == [False, False, False, True]
 
 
-def test_a_pattern_goes_on_where_the_sweep_before_ended(shell):
+def test_a_pattern_continues_from_sweep_to_sweep(shell):
     for model in (livox_mid360(), LidarModel("even", pattern="even")):
         long = sweep(exact(model, points_per_sweep=40_000, sweep_rate=5.0), shell, number=1)[0]
         short = [sweep(exact(model), shell, number=number)[0] for number in (2, 3)]
@@ -131,7 +131,7 @@ def test_range_noise_statistics():
     np.testing.assert_allclose(directions(noisy[hit]), directions(clean[hit]), atol=1e-5)  # along the ray only
 
 
-def test_dropout_loses_its_share(shell):
+def test_dropout_loses_its_fraction_of_the_returns(shell):
     lost = np.isnan(sweep(dataclasses.replace(full_sphere(), dropout=0.25), shell)[0, :, 0]).mean()
     assert lost == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 20_000))
 
@@ -153,7 +153,7 @@ def test_motion_within_a_sweep(shell):
     np.testing.assert_allclose(directions(points - origin), directions(still), atol=1e-5)
 
 
-def test_attitude_turns_the_pattern(shell):
+def test_attitude_rotates_the_pattern(shell):
     # Yaw of 90 degrees: body x looks along world y.
     half = np.sqrt(0.5)
     model = exact(livox_mid360())
@@ -162,7 +162,7 @@ def test_attitude_turns_the_pattern(shell):
     np.testing.assert_allclose(turned, np.column_stack([-level[:, 1], level[:, 0], level[:, 2]]), atol=1e-5)
 
 
-def test_mounting_angles_turn_the_field_of_view(shell):
+def test_mounting_angles_rotate_the_field_of_view(shell):
     # Upside down: what looked up to 52 degrees now looks down to -52.
     model = exact(livox_mid360())
     upright, turned = (sweep(exact(model, mount_angles=angles), shell)[0] for angles in ((0, 0, 0), (180, 0, 0)))
@@ -184,7 +184,7 @@ def test_mounting_position_moves_with_the_body(shell):
 
 
 def test_points_are_placed_by_the_estimated_pose(shell):
-    # The drone believes to be 1 m off and turned by 90 degrees: the cloud is the true one, moved and turned.
+    # The estimate is 1 m off and rotated by 90 degrees: the cloud is the true one, moved and rotated.
     model, half = exact(full_sphere()), np.sqrt(0.5)
     worlds = DeviceWorlds([shell])
     lidar = Lidar(model, worlds, seeds=[0])
@@ -197,7 +197,7 @@ def test_points_are_placed_by_the_estimated_pose(shell):
     np.testing.assert_allclose(lidar.points.numpy()[0], expected, atol=1e-4)
 
 
-def test_seed_decides_and_the_batch_does_not(shell):
+def test_points_depend_on_the_seed_and_not_on_the_batch(shell):
     model = livox_mid360()
     together = sweep(model, shell, seeds=(5, 6))
     np.testing.assert_array_equal(together[0], sweep(model, shell, seeds=(5,))[0])
@@ -231,7 +231,7 @@ def test_point_times_span_the_sweep():
         {"mount_position": (0.0, 0.0)},
     ],
 )
-def test_impossible_models_are_refused(changes):
+def test_invalid_models_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         LidarModel("odd", **changes)
 

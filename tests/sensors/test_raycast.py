@@ -1,4 +1,4 @@
-"""Rays against closed forms, and against a float64 reference that marches along the exact distance."""
+"""Rays compared with closed forms, and with sphere tracing in float64."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def ranges(world: World, origin, directions, range_max=np.inf):
 
 
 def march(world: World, origin, directions, range_max):
-    """Sphere tracing in float64: the distance to the nearest surface is a step that never goes through one."""
+    """Sphere tracing in float64: a step by the distance to the nearest surface never crosses one."""
     travelled = np.zeros(len(directions))
     open_ = np.ones(len(directions), dtype=bool)
     for _ in range(4000):
@@ -99,7 +99,7 @@ def test_scene_matches_the_float64_reference(name, origin):
     directions = random_directions(np.random.default_rng(1), 1500)
     expected = march(world, np.array(origin), directions, 40.0)
     found = ranges(world, origin, directions, range_max=40.0)
-    # At silhouettes one of the two may see past an edge by the precision of the other.
+    # At silhouettes, rounding decides which of the two hits the edge.
     same = np.isclose(found, expected, atol=2e-3) | (np.isinf(found) & np.isinf(expected))
     assert same.mean() > 0.997
     assert np.isfinite(found).mean() > 0.1
