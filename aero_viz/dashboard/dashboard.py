@@ -11,6 +11,7 @@ from typing import Any
 
 import viser
 
+from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.layout import build
@@ -19,7 +20,6 @@ from aero_viz.dashboard.update_rate import UpdateRateLimiter
 from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.sinks import Sink
 from aero_viz.session.source import Opener, SourceInfo
 
 __all__ = ["Dashboard"]
@@ -70,11 +70,11 @@ class Dashboard:
         self._limiter = UpdateRateLimiter()
         self._panels_due = 0.0
         self._panels_outdated = False
-        self._sink: Sink[Any] | None = None
+        self._sink: Mailbox[Any] | None = None
         self._page = Page(self.server, session, self.layers, self.refresh)
         self._camera, self.panels = build(self._page, open_source=open_source, choices=choices, seed=seed)
         self._sink = session.subscribe(self._show_newest, name="dashboard")
-        self._event_sinks: list[Sink[Any]] = [
+        self._event_sinks: list[Mailbox[Any]] = [
             session.subscribe_notices(self._notify),
             session.subscribe_playing(lambda _: self.refresh()),
         ]

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from aero_planner import VehicleState
 from aero_planner.config.file import format_config
+from aero_planner.mailbox import Mailbox
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages
 from aero_viz.errors import UserError
 from aero_viz.logs.messages import body_rates, encode_goal, encode_plan, encode_sweep
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
-from aero_viz.session.sinks import Sink
 from aero_viz.session.source import SourceInfo
 
 __all__ = ["FlightLog", "flight_recorder", "new_points", "record"]
@@ -205,7 +205,7 @@ def record(session: Session, path: str | Path) -> Iterator[FlightLog]:
     has ten seconds to catch up; frames that still wait then are dropped.
     """
     log = FlightLog(path)
-    sinks: list[Sink[Frame]] = []  # empty if the first frame arrives before `subscribe` returns
+    sinks: list[Mailbox[Frame]] = []  # empty if the first frame arrives before `subscribe` returns
     has_failed = has_announced = False
 
     def write(frame: Frame) -> None:

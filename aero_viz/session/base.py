@@ -10,8 +10,9 @@ from typing import Any, Literal, Protocol
 from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig
+from aero_planner.mailbox import Mailbox
 from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.sinks import Publisher, Sink
+from aero_viz.session.publisher import Publisher
 from aero_viz.session.source import Source
 
 __all__ = ["BaseSession", "SessionControls"]
@@ -112,7 +113,9 @@ class BaseSession(ABC):
     def seek(self, time: float) -> Future[Any]:
         """Go to the frame at or before `time` [s]."""
 
-    def subscribe(self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames") -> Sink[Frame]:
+    def subscribe(
+        self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames"
+    ) -> Mailbox[Frame]:
         """Call `callback` with the current frame and those that follow, on a separate thread, until `unsubscribe`.
 
         A callback that is too slow gets the newest frame only. With `every`, up to 256 frames wait for it instead.
@@ -122,17 +125,17 @@ class BaseSession(ABC):
             sink.put(self.frame)
         return sink
 
-    def subscribe_notices(self, callback: Callable[[Notice], None]) -> Sink[Notice]:
+    def subscribe_notices(self, callback: Callable[[Notice], None]) -> Mailbox[Notice]:
         """Call `callback` with each notice, on a separate thread, until `unsubscribe`."""
         return self._notices.subscribe(callback, capacity=64, name="notices")
 
-    def subscribe_playing(self, callback: Callable[[bool], None]) -> Sink[bool]:
+    def subscribe_playing(self, callback: Callable[[bool], None]) -> Mailbox[bool]:
         """Call `callback` with `playing`, now and at every change, on a separate thread, until `unsubscribe`."""
         sink = self._playing_changes.subscribe(callback, capacity=64, name="playing")
         sink.put(self._playing)
         return sink
 
-    def unsubscribe(self, sink: Sink[Any], *, timeout: float = 0.0) -> None:
+    def unsubscribe(self, sink: Mailbox[Any], *, timeout: float = 0.0) -> None:
         """Remove and close a sink. Items that still wait are delivered for up to `timeout` [s]."""
         for publisher in (self._frames, self._notices, self._playing_changes):
             publisher.unsubscribe(sink, timeout=timeout)

@@ -7,11 +7,11 @@ import time
 import numpy as np
 import viser
 
+from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
-from aero_viz.session.sinks import Sink
 
 __all__ = ["GoalPanel"]
 
@@ -33,7 +33,7 @@ class GoalPanel(Panel):
         self._arrows = self.page.server.scene.add_transform_controls(
             "/goal_arrows", scale=2.0, disable_rotations=True, depth_test=False, visible=False
         )
-        self._moves = Sink(self._set_goal, name="goal")
+        self._moves = Mailbox(self._set_goal, name="aero-viz-goal")
 
         @self._position.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -54,7 +54,7 @@ class GoalPanel(Panel):
         self._moves.close()
 
     def _set_goal(self, move: tuple[tuple[float, float, float], bool]) -> None:
-        """Move the goal, on the sink's thread. While it is dragged, a refused position is not reported."""
+        """Move the goal, on the mailbox's thread. While it is dragged, a refused position is not reported."""
         position, is_dragged = move
         is_refused = self._controls.set_goal(position, quiet=is_dragged).exception() is not None
         if is_refused and not is_dragged:

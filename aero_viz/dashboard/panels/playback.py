@@ -7,11 +7,11 @@ import time
 
 import viser
 
+from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
-from aero_viz.session.sinks import Sink
 from aero_viz.session.source import SourceInfo
 
 __all__ = ["PlaybackPanel"]
@@ -39,7 +39,7 @@ class PlaybackPanel(Panel):
         if self.session.controls is not None:
             self._add_speed(gui, self.session.controls)
         # While the slider is dragged, only its newest position matters.
-        self._seeks = Sink(self._seek, name="seek")
+        self._seeks = Mailbox(self._seek, name="aero-viz-seek")
         self._connect(gui)
 
     def _add_restart(self, gui: viser.GuiApi) -> None:

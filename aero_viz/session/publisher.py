@@ -8,29 +8,22 @@ from typing import Generic, TypeVar
 
 from aero_planner.mailbox import Mailbox
 
-__all__ = ["Publisher", "Sink"]
+__all__ = ["Publisher"]
 
 T = TypeVar("T")
 
 
-class Sink(Mailbox[T]):
-    """A mailbox for a listener of the session, see `aero_planner.mailbox.Mailbox`."""
-
-    def __init__(self, callback: Callable[[T], None], *, capacity: int = 1, name: str = "sink") -> None:
-        super().__init__(callback, capacity=capacity, name=f"aero-viz-{name}")
-
-
 class Publisher(Generic[T]):
-    """Hands each item to any number of sinks."""
+    """Hands each item to any number of mailboxes, its sinks."""
 
     def __init__(self) -> None:
         # Replaced as a whole and never changed, so that `publish` needs no lock.
-        self._sinks: tuple[Sink[T], ...] = ()
+        self._sinks: tuple[Mailbox[T], ...] = ()
         self._lock = threading.Lock()
 
-    def subscribe(self, callback: Callable[[T], None], *, capacity: int, name: str) -> Sink[T]:
-        """Return a new sink for `callback`; see `Sink`."""
-        sink = Sink(callback, capacity=capacity, name=name)
+    def subscribe(self, callback: Callable[[T], None], *, capacity: int, name: str) -> Mailbox[T]:
+        """Return a new sink that calls `callback` with each item; see `Mailbox`."""
+        sink = Mailbox(callback, capacity=capacity, name=f"aero-viz-{name}")
         with self._lock:
             self._sinks = (*self._sinks, sink)
         return sink
@@ -40,7 +33,7 @@ class Publisher(Generic[T]):
         for sink in self._sinks:
             sink.put(item)
 
-    def unsubscribe(self, sink: Sink[T], *, timeout: float = 0.0) -> None:
+    def unsubscribe(self, sink: Mailbox[T], *, timeout: float = 0.0) -> None:
         """Remove and close a sink. Items that still wait are delivered for up to `timeout` [s]."""
         with self._lock:
             if sink not in self._sinks:
