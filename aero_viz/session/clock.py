@@ -1,4 +1,4 @@
-"""Which moment of a source the wall clock has reached."""
+"""Clock that maps wall time to source time."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ __all__ = ["Clock"]
 
 
 class Clock:
-    """Maps source time to wall time at a speed that may change.
+    """Maps wall time to source time at a variable speed.
 
     Args:
-        speed: source time per wall time.
+        speed: source time that passes per wall time.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
@@ -20,7 +20,7 @@ class Clock:
 
     @property
     def speed(self) -> float:
-        """Source time per wall time."""
+        """Source time that passes per wall time."""
         return self._speed
 
     @speed.setter
@@ -30,14 +30,14 @@ class Clock:
         self.restart(now)
 
     def restart(self, source_time: float) -> None:
-        """Let the present moment be `source_time` [s]."""
+        """Set the current source time [s]."""
         self._source_start = source_time
         self._wall_start = time.monotonic()
 
     def now(self) -> float:
-        """Return the source time that the wall clock has reached [s]."""
+        """Return the current source time [s]."""
         return self._source_start + (time.monotonic() - self._wall_start) * self._speed
 
     def delay_until(self, source_time: float) -> float:
-        """Return the wall time left until `source_time` [s], 0 when it is past."""
+        """Return the wall time left until `source_time` [s], 0 if it has passed."""
         return max(0.0, (source_time - self.now()) / self._speed)

@@ -1,4 +1,4 @@
-"""The configurations of a session in order, with undo and redo. Safe to use from any thread."""
+"""History of a session's configurations, with undo and redo. Safe to use from any thread."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from aero_planner import PlannerConfig
 
 __all__ = ["ConfigHistory"]
 
-_DRAG = 1.0
-"""Changes of the same parameters at shorter intervals are one step of undo: a slider being drawn [s]."""
+_DRAG_INTERVAL = 1.0
+"""Changes of the same parameters within this time are one step of undo, as when a slider is dragged [s]."""
 
 
 class ConfigHistory:
-    """Immutable configurations, swapped whole; the version counts the swaps."""
+    """Immutable configurations, each replaced as a whole. The version counts the replacements."""
 
     def __init__(self, config: PlannerConfig) -> None:
         self._configs = [config]
@@ -26,27 +26,27 @@ class ConfigHistory:
         self._lock = threading.Lock()
 
     @property
-    def present(self) -> tuple[PlannerConfig, int]:
-        """The present configuration and its version."""
+    def current(self) -> tuple[PlannerConfig, int]:
+        """The current configuration and its version."""
         with self._lock:
             return self._configs[self._index], self._version
 
     def change(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
-        """Use a configuration, or the present one with some parameters changed, and return it.
+        """Use another configuration, or change some parameters of the current one, and return the result.
 
         Raises:
-            ValueError: a parameter is unknown or out of its bounds; the present configuration stays.
+            ValueError: a parameter is unknown or out of its bounds; the current configuration stays.
         """
         with self._lock:
-            now = self._configs[self._index]
-            config = change if isinstance(change, PlannerConfig) else now.replace(change)
-            if config == now:
-                return now
+            current = self._configs[self._index]
+            config = change if isinstance(change, PlannerConfig) else current.replace(change)
+            if config == current:
+                return current
             paths = frozenset() if isinstance(change, PlannerConfig) else frozenset(change)
-            goes_on = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < _DRAG
+            is_same_drag = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < _DRAG_INTERVAL
             self._last = (paths, time.monotonic())
             del self._configs[self._index + 1 :]
-            if goes_on:
+            if is_same_drag:
                 self._configs[self._index] = config
             else:
                 self._configs.append(config)
@@ -55,7 +55,7 @@ class ConfigHistory:
             return config
 
     def go(self, step: int) -> PlannerConfig:
-        """Go back by -1 or forth by +1, within what is there, and return the configuration."""
+        """Undo (-1) or redo (+1) one change, if there is one, and return the resulting configuration."""
         with self._lock:
             self._index = min(max(self._index + step, 0), len(self._configs) - 1)
             self._version += 1
@@ -63,15 +63,15 @@ class ConfigHistory:
             return self._configs[self._index]
 
     def drop(self, failed: PlannerConfig, good: PlannerConfig) -> None:
-        """Forget a configuration that cannot be used. Where it is the present one, `good` is in its place."""
+        """Remove a configuration that cannot be used. If it is the current one, `good` replaces it."""
         with self._lock:
-            now, present = self._index, self._configs[self._index]
-            wanted = good if present == failed else present
+            old_index, old = self._index, self._configs[self._index]
+            new = good if old == failed else old
             configs = [config for config in self._configs if config != failed]
-            if wanted not in configs:
-                configs.insert(now, wanted)
-            places = [i for i, config in enumerate(configs) if config == wanted]
-            index = min(places, key=lambda i: abs(i - now))
-            self._version += configs[index] is not present
+            if new not in configs:
+                configs.insert(old_index, new)
+            indices = [i for i, config in enumerate(configs) if config == new]
+            index = min(indices, key=lambda i: abs(i - old_index))
+            self._version += configs[index] is not old
             self._configs, self._index = configs, index
             self._last = (frozenset(), 0.0)

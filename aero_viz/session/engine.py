@@ -43,7 +43,7 @@ class Engine:
         self.dropped_ticks = 0
         """Ticks of a recording that were skipped since its start."""
         self._configs = configs
-        self._config = configs.present[0]
+        self._config = configs.current[0]
         self._planner = Planner(self._config, device=device, seed=seed)
         self._publish_frame = publish
         self._timeline = Timeline()
@@ -177,7 +177,7 @@ class Engine:
             advance_ms: how long the source took to advance to this tick [ms].
         """
         is_new = history is None
-        config, version = self._configs.present
+        config, version = self._configs.current
         started = time.perf_counter()
         observation = self.source.observe()
         observed = time.perf_counter()

@@ -78,7 +78,7 @@ class Session(BaseSession):
     @property
     def config(self) -> PlannerConfig:
         """Configuration of the next tick."""
-        return self._configs.present[0]
+        return self._configs.current[0]
 
     @property
     def speed(self) -> float:

@@ -31,7 +31,7 @@ def test_a_refused_change_leaves_the_configuration() -> None:
     history = ConfigHistory(PlannerConfig())
     with pytest.raises(ValueError, match=r"costs\.q_track is -1"):
         history.change({"costs.q_track": -1.0})
-    assert history.present == (PlannerConfig(), 0)
+    assert history.current == (PlannerConfig(), 0)
 
 
 def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,7 +43,7 @@ def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatc
         history.change({"costs.q_track": value})
     now[0] += 5.0
     history.change({"costs.q_track": 2.0})
-    assert history.present[1] == 4
+    assert history.current[1] == 4
     assert history.go(-1).costs.q_track == 8.0
     assert history.go(-1) == PlannerConfig()
 
@@ -54,9 +54,9 @@ FAILED = {"sampling.samples": 2000}
 def test_what_failed_is_forgotten_and_undo_leads_behind_what_is_good() -> None:
     history = ConfigHistory(PlannerConfig())
     good = history.change({"costs.q_track": 1.0})
-    version = history.present[1]
+    version = history.current[1]
     history.drop(history.change(FAILED), good)
-    assert history.present[0] == good and history.present[1] > version
+    assert history.current[0] == good and history.current[1] > version
     assert history.go(+1) == good
     assert history.go(-1) == PlannerConfig()
 
@@ -66,7 +66,7 @@ def test_what_failed_on_the_way_back_is_forgotten_too() -> None:
     history.change(FAILED)
     good = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
     history.drop(history.go(-1), good)
-    assert history.present[0] == good
+    assert history.current[0] == good
     assert history.go(-1) == PlannerConfig()
 
 
@@ -74,7 +74,7 @@ def test_a_slider_drawn_until_it_fails_goes_back_to_what_was_good_last() -> None
     history = ConfigHistory(PlannerConfig())
     good = history.change({"sampling.samples": 8})
     history.drop(history.change(FAILED), good)  # within the same second: one step of undo
-    assert history.present[0] == good
+    assert history.current[0] == good
     assert history.go(-1) == PlannerConfig()
 
 
@@ -83,11 +83,11 @@ def test_a_change_made_while_another_fails_stays() -> None:
     failed = history.change(FAILED)
     newer = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
     history.drop(failed, PlannerConfig())
-    assert history.present[0] == newer
+    assert history.current[0] == newer
     assert history.go(-1) == PlannerConfig()
 
 
 def test_an_equal_configuration_is_no_change() -> None:
     history = ConfigHistory(PlannerConfig())
     history.change(PlannerConfig())
-    assert history.present[1] == 0
+    assert history.current[1] == 0

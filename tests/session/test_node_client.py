@@ -29,6 +29,7 @@ from aero_viz.dashboard.layers.goal import GoalLayer
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
+from aero_viz.dashboard.panels.parameters import ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.errors import UserError
@@ -283,7 +284,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
     dashboard = Dashboard(session, port=0)
     try:
         offered = {type(panel) for panel in dashboard.panels}
-        assert offered == {PlaybackPanel, CameraPanel, ChartPanel, LayerPanel, StatusPanel}
+        assert offered == {PlaybackPanel, CameraPanel, ChartPanel, LayerPanel, ParameterTablePanel, StatusPanel}
         assert not any(layer.needs_samples for layer in dashboard.layers.values()), "the drone sends no samples"
     finally:
         dashboard.close()
