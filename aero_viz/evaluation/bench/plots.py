@@ -25,8 +25,8 @@ def plot(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, *, su
         subtitle: second line of each title.
         ours: name of our planner in `summaries`.
     """
-    own = [line for line in summaries if line.planner == ours]
-    external = [line for line in summaries if line.planner != ours]
+    own = [summary for summary in summaries if summary.planner == ours]
+    external = [summary for summary in summaries if summary.planner != ours]
     if benchmark.metric == "throughput":
         return [_throughput(benchmark, own, folder / "throughput.png", subtitle)]
     if benchmark.x_label:
@@ -55,27 +55,26 @@ def _curves(
     benchmark: Benchmark, own: Sequence[Summary], external: Sequence[Summary], path: Path, subtitle: str, y_label: str
 ) -> Path:
     figure, axes = _figure(f"{benchmark.title}\n{subtitle}")
-    by_label = {line.row: line for line in own}
+    by_label = {summary.row: summary for summary in own}
     success = y_label == "success rate"
     for series in dict.fromkeys(row.series for row in benchmark.rows):
         points = [
             (row.x, by_label[row.label]) for row in benchmark.rows if row.series == series and row.label in by_label
         ]
-        x = [place for place, _ in points]
         if not points:
             continue
+        x = [position for position, _ in points]
         if success:
-            rates = [line.success_rate for _, line in points]
-            below = [max(line.success_rate - line.success_low, 0.0) for _, line in points]
-            above = [max(line.success_high - line.success_rate, 0.0) for _, line in points]
-            axes.errorbar(x, rates, yerr=[below, above], marker="o", capsize=3, label=series)
+            rates = [summary.success_rate for _, summary in points]
+            errors = _error_bars([summary for _, summary in points])
+            axes.errorbar(x, rates, yerr=errors, marker="o", capsize=3, label=series)
         else:
-            colour = axes.plot(x, _means(points, "mean_speed"), marker="o", label=f"{series}, mean")[0].get_color()
-            axes.plot(x, _means(points, "max_speed"), marker="^", linestyle=":", color=colour, label=f"{series}, max")
-    for i, line in enumerate(external):
-        value = line.success_rate if success else line.mean["mean_speed"]
+            color = axes.plot(x, _means(points, "mean_speed"), marker="o", label=f"{series}, mean")[0].get_color()
+            axes.plot(x, _means(points, "max_speed"), marker="^", linestyle=":", color=color, label=f"{series}, max")
+    for i, summary in enumerate(external):
+        value = summary.success_rate if success else summary.mean["mean_speed"]
         if value is not None:
-            axes.axhline(value, color=f"C{i + 5}", linestyle="--", label=f"{line.planner}, {line.row}")
+            axes.axhline(value, color=f"C{i + 5}", linestyle="--", label=f"{summary.planner}, {summary.row}")
     axes.set_xlabel(benchmark.x_label)
     axes.set_ylabel(y_label)
     axes.set_ylim(-0.03, 1.03) if success else axes.set_ylim(bottom=0.0)
@@ -84,19 +83,27 @@ def _curves(
     return _save(figure, path)
 
 
+def _error_bars(summaries: Sequence[Summary]) -> list[list[float]]:
+    """Return the lengths of the error bars below and above the success rates."""
+    return [
+        [max(summary.success_rate - summary.success_low, 0.0) for summary in summaries],
+        [max(summary.success_high - summary.success_rate, 0.0) for summary in summaries],
+    ]
+
+
 def _means(points: Sequence[tuple[Any, Summary]], name: str) -> list[float]:
-    values = (line.mean[name] for _, line in points)
+    values = (summary.mean[name] for _, summary in points)
     return [float("nan") if value is None else value for value in values]
 
 
 def _bars(summaries: Sequence[Summary], path: Path, title: str, ours: str) -> Path:
     figure, axes = _figure(title, (_SIZE[0], max(2.5, 1.2 + 0.3 * len(summaries))))
-    for place, line in enumerate(summaries):
-        error = [[max(line.success_rate - line.success_low, 0.0)], [max(line.success_high - line.success_rate, 0.0)]]
-        axes.barh(place, line.success_rate, xerr=error, capsize=3, color="C0" if line.planner == ours else "C1")
+    for position, summary in enumerate(summaries):
+        color = "C0" if summary.planner == ours else "C1"
+        axes.barh(position, summary.success_rate, xerr=_error_bars([summary]), capsize=3, color=color)
     axes.set_yticks(
         range(len(summaries)),
-        [line.row if line.planner == ours else f"{line.row}: {line.planner}" for line in summaries],
+        [summary.row if summary.planner == ours else f"{summary.row}: {summary.planner}" for summary in summaries],
         fontsize=8,
     )
     axes.invert_yaxis()
@@ -112,20 +119,20 @@ def _speed_bars(
     figure, axes = _figure(f"{benchmark.title}\n{subtitle}")
     rows = {row.label: row for row in benchmark.rows}
     bars: dict[str, dict[int, float]] = {}
-    for place, line in enumerate(own):
-        row = rows[line.row]
-        speeds = [(line.planner, line.mean["mean_speed"])]
+    for position, summary in enumerate(own):
+        row = rows[summary.row]
+        speeds = [(summary.planner, summary.mean["mean_speed"])]
         speeds += [(f"{paper.planner}, published", paper.mean_speed) for paper in PUBLISHED
                    if paper.scene == row.published]  # fmt: skip
-        same_worlds = [summary for summary in external if summary.row == row.world_kind]
-        speeds += [(summary.planner, summary.mean["mean_speed"]) for summary in same_worlds]
+        same_worlds = [result for result in external if result.row == row.world_kind]
+        speeds += [(result.planner, result.mean["mean_speed"]) for result in same_worlds]
         for planner, speed in speeds:
-            bars.setdefault(planner, {})[place] = speed or 0.0
+            bars.setdefault(planner, {})[position] = speed or 0.0
     width = 0.8 / max(len(bars), 1)
     for i, (planner, speeds) in enumerate(bars.items()):
-        places = [place + width * (i - 0.5 * (len(bars) - 1)) for place in speeds]
-        axes.bar(places, list(speeds.values()), width, label=planner)
-    axes.set_xticks(range(len(own)), [line.row for line in own])
+        positions = [position + width * (i - 0.5 * (len(bars) - 1)) for position in speeds]
+        axes.bar(positions, list(speeds.values()), width, label=planner)
+    axes.set_xticks(range(len(own)), [summary.row for summary in own])
     axes.set_ylabel("mean speed of arrived flights [m/s]")
     axes.legend(fontsize=8)
     return _save(figure, path)
@@ -133,9 +140,9 @@ def _speed_bars(
 
 def _throughput(benchmark: Benchmark, own: Sequence[Summary], path: Path, subtitle: str) -> Path:
     figure, axes = _figure(f"{benchmark.title}\n{subtitle}")
-    places = {row.label: row.x for row in benchmark.rows}
-    lines = [line for line in own if line.flights_per_minute]
-    axes.plot([places[line.row] for line in lines], [line.flights_per_minute for line in lines], marker="o")
+    x_by_row = {row.label: row.x for row in benchmark.rows}
+    points = [(x_by_row[summary.row], summary.flights_per_minute) for summary in own if summary.flights_per_minute]
+    axes.plot([x for x, _ in points], [rate for _, rate in points], marker="o")
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
     axes.set_xlabel(benchmark.x_label)

@@ -47,8 +47,8 @@ def write_report(run: Run, folder: str | Path, *, external: Sequence[ExternalRes
         folder.mkdir(parents=True, exist_ok=True)
         _write_csv(folder / "flights.csv", run.flights)
         _write_csv(folder / "worlds.csv", world_records(run))
-        _write_csv(folder / "summary.csv", [_flat(line) for line in summaries])
-        content = {**run.header, "complete": run.is_complete, "summary": [line.to_dict() for line in summaries]}
+        _write_csv(folder / "summary.csv", [_flat(summary) for summary in summaries])
+        content = {**run.header, "complete": run.is_complete, "summary": [summary.to_dict() for summary in summaries]}
         (folder / "summary.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         plots = plot(run.benchmark, summaries, folder, subtitle=_subtitle(run), ours=OURS) if summaries else []
         (folder / "report.md").write_text(_markdown(run, summaries, plots), encoding="utf-8")
@@ -60,9 +60,9 @@ def write_report(run: Run, folder: str | Path, *, external: Sequence[ExternalRes
 def format_summaries(summaries: Sequence[Summary]) -> str:
     """Return the summaries as a table for a terminal."""
     rows = [
-        [line.row, line.planner, f"{line.arrived}/{line.flights}", _interval(line),
-         _percent(line.passable), _number(line.mean["mean_speed"]), _reasons(line)]
-        for line in summaries
+        [summary.row, summary.planner, f"{summary.arrived}/{summary.flights}", _interval(summary),
+         _percent(summary.passable), _number(summary.mean["mean_speed"]), _reasons(summary)]
+        for summary in summaries
     ]  # fmt: skip
     header = ["row", "planner", "success", "95 % interval", "passable", "mean speed", "ended by"]
     return format_table(rows, header=header)
@@ -94,7 +94,7 @@ def format_worlds(run: Run) -> list[str]:
 
 def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> str:
     benchmark, header = run.benchmark, run.header
-    own = {line.row: line for line in summaries if line.planner == OURS}
+    own = {summary.row: summary for summary in summaries if summary.planner == OURS}
     parts = [f"# {benchmark.title}", benchmark.note]
     if not run.is_complete:
         parts.append(f"**Incomplete: {len(run.flights)} of {run.total} flights.** Resume the run to fly the rest.")
@@ -122,9 +122,9 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
 
 def _success_table(summaries: Sequence[Summary]) -> str:
     rows = [
-        [line.row, line.planner, f"{line.arrived}/{line.flights}", _percent(line.success_rate), _interval(line),
-         _percent(line.passable), _reasons(line)]
-        for line in summaries
+        [summary.row, summary.planner, f"{summary.arrived}/{summary.flights}", _percent(summary.success_rate),
+         _interval(summary), _percent(summary.passable), _reasons(summary)]
+        for summary in summaries
     ]  # fmt: skip
     header = ["row", "planner", "arrived", "success", "95 % interval", "worlds with a path", "ended by"]
     return _markdown_table(header, rows)
@@ -135,27 +135,29 @@ def _metrics_table(benchmark: Benchmark, summaries: Sequence[Summary]) -> str:
               "mean clearance [m]", "min clearance [m]", "time [s]", "plan of a batch [ms]"]  # fmt: skip
     published = {row.label: row.published for row in benchmark.rows}
     rows = []
-    for line in summaries:
-        values = [_mean_std(line, name) for name in METRICS]
-        rows.append([line.row, line.planner, *values, _number(line.plan_ms_median, 2)])
+    for summary in summaries:
+        values = [_mean_std(summary, name) for name in METRICS]
+        rows.append([summary.row, summary.planner, *values, _number(summary.plan_ms_median, 2)])
         for paper in PUBLISHED:
-            if line.planner == OURS and paper.scene == published.get(line.row):
-                rows.append([line.row, f"{paper.planner}, published", *(_number(value) for value in paper[2:]), "", ""])
+            if summary.planner == OURS and paper.scene == published.get(summary.row):
+                rows.append(
+                    [summary.row, f"{paper.planner}, published", *(_number(value) for value in paper[2:]), "", ""]
+                )
     return _markdown_table(header, rows)
 
 
 def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
     rows = []
     for row in benchmark.rows:
-        line = own.get(row.label)
-        if row.target is None or line is None:
+        summary = own.get(row.label)
+        if row.target is None or summary is None:
             continue
         rate, speed = row.target
-        reached = line.mean["mean_speed"]
-        met = line.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
+        reached = summary.mean["mean_speed"]
+        met = summary.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
         target = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
         at = "" if reached is None else f" at {_number(reached)} m/s"
-        rows.append([row.label, target, f"{_percent(line.success_rate)}{at}", _yes(met)])
+        rows.append([row.label, target, f"{_percent(summary.success_rate)}{at}", _yes(met)])
     return _markdown_table(["row", "target", "reached", "met"], rows) if rows else ""
 
 
@@ -165,9 +167,9 @@ def _throughput_table(run: Run, own: dict[str, Summary]) -> str:
         flights = [flight for flight in run.flights if flight["row"] == row.label]
         if not flights:
             continue
-        line, first = own[row.label], flights[0]
-        rows.append([row.label, _number(line.flights_per_minute, 1), _number(first["run_s"], 1),
-                     _number(first["build_s"], 1), _number(line.plan_ms_median, 2)])  # fmt: skip
+        summary, first = own[row.label], flights[0]
+        rows.append([row.label, _number(summary.flights_per_minute, 1), _number(first["run_s"], 1),
+                     _number(first["build_s"], 1), _number(summary.plan_ms_median, 2)])  # fmt: skip
     return _markdown_table(["row", "flights per minute", "flying [s]", "building [s]", "plan of a batch [ms]"], rows)
 
 
@@ -216,11 +218,11 @@ def _subtitle(run: Run) -> str:
     return f"configuration {header['config_name']}, LiDAR {lidar}, {header['flights']} flights per row"
 
 
-def _flat(line: Summary) -> dict[str, Any]:
-    values = line.to_dict()
+def _flat(summary: Summary) -> dict[str, Any]:
+    values = summary.to_dict()
     for kind in ("mean", "std"):
         values |= {f"{name}_{kind}": value for name, value in values.pop(kind).items()}
-    values["reasons"] = _reasons(line)
+    values["reasons"] = _reasons(summary)
     return values
 
 
@@ -237,16 +239,16 @@ def _markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-def _interval(line: Summary) -> str:
-    return f"{100 * line.success_low:.0f} to {100 * line.success_high:.0f} %"
+def _interval(summary: Summary) -> str:
+    return f"{100 * summary.success_low:.0f} to {100 * summary.success_high:.0f} %"
 
 
-def _reasons(line: Summary) -> str:
-    return ", ".join(f"{count} {reason}" for reason, count in line.reasons.items())
+def _reasons(summary: Summary) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in summary.reasons.items())
 
 
-def _mean_std(line: Summary, name: str) -> str:
-    mean, std = line.mean[name], line.std[name]
+def _mean_std(summary: Summary, name: str) -> str:
+    mean, std = summary.mean[name], summary.std[name]
     return _number(mean) if std is None else f"{_number(mean)} ± {_number(std)}"
 
 
