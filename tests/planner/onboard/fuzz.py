@@ -1,5 +1,4 @@
-"""Throws broken and hostile datagrams at what listens on the network, and broken and hostile bundles at what reads
-them, and checks what must hold whatever comes.
+"""Feeds damaged and hostile datagrams and bundles to their parsers and checks the invariants that hold for any input.
 
 python tests/planner/onboard/fuzz.py --seconds 600
 """
@@ -36,7 +35,7 @@ from aero_planner.onboard.sweep_buffer import SweepBuffer
 __all__ = ["TARGETS", "run"]
 
 BATCH = 50
-"""Datagrams between two polls; fewer than a socket's buffer holds."""
+"""Number of datagrams between two polls, fewer than a socket's buffer holds."""
 GROWTH = 64
 """Largest growth of this process's memory after the first batches [MB]."""
 
@@ -44,7 +43,7 @@ Random = np.random.Generator
 
 
 def damaged(data: bytes, random: Random) -> bytes:
-    """Return `data` with bytes changed, cut off, added, doubled or moved; sometimes as it was."""
+    """Return `data` with bytes changed, cut off, added, doubled or moved; sometimes unchanged."""
     result = bytearray(data)
     for _ in range(int(random.integers(0, 4))):
         at = int(random.integers(len(result) + 1))
@@ -66,7 +65,7 @@ def damaged(data: bytes, random: Random) -> bytes:
 
 
 class FuzzLivox:
-    """Point packets, into the source and on into the sweeps."""
+    """Point packets, for the source and the sweep buffer."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -94,7 +93,7 @@ class FuzzLivox:
                 tags=random.integers(0, 256, size=count),
             )
         )
-        if random.uniform() < 0.3:  # wrong, but under a good checksum
+        if random.uniform() < 0.3:  # invalid, but with a valid checksum
             at, size = [(0, 1), (1, 2), (3, 2), (5, 2), (10, 1), (11, 1), (28, 8)][random.integers(7)]
             data[at : at + size] = random.bytes(size)
             struct.pack_into("<I", data, 24, zlib.crc32(data[28:]))
@@ -126,7 +125,7 @@ class FuzzLivox:
 
 
 class FuzzMavlink:
-    """Messages of all kinds from the autopilot and from strangers."""
+    """Messages of all kinds, from the autopilot and from other senders."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -150,7 +149,7 @@ class FuzzMavlink:
         return damaged(data, random) if random.uniform() < 0.4 else data
 
     def frame(self, kind, random: Random) -> bytes:
-        """A message under a good checksum, with any values, sometimes cut as trailing zeros may be."""
+        """Return a message with arbitrary values and a valid checksum, sometimes truncated as trailing zeros may be."""
         names = [n for n, count in zip(kind.ordered_fieldnames, kind.lengths, strict=True) for _ in range(count)]
         groups = re.findall(r"([0-9]*)([a-zA-Z])", kind.unpacker.format)
         forms = [form for count, form in groups for _ in range(int(count or 1))]
@@ -173,7 +172,7 @@ class FuzzMavlink:
 
     def value(self, name: str, form: str, random: Random) -> float | int:
         if name in ("q", "q1", "q2", "q3", "q4") and random.uniform() < 0.95:
-            return 0.5  # four of which make a unit quaternion
+            return 0.5  # four of them form a unit quaternion
         if name in ("frame_id", "child_frame_id", "coordinate_frame") and random.uniform() < 0.8:
             return int(random.choice([1, 8, 12, 20]))
         if name in ("target_system", "target_component") and random.uniform() < 0.8:
@@ -217,14 +216,14 @@ class FuzzMavlink:
 
 
 class FuzzBundle:
-    """Bundles as tar files, opened and fitted."""
+    """Bundles as tar files, which are opened and checked against a configuration."""
 
     def __init__(self) -> None:
         self.seen = 0
-        # In memory where possible: a disk would take most of the time.
+        # In memory if possible, because a disk would take most of the time.
         self.temporary = tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
         self.root = Path(self.temporary.name)
-        # Deep enough that what escapes by a few ".." still lands where it is seen.
+        # Deep enough that files which escape through a few ".." still land in this folder.
         self.copies = self.root / "1/2/3/4"
         self.copies.mkdir(parents=True)
         folder = self.root / "bundle"
@@ -264,7 +263,7 @@ class FuzzBundle:
         return output.getvalue()
 
     def entry(self, random: Random) -> bytes:
-        """Return an entry with a good checksum, and hostile otherwise."""
+        """Return a hostile entry with a valid checksum."""
         names = [
             "../x",
             "/tmp/x",
@@ -283,7 +282,7 @@ class FuzzBundle:
         header.linkname = str(random.choice(["", "../x", "/etc/passwd", "kernels"]))
         header.size = int(random.choice([0, 0, 0, 7, 512, 2**20, 2**33 - 1]))
         buffer = bytearray(header.tobuf(tarfile.USTAR_FORMAT))
-        if random.uniform() < 0.3:  # sizes in base 256, negative ones included
+        if random.uniform() < 0.3:  # sizes in base 256, including negative ones
             buffer[124:136] = bytes([int(random.choice([0x80, 0xFF]))]) + random.bytes(11)
         at = int(random.integers(0, 500))
         if random.uniform() < 0.3:
@@ -293,7 +292,7 @@ class FuzzBundle:
         return bytes(buffer)
 
     def altered(self, manifest: dict, random: Random) -> dict:
-        """Return a manifest with a value somewhere that does not belong there."""
+        """Return a manifest with a wrong value in a random place."""
         wrong = [None, -1, 0, 1, 2**70, 1.5, math.nan, "", "x" * 1000, "../x", [], {}, [[]], True, ["a"], {"a": 1}]
         place = manifest
         while random.uniform() < 0.5 and (inner := [key for key in place if isinstance(place[key], dict)]):
@@ -320,7 +319,7 @@ class FuzzBundle:
             assert self.listing() == self.before
 
     def look(self, folder: Path) -> None:
-        """Check that what was copied is what was exported, under names that were."""
+        """Check that the copied files have the names and contents of exported ones."""
         for path in folder.rglob("*"):
             if path.is_file() and not path.is_symlink():
                 said = self.manifest["files"][path.relative_to(folder).as_posix()]
@@ -338,15 +337,15 @@ TARGETS: dict[str, Callable[[], Target]] = {"livox": FuzzLivox, "mavlink": FuzzM
 
 
 def memory() -> float:
-    """Return the largest memory that this process has had [MB]."""
+    """Return the peak memory of this process [MB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def run(name: str, *, seed: int = 0, batches: int | None = None, seconds: float | None = None) -> tuple[int, float]:
-    """Fuzz one target for so many batches or so long; return the number of datagrams and the memory's growth [MB].
+    """Fuzz one target for a number of batches or a time; return the number of inputs and the growth of memory [MB].
 
     Raises:
-        AssertionError: what must hold did not.
+        AssertionError: An invariant was violated.
     """
     target = TARGETS[name]()
     random = np.random.default_rng(seed)
@@ -358,7 +357,7 @@ def run(name: str, *, seed: int = 0, batches: int | None = None, seconds: float 
             done += 1
             if done == warm_up:
                 start = memory()
-        assert target.seen > 0, "nothing was understood: the fuzzer throws only what is refused at once"
+        assert target.seen > 0, "no input was accepted: the fuzzer produces only inputs that are refused at once"
     finally:
         target.close()
     growth = memory() - start
@@ -367,9 +366,9 @@ def run(name: str, *, seed: int = 0, batches: int | None = None, seconds: float 
 
 
 def main() -> int:
-    """Run every target in turn, each for an even share of the time."""
+    """Run every target in turn, each for an equal share of the time."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long, all targets together")
+    parser.add_argument("--seconds", type=float, default=60.0, help="total time of all targets [s]")
     parser.add_argument("--seed", type=int, default=int(time.time()))
     options = parser.parse_args()
     for name in TARGETS:
