@@ -63,7 +63,7 @@ class SourceInfo:
     recorded_path: NDArray[np.float64] | None = None
     """Recorded positions [m], shape [n, 3]."""
     notices: tuple[str, ...] = ()
-    """Sentences for the user, such as "Open loop: the plan is displayed but not flown."."""
+    """Sentences for the user, such as "Open loop: the plan is displayed but not flown"."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """What reproduces a flight besides its world, goals and configurations; values that JSON can hold."""
 

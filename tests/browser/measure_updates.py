@@ -1,6 +1,7 @@
-"""What a page that is drawn in software leaves of the engine's pace, and what each side costs; run by hand.
+"""Measures the tick rate of the engine while a page is drawn in software, and the CPU time of each part.
 
-Rates suffer from whatever else the machine does, which is told; the CPU time per tick and per update hardly does.
+Run it by hand. Other processes on the machine lower the rates, so their load is printed; they hardly change the CPU
+time per tick and per update.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def main() -> None:
         dashboard.close()
         session.close()
     assert frame is not None
-    assert last is not None and last.outcome is None, "the flight is over before the time is: measure for fewer seconds"
+    assert last is not None and last.outcome is None, "the flight ended too early: measure for fewer seconds"
     ticks = last.index - frame.index
     others = spent["machine"] - spent["engine"] - spent["page"] - spent["browser"]
     print(f"planner ticks      {ticks / took:6.1f} /s, {1e3 * spent['engine'] / ticks:.1f} ms of CPU each")
@@ -68,7 +69,7 @@ def main() -> None:
 
 
 def _spent() -> dict[str, float]:
-    """Processor time so far of the engine's threads, of those that serve the page, of the browser, of all [s]."""
+    """Return the processor time so far [s] of the engine, of the page's threads, of the browser and of the machine."""
     process, spent = psutil.Process(), defaultdict[str, float](float)
     names = {thread.native_id: thread.name for thread in threading.enumerate()}
     for thread in process.threads():

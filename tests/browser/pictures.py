@@ -1,4 +1,4 @@
-"""Looking at pictures of the page: colours, and where a point of the world comes to lie."""
+"""Analysis of pictures of the page: colours, and projection of points of the world."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ Image = NDArray[np.uint8]
 
 
 def count(image: Image, color: palette.Rgb, *, tolerance: int = 24) -> int:
-    """Pixels near `color`, opaque ones where the picture, shape [height, width, 3 or 4], knows of that."""
+    """Return the number of opaque pixels near `color` in a picture of shape [height, width, 3 or 4]."""
     near = np.abs(image[..., :3].astype(int) - color).max(axis=-1) <= tolerance
     return int((near & (image[..., -1] > 128)).sum()) if image.shape[-1] == 4 else int(near.sum())
 
 
-def differing(image: Image, other: Image) -> int:
-    """Pixels that are clearly another colour."""
-    return int((np.abs(image[..., :3].astype(int) - other[..., :3]).max(axis=-1) > 30).sum())
+def differing(image: Image, reference: Image) -> int:
+    """Return the number of pixels whose colour clearly differs between two pictures."""
+    return int((np.abs(image[..., :3].astype(int) - reference[..., :3]).max(axis=-1) > 30).sum())
 
 
 def project(points: ArrayLike, position: ArrayLike, look_at: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Pixel (row, column) of world points, for a pinhole camera with z up in a picture of this shape."""
+    """Return the pixels (row, column) of world points, for a pinhole camera with z up and a picture of this shape."""
     position, look_at = np.asarray(position, dtype=np.float64), np.asarray(look_at, dtype=np.float64)
     forward = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(forward, (0.0, 0.0, 1.0))
@@ -39,7 +39,10 @@ def project(points: ArrayLike, position: ArrayLike, look_at: ArrayLike, shape: t
 
 
 def rollouts_drawn(image: Image, plan: Plan, position: ArrayLike, look_at: ArrayLike) -> NDArray[np.float64]:
-    """Share of each rollout's vertices that have its colour in a picture from there, 0 for one that is out of sight."""
+    """Return the share of each rollout's vertices that are drawn in its colour, 0 for a rollout outside the picture.
+
+    The picture is taken from `position` toward `look_at` [m], each of shape [3].
+    """
     colors = palette.colorize(cost_scale(plan), 0.0, 1.0, palette.COST).astype(int)
     colors[int(plan.best)] = palette.CHOSEN
     pixels = [project(path[4:], position, look_at, image.shape) for path in plan.positions]
@@ -47,7 +50,7 @@ def rollouts_drawn(image: Image, plan: Plan, position: ArrayLike, look_at: Array
 
 
 def _share(image: Image, pixels: NDArray[np.int64], color: ArrayLike) -> float:
-    """Share of the pixels with `color` within a step around."""
+    """Return the share of the pixels that have `color` themselves or in a neighbour."""
     height, width = image.shape[:2]
     inside = pixels[(pixels > 1).all(axis=1) & (pixels[:, 0] < height - 2) & (pixels[:, 1] < width - 2)]
     hits = [

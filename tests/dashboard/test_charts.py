@@ -1,4 +1,4 @@
-"""The curves of a flight, without a browser."""
+"""Charts of a flight, without a browser."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def fly(curves: Curves, ticks: int) -> np.ndarray:
     return times
 
 
-def test_who_goes_back_keeps_the_curve_until_the_flight_goes_on_from_there(curves):
+def test_going_back_keeps_the_curve_until_the_flight_continues_from_there(curves):
     flown = fly(curves, 20)
     curves.session.step(-10)
     times, now = curves.look()
@@ -67,7 +67,7 @@ def test_who_goes_back_keeps_the_curve_until_the_flight_goes_on_from_there(curve
     times, now = curves.look()
     np.testing.assert_array_equal(times, flown)
     assert now == flown[4]
-    curves.session.configure({"costs.q_track": 3.0})  # plans this tick anew: nothing else was flown yet
+    curves.session.configure({"costs.q_track": 3.0})  # plans this tick again, without flying on
     times, now = curves.look()
     np.testing.assert_array_equal(times, flown)
     assert now == flown[4]
@@ -84,15 +84,15 @@ def test_a_long_flight_is_drawn_whole_with_few_rows(curves, monkeypatch):
     assert np.diff(times).max() < 0.4 * times[-1]
 
 
-def test_another_source_begins_a_curve_of_its_own(curves):
+def test_another_source_starts_a_new_curve(curves):
     fly(curves, 5)
     curves.restart()
     curves.session.seek(0.0).result()
     times, now = curves.look()
-    assert now == times[0] == 0.0 and len(times) == 2, "an axis that has a length, or the page keeps the old one"
+    assert now == times[0] == 0.0 and len(times) == 2, "the axis needs a length, or the page keeps the previous one"
 
 
-def test_the_clearance_that_is_cut_off_is_told(curves):
+def test_the_chart_says_where_the_clearance_is_cut_off(curves):
     fly(curves, 2)
     assert "≥ 0.55 m" in curves.labels()
     curves.session.configure({"costs.distance_max": 0.8})

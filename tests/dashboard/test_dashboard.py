@@ -1,4 +1,4 @@
-"""What the dashboard does with the frames it gets, without a browser."""
+"""Handling of frames, without a browser."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from aero_viz.dashboard import Dashboard
 from aero_viz.session import Session
 
 
-def test_a_late_frame_of_the_old_source_is_not_taken_for_the_new_ones():
+def test_a_late_frame_belongs_to_its_own_source():
     session = Session(small_source(), config=small_config())
     dashboard = Dashboard(session, port=0)
     old = session.tick()

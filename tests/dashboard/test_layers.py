@@ -1,4 +1,4 @@
-"""What layers send, without a browser: a real server and a real plan."""
+"""Changes that layers send, without a browser but with a real server and a real plan."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_a_layer_follows_a_change_of_structure(server, kind):
 
 
 def solid(**tables: NDArray[np.float64]) -> FlightSource:
-    """A flight at 2 m below the origin toward whatever solids there are."""
+    """A flight 2 m below the origin toward the given solids."""
     world = World("solid", np.array([0.0, 0.0, -2.0]), np.array([12.0, 0.0, -2.0]), **tables)
     return FlightSource(world, lidar=LidarModel("sparse", points_per_sweep=2000))
 
@@ -152,7 +152,7 @@ SOLIDS = {
 }
 
 
-def test_solids_of_every_kind_are_drawn_as_long_as_they_are_there(server):
+def test_solids_of_every_kind_are_drawn_while_the_world_has_them(server):
     layer = ObstacleLayer(server)
 
     def drawn(source: FlightSource) -> dict[str, np.ndarray]:
@@ -175,7 +175,7 @@ def test_solids_of_every_kind_are_drawn_as_long_as_they_are_there(server):
     ],
     ids=["flat ground", "no ground"],
 )
-def test_the_grid_lies_on_flat_ground_and_else_below_what_is_seen(server, tables, low, high):
+def test_the_grid_lies_on_flat_ground_or_below_the_points(server, tables, low, high):
     layer = GroundLayer(server)
     session = Session(solid(**tables))
     layer.on_new_source(session.source)

@@ -39,11 +39,11 @@ def tell(dashboard: Dashboard) -> Callable[..., str]:
     return tell
 
 
-def test_a_flight_that_does_not_keep_up_is_slower_and_loses_nothing(dashboard, tell, monkeypatch):
+def test_a_late_flight_is_reported_as_slow_and_drops_nothing(dashboard, tell, monkeypatch):
     monkeypatch.setattr(status, "_SETTLE_TIME", 0.0)
     session = dashboard._session
     nominal = 1.0 / session.source.period
-    assert "slower" not in tell(rate=nominal / 1.8), "while time stands still nothing is late"
+    assert "slower" not in tell(rate=nominal / 1.8), "nothing is late while time stands still"
     session._set_playing(True)
     assert "1.8 times slower than real time" in tell(rate=nominal / 1.8)
     assert "slower" not in tell(rate=0.95 * nominal)
@@ -51,7 +51,7 @@ def test_a_flight_that_does_not_keep_up_is_slower_and_loses_nothing(dashboard, t
     assert "2.0 times slower than requested" in tell(rate=2.0 * nominal)
 
 
-def test_a_rate_from_before_the_speed_was_changed_is_not_taken_for_a_lag(dashboard, tell, monkeypatch):
+def test_a_rate_from_before_a_change_of_speed_is_not_reported_as_slow(dashboard, tell, monkeypatch):
     monkeypatch.setattr(status, "_SETTLE_TIME", 1e6)
     session = dashboard._session
     session._set_playing(True)
@@ -59,7 +59,7 @@ def test_a_rate_from_before_the_speed_was_changed_is_not_taken_for_a_lag(dashboa
     assert "slower" not in tell(rate=1.0 / session.source.period)
 
 
-def test_ticks_that_are_lost_are_told(tell):
+def test_dropped_ticks_are_reported(tell):
     assert "dropped" not in tell()
     assert "12 ticks dropped" in tell(dropped_ticks=12)
 
@@ -91,11 +91,11 @@ def test_the_legend_has_a_key_for_every_layer_that_is_shown(dashboard, tell, lay
     assert all(word in show([layer]) for word in words)
 
 
-def test_no_layer_is_without_a_case_above(dashboard):
+def test_every_layer_has_a_legend_case(dashboard):
     (mark,) = test_the_legend_has_a_key_for_every_layer_that_is_shown.pytestmark
     assert set(dashboard.layers) == {layer for layer, _ in mark.args[1]} | {"recorded_path"}
 
 
-def test_the_rollouts_scale_says_what_they_are_coloured_by(dashboard, tell):
+def test_the_legend_names_the_quantity_that_colours_the_rollouts(dashboard, tell):
     dashboard.layers["rollouts"].color_by.value = "log cost"
     assert "log cost of" not in tell() and "rollouts: logarithm of the Stage II cost" in tell()

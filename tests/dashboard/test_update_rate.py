@@ -1,4 +1,4 @@
-"""How the rate of updates gives way to planning, without a clock."""
+"""Rate of page updates, without a clock."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def rates(limiter: UpdateRateLimiter, made: float, count: int) -> list[float]:
     return seen
 
 
-def test_an_engine_on_time_is_shown_as_often_as_can_be():
+def test_an_engine_on_time_is_shown_at_the_highest_rate():
     assert rates(UpdateRateLimiter(), 50.0, 10) == [pytest.approx(MAX_RATE)] * 10
 
 
-def test_a_late_engine_is_shown_less_often_but_never_below_the_least():
+def test_a_late_engine_is_shown_less_often_but_never_below_the_lowest_rate():
     limiter = UpdateRateLimiter()
     seen = rates(limiter, 40.0, 100)
     assert seen[0] < MAX_RATE and seen[-1] == pytest.approx(MIN_RATE)
@@ -36,15 +36,15 @@ def test_the_rate_returns_slowly_when_the_engine_has_caught_up():
     assert seen == sorted(seen)
 
 
-def test_a_tick_or_two_per_second_fewer_is_on_time():
+def test_one_or_two_missing_ticks_per_second_count_as_on_time():
     assert rates(UpdateRateLimiter(), 49.0, 1) == [pytest.approx(MAX_RATE)]
 
 
 def test_a_late_update_does_not_delay_those_after_it():
     limiter = UpdateRateLimiter()
     period = 1.0 / MAX_RATE
-    assert limiter.delay(100.0) == 0.0, "nothing is due before the first"
+    assert limiter.delay(100.0) == 0.0, "nothing is due before the first update"
     assert limiter.delay(100.0 + 0.2 * period) == pytest.approx(0.8 * period)
-    assert limiter.delay(100.0 + 1.5 * period) == pytest.approx(0.5 * period), "half a period late, caught up with"
-    assert limiter.delay(100.0 + 9.0 * period) == 0.0, "a long pause is no debt"
+    assert limiter.delay(100.0 + 1.5 * period) == pytest.approx(0.5 * period), "half a period late, then caught up"
+    assert limiter.delay(100.0 + 9.0 * period) == 0.0, "a long pause is not made up for"
     assert limiter.delay(100.0 + 9.1 * period) == pytest.approx(0.9 * period)
