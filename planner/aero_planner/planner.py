@@ -414,9 +414,11 @@ def _checked_ground(height: ArrayLike | None, batch: tuple[int, ...]) -> NDArray
     """Return ground heights [m] as float64 of shape [] or [B], -inf where they are unknown."""
     if height is None:
         return np.full(batch, -np.inf)
-    shape = () if np.ndim(height) == 0 else batch
     array = np.asarray(height)
-    unknown = array == -np.inf if array.dtype.kind == "f" else np.zeros(array.shape, dtype=bool)
+    shape = batch if array.ndim else ()
+    if array.dtype.kind != "f":
+        return _checked("ground_height", height, shape)
+    unknown = array == -np.inf
     return np.where(unknown, -np.inf, _checked("ground_height", np.where(unknown, 0.0, array), shape))
 
 

@@ -20,7 +20,7 @@ def present(library: str) -> bool:
 @pytest.mark.parametrize("points", [1, 2000])
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_libraries_find_the_same_costs(library: str, points: int):
-    """The problem is the same to the last term: with a cloud and with a single point."""
+    """Every library has the same costs, with a cloud and with a single point."""
     if not present(library):
         pytest.skip(f"{library} is not installed: its costs are not compared; see the extra `bench`")
     problem = make_problem(problem_config((5, 3), 8), points)
@@ -37,7 +37,7 @@ def test_the_problem_is_the_planners():
     np.testing.assert_array_equal(problem.guides[:, 0], np.tile(problem.state[:3], (15, 1)))
 
 
-def test_a_missing_library_is_told_and_the_others_run(device: str, capsys: pytest.CaptureFixture[str]):
+def test_a_missing_library_is_reported_and_the_others_run(device: str, capsys: pytest.CaptureFixture[str]):
     assert main(["--points", "2000", "--repeat", "1", "--samples", "16", "--device", device, "--json"]) == 0
     output = capsys.readouterr()
     cases = json.loads(output.out)["cases"]

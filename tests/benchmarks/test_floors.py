@@ -20,14 +20,14 @@ def test_a_product_is_fused_with_its_sum():
     n = Count(LATENCY)
     a, b, c = n.given(3)
     assert (a * b + c).ready == 4 and n.operations == 2
-    # The other product has to be there first.
+    # The other product has to be available first.
     assert (a * b + b * c).ready == 8 and n.operations == 5
     assert ((a + b) * c).ready == 8
     assert (a * 2.0 - 1.0).special().ready == 24
     assert n.cycles == 24
 
 
-def test_a_chain_is_as_long_as_its_longest_way():
+def test_the_latency_is_that_of_the_longest_chain():
     n = Count(LATENCY)
     x, y = n.given(2)
     for _ in range(10):
@@ -42,8 +42,8 @@ def test_steps_follow_each_other(count):
     assert twenty.operations - ten.operations == pytest.approx(10 * (ten.operations - one.operations) / 9, rel=0.1)
 
 
-def test_a_step_is_what_its_equations_say():
-    """Normalising the attitude waits for its rate: product and four fused sums, twice, a root, a product."""
+def test_the_latency_of_a_step_follows_from_its_equations():
+    """The normalised attitude depends on its rate: a product and four fused sums, twice, a root and a product."""
     step = rollout(LATENCY, 11, noisy=False).cycles - rollout(LATENCY, 10, noisy=False).cycles
     assert 40 <= step <= 60
     # Three stages of 4 x 5 (rate) + 4 x 2 and four of 9 (axis) alone.
@@ -91,7 +91,7 @@ def test_another_processor_has_floors_only(capsys: pytest.CaptureFixture[str]):
     assert "3.35 TB/s" in capsys.readouterr().out
 
 
-def test_a_reader_that_leaves_early_is_no_error():
+def test_a_closed_pipe_is_no_error():
     reading, writing = os.pipe()
     os.close(reading)
     with open(writing, "w") as broken:

@@ -1,4 +1,4 @@
-"""The planner's results against those of the naive reference, stage by stage and as a whole."""
+"""Compare the planner with the naive reference, stage by stage and as a whole."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EDGE = 3e-5
 def both(
     device: str, case: Case, preset: str = "default", *, plans: int = 2, **changes: Value
 ) -> tuple[PlannerConfig, Plan, Arrays]:
-    """The `plans`-th plan of both, from the same history: the second goes on from a previous one."""
+    """Return the `plans`-th plan of both, from the same history; the second one has a previous plan."""
     config = config_of(preset, **changes)
     planner = Planner(config, device=device, seed=7)
     naive = NaivePlanner(planner)
@@ -39,7 +39,7 @@ def both(
 
 
 def untouched(plan: Plan, config: PlannerConfig) -> NDArray[np.bool_]:
-    """Which instances hold their own result, not a braking sequence put in its place."""
+    """Return the instances that no braking candidate has replaced, as a mask."""
     kept = np.array(plan.kinds) == np.array(config.kinds)
     if plan.status != PlanStatus.OK:
         kept[plan.best] = False
@@ -47,11 +47,11 @@ def untouched(plan: Plan, config: PlannerConfig) -> NDArray[np.bool_]:
 
 
 def off_the_edges(naive: Arrays, config: PlannerConfig) -> NDArray[np.bool_]:
-    """Samples [M, K] without a state that rounding may move over a step of the penalties."""
+    """Return the samples [M, K] without a state that rounding may move across a step of the penalties, as a mask."""
     c, N, d = config.costs, config.sampling.steps, naive["sample_distance"]
 
     def at(edge: float, d: NDArray[Any]) -> NDArray[np.bool_]:
-        # What is cut at the edge itself is beyond it.
+        # A distance that is truncated at the edge lies beyond it.
         return np.any((np.abs(d - edge) < EDGE) & (d != np.float32(edge)), axis=-1)
 
     touching = at(c.distance_min, d[..., :N]) | at(c.distance_max, d[..., :N])
@@ -127,8 +127,8 @@ def test_points_that_are_far_or_not_finite(device: str):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_rollouts_that_leave_the_known_space(device: str, seed: int):
-    """Positions beyond range_max, some of them within d_max of a point at its rim."""
+def test_rollouts_that_leave_the_grid(device: str, seed: int):
+    """Some positions beyond range_max are within d_max of a point at the rim."""
     case = random_case(seed + 30, count=4000, nearest=0.8, speed=8.0)
     config, plan, naive = both(device, case, partition__range_max=2.0, costs__distance_max=0.9)
     check_all(config, plan, naive)
@@ -142,7 +142,7 @@ def test_samples_that_fill_no_vector(device: str, samples: int):
 
 
 def test_many_points(device: str):
-    """So many that most lie close to a border of their cell."""
+    """There are so many points that most lie close to a border of their cell."""
     _, plan, naive = both(device, random_case(5, count=200_000), plans=1)
     check_partition(plan, naive)
     assert naive["count"][0] > 5000
@@ -199,7 +199,7 @@ def test_batch_of_two(device: str):
 @pytest.mark.parametrize("preset", ["default", "paper"])
 @pytest.mark.parametrize("seed", range(3))
 def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
-    """Not within a tolerance of flight: the same positions give the same distances, to a rounding of the square."""
+    """The same positions have the same clearance, up to the rounding of the squared distance."""
     config, case = config_of(preset), random_case(seed, count=1500, nearest=0.3)
     planner = Planner(config, device=device)
     naive = NaivePlanner(planner)
@@ -224,7 +224,7 @@ def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
 @pytest.mark.parametrize("preset", ["default", "paper"])
 @pytest.mark.parametrize("seed", range(3))
 def test_update_from_the_same_costs(device: str, preset: str, seed: int):
-    """The softmin turns a rounding of a large cost into a different weight, so both sides weigh the planner's."""
+    """The softmin turns a rounding error of a large cost into another weight, so both use the planner's costs."""
     config, case = config_of(preset, sampling__samples=64), random_case(seed, nearest=1.0, count=400)
     planner = Planner(config, device=device)
     naive = NaivePlanner(planner)

@@ -11,7 +11,7 @@ from aero_planner.config import Value
 from tests.planner.reference import Array, rotation, unit
 
 SMALL: dict[str, Value] = {"sampling.samples": 16}
-"""Few samples keep tests fast; nothing but the statistics depends on K."""
+"""Few samples keep tests fast; only statistics depend on K."""
 
 PLAN_ARRAYS = [
     "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
@@ -21,7 +21,7 @@ PLAN_ARRAYS = [
 
 
 def config_of(preset: str = "default", **changes: Value) -> PlannerConfig:
-    """A preset with few samples and `changes`, whose names carry "__" for the dot."""
+    """Return a preset with few samples and `changes`, whose names carry "__" for the dot."""
     return PlannerConfig.preset(preset).replace(SMALL | {k.replace("__", "."): v for k, v in changes.items()})
 
 
@@ -41,14 +41,14 @@ class Case:
         return VehicleState(self.position, self.velocity, self.quaternion, self.acceleration)
 
     def beside(self, x: float, y: float, z: float) -> Array:
-        """A place x forward, y left, z up in the world, seen from the drone."""
+        """Return the position x forward, y left, z up in the world, relative to the drone."""
         return exact(self.position + np.array([x, y, z]))
 
     def plan(self, planner: Planner, **options: object):
         return planner.plan(self.state, Goal(self.goal), self.points, **options)  # type: ignore[arg-type]
 
     def full_goal(self) -> tuple[Array, Array, Array]:
-        """p_goal, v_goal, q_goal as `Goal` derives them: stop there, level, the nose toward the goal."""
+        """Return p_goal, v_goal, q_goal as `Goal` derives them: stop there, level, the nose toward the goal."""
         x, y, _ = self.goal - self.position
         forward = rotation(unit(self.quaternion))[:, 0]
         yaw = np.arctan2(y, x) if np.hypot(x, y) > 0.5 else np.arctan2(forward[1], forward[0])
@@ -56,7 +56,7 @@ class Case:
 
 
 def kept_points(plan: Plan) -> Array:
-    """Filtered cloud of a single drone's plan."""
+    """Return the filtered cloud of a single drone's plan."""
     assert isinstance(plan.filtered_points, np.ndarray)
     return plan.filtered_points
 
@@ -74,7 +74,7 @@ def exact(values: object) -> Array:
 
 
 def random_quaternion(rng: np.random.Generator, tilt: float = 0.7) -> Array:
-    """Any heading, tilted by up to `tilt` [rad] about a random horizontal axis."""
+    """Return an attitude of any heading, tilted by up to `tilt` [rad] about a random horizontal axis."""
     yaw, angle, axis = rng.uniform(-np.pi, np.pi), rng.uniform(0, tilt), rng.uniform(-np.pi, np.pi)
     heading = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
     s = np.sin(angle / 2)
@@ -84,7 +84,7 @@ def random_quaternion(rng: np.random.Generator, tilt: float = 0.7) -> Array:
 
 
 def random_cloud(rng: np.random.Generator, position: Array, count: int = 2000, nearest: float = 0.6) -> np.ndarray:
-    """Points from `nearest` to 13 m around the drone, some of them in clumps."""
+    """Return points from `nearest` to 13 m around the drone, some of them in clumps."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     clump = rng.normal(size=(12, 3)) * [4, 4, 2]
@@ -109,7 +109,7 @@ def random_case(seed: int, *, count: int = 2000, nearest: float = 0.6, speed: fl
 
 
 def shell(position: Array, radius: float, count: int = 20000) -> np.ndarray:
-    """Points spread evenly on a sphere around the drone."""
+    """Return points spread evenly on a sphere around the drone."""
     i = np.arange(count) + 0.5
     z, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     ring = np.sqrt(1 - z * z)

@@ -1,4 +1,4 @@
-"""The paper in float64 NumPy, written from its equations: slow, short and independent of the kernels."""
+"""The equations of the paper in float64 NumPy, independent of the kernels."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Array = NDArray[Any]
 
 
 def quat_multiply(a: Array, b: Array) -> Array:
-    """Hamilton product."""
+    """Return the Hamilton product."""
     w, x, y, z = a
     return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]) @ b
 
 
 def rotation(q: Array) -> Array:
-    """R(q), the matrix of a unit quaternion; also evaluated as it stands within RK4, where |q| strays from 1."""
+    """Return R(q), the matrix of a unit quaternion; also evaluated as it stands within RK4, where |q| strays from 1."""
     w, x, y, z = q
     return np.array(
         [
@@ -42,7 +42,7 @@ def unit(v: Array) -> Array:
 
 
 def cell_indices(directions: Array, rows: int, columns: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Row and column of each direction, and its distance to the nearest border in cells."""
+    """Return row and column of each direction, and its distance to the nearest border in cells."""
     azimuth = np.arctan2(directions[..., 1], directions[..., 0])
     elevation = np.arcsin(np.clip(directions[..., 2] / np.linalg.norm(directions, axis=-1), -1.0, 1.0))
     row, column = (elevation / np.pi + 0.5) * rows, (azimuth / (2 * np.pi) + 0.5) * columns
@@ -51,7 +51,7 @@ def cell_indices(directions: Array, rows: int, columns: int) -> tuple[NDArray[np
 
 
 def cell_centers(rows: int, columns: int) -> Array:
-    """Unit directions of the cells' centres, shape [rows, columns, 3]."""
+    """Return the unit directions of the centres of the cells, shape [rows, columns, 3]."""
     elevation = np.radians(-90 + (np.arange(rows) + 0.5) * 180 / rows)[:, None]
     azimuth = np.radians(-180 + (np.arange(columns) + 0.5) * 360 / columns)[None]
     return np.stack(
@@ -62,7 +62,7 @@ def cell_centers(rows: int, columns: int) -> Array:
 def partition(
     points: Array, position: Array, quaternion: Array, *, range_max: float, range_min: float, rows: int, columns: int
 ) -> tuple[Array, NDArray[np.intp]]:
-    """r_ij and the index of the nearest point of each cell (-1 where empty), both of shape [rows, columns]."""
+    """Return r_ij and the index of the nearest point of each cell (-1 where empty), both of shape [rows, columns]."""
     fine, nearest = np.full((rows, columns), range_max), np.full((rows, columns), -1)
     with np.errstate(over="ignore", invalid="ignore"):
         offsets = points - position
@@ -76,7 +76,7 @@ def partition(
 
 
 def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Array]:
-    """Maximum range of a coarse cell and the directions, shape [n, 3], of the fine cells that share it."""
+    """Return the maximum range of a coarse cell and the directions, shape [n, 3], of the fine cells that share it."""
     block = np.s_[row * pool : (row + 1) * pool, column * pool : (column + 1) * pool]
     ranges, directions = fine[block], cell_centers(*fine.shape)[block]
     return float(ranges.max()), directions[ranges == ranges.max()]
@@ -86,14 +86,14 @@ def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Ar
 
 
 def lookahead(speed: float, goal_distance: float, config: PlannerConfig) -> float:
-    """l; the options tie it to the speed: min(l, l_rest + 0.6 T v), and never beyond 0.6 T v_limit or the goal."""
+    """Return l; with the options min(l, l_rest + 0.6 T v), and at most 0.6 T v_limit and the distance to the goal."""
     steady, a = 0.6 * config.horizon, config.anchors
     at_speed = a.lookahead_rest + steady * speed if a.lookahead_rest < a.lookahead else np.inf
     return min(a.lookahead, at_speed, steady * config.vehicle.speed_limit, goal_distance)
 
 
 def anchor_directions(position: Array, velocity: Array, goal: Array, config: PlannerConfig) -> Array:
-    """World directions of the initial endpoints, shape [M_h M_v, 3]; columns run fastest."""
+    """Return the world directions of the initial endpoints, shape [M_h M_v, 3]; columns run fastest."""
     a, (x, y, z) = config.anchors, goal - position
     spacing = np.radians(a.spacing) * (a.slow_spread if np.linalg.norm(velocity) < a.slow_speed else 1.0)
     azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing
@@ -105,7 +105,7 @@ def anchor_directions(position: Array, velocity: Array, goal: Array, config: Pla
 
 
 def quintic(p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, T: float) -> Array:
-    """Coefficients a_0 .. a_5, shape [3, 6], by solving the six boundary conditions with a1 = 0."""
+    """Return the coefficients a_0 .. a_5, shape [3, 6], by solving the six boundary conditions with a1 = 0."""
     conditions = [[1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 2, 0, 0, 0], [T**k for k in range(6)]]
     conditions += [[k * T ** max(k - 1, 0) for k in range(6)], [k * (k - 1) * T ** max(k - 2, 0) for k in range(6)]]
     boundary = np.array([p0, v0, a0, p1, v1, np.zeros(3)])
@@ -113,7 +113,7 @@ def quintic(p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, T: float) -> 
 
 
 def sample_guide(coefficients: Array, times: Array) -> Array:
-    """Positions at `times`, shape [n, 3]."""
+    """Return the positions at `times`, shape [n, 3]."""
     return (coefficients @ times[None, :] ** np.arange(6)[:, None]).T
 
 
@@ -121,14 +121,14 @@ def sample_guide(coefficients: Array, times: Array) -> Array:
 
 
 def derivative(x: Array, u: Array, config: PlannerConfig) -> Array:
-    """dx/dt of x = [p, q, v] under u = (F_t, omega)."""
+    """Return dx/dt of x = [p, q, v] under u = (F_t, omega)."""
     q, v = x[3:7], x[7:]
     dv = rotation(q)[:, 2] * u[0] / config.vehicle.mass - [0, 0, config.vehicle.gravity]
     return np.concatenate((v, 0.5 * quat_multiply(q, np.concatenate(([0.0], u[1:]))), dv))
 
 
 def rk4(x: Array, u: Array, config: PlannerConfig) -> Array:
-    """One step of dt, with q renormalised."""
+    """Return the state after dt, with q renormalised."""
     h = config.sampling.dt
     k1 = derivative(x, u, config)
     k2 = derivative(x + h / 2 * k1, u, config)
@@ -141,7 +141,7 @@ def rk4(x: Array, u: Array, config: PlannerConfig) -> Array:
 
 @dataclass
 class Rollout:
-    """States after each control: p [N, 3], q [N, 4], v [N, 3]."""
+    """Return the states after each control: p [N, 3], q [N, 4], v [N, 3]."""
 
     p: Array
     q: Array
@@ -161,7 +161,7 @@ def roll_out(position: Array, quaternion: Array, velocity: Array, controls: Arra
 
 
 def clearance(positions: Array, points: Array, limit: float) -> Array:
-    """Distance of each position, shape [n, 3], to the nearest point, at most `limit`."""
+    """Return the distance of each position, shape [n, 3], to the nearest point, at most `limit`."""
     if len(points) == 0:
         return np.full(len(positions), limit)
     distance = np.linalg.norm(positions[:, None] - points[None].astype(np.float64), axis=2).min(axis=1)
@@ -177,7 +177,7 @@ def J_vnorm(v: Array, config: PlannerConfig) -> float:
 
 
 def J_ctrl(u: Array, config: PlannerConfig) -> float:
-    """Q_c |u_t|^2 over t = 0..N-2 and Q_cd |u_t - u_{t-1}|^2 over t = 1..N-2: the last control is free."""
+    """Return Q_c |u_t|^2 over t = 0..N-2 and Q_cd |u_t - u_{t-1}|^2 over t = 1..N-2: the last control is free."""
     change = u[1:-1] - u[:-2]
     return config.costs.q_control * (u[:-1] ** 2).sum() + config.costs.q_control_rate * (change**2).sum()
 
@@ -206,37 +206,37 @@ def J_speed(v: Array, config: PlannerConfig) -> float:
 
 
 def turning_point(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:
-    """Where the way of an anchor's instance turns to the goal; the goal itself where it does so at once."""
+    """Return the waypoint of an anchor; it is the goal if the path leads straight there."""
     ahead = config.costs.waypoint_distance
     if not reach < ahead < np.linalg.norm(goal - p0):
         return goal
     return p0 + ahead * (anchor - p0) / np.linalg.norm(anchor - p0)
 
 
-def probes(p: Array, turn: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
-    """Middles of `count` pieces of the way from p by the turning point to the goal, and the length of that way."""
-    corners = np.array([p, turn, goal])
+def probes(p: Array, waypoint: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
+    """Return the centres of `count` segments of the path from p by the waypoint to the goal, and its length."""
+    corners = np.array([p, waypoint, goal])
     lengths = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))))
     length = min(config.costs.blocked_range, lengths[-1])
     places = (np.arange(count) + 0.5) / count * length
     return np.stack([np.interp(places, lengths, corners[:, axis]) for axis in range(3)], axis=1), length
 
 
-def J_blocked(p: Array, turn: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
-    """Cost-to-go: q_blocked times the blocked metres on the way from the last state to the goal."""
+def J_blocked(p: Array, waypoint: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
+    """Return the cost-to-go: q_blocked times the blocked length of the path from the final state to the goal."""
     if config.costs.q_blocked == 0.0:
         return 0.0
     radius = config.costs.blocked_radius
-    places, length = probes(p, turn, goal, config)
+    places, length = probes(p, waypoint, goal, config)
     return config.costs.q_blocked * length * float((clearance(places, points, 2 * radius + 1) < radius).mean())
 
 
 def S2(
-    x: Rollout, turn: Array, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig
+    x: Rollout, waypoint: Array, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig
 ) -> float:
-    """J_goal + J_col and the options' terms; `turn` is where the way turns to the goal."""
+    """Return J_goal + J_col and the terms of the options."""
     d = clearance(x.p, points, config.costs.distance_max)
-    options = J_speed(x.v, config) + J_blocked(x.p[-1], turn, p_goal, points, config)
+    options = J_speed(x.v, config) + J_blocked(x.p[-1], waypoint, p_goal, points, config)
     return J_goal(x, p_goal, v_goal, q_goal, config) + J_col(d, config) + options
 
 
@@ -244,17 +244,17 @@ def S1(
     x: Rollout,
     u: Array,
     guide: Array | None,
-    turn: Array,
+    waypoint: Array,
     goal: tuple[Array, Array, Array],
     points: Array,
     config: PlannerConfig,
 ) -> float:
-    """J_track + J_vnorm + J_ctrl + S2; no guide, no J_track."""
+    """Return J_track + J_vnorm + J_ctrl + S2, without J_track if there is no guide."""
     track = 0.0 if guide is None else J_track(x.p, guide, config)
-    return track + J_vnorm(x.v, config) + J_ctrl(u, config) + S2(x, turn, *goal, points, config)
+    return track + J_vnorm(x.v, config) + J_ctrl(u, config) + S2(x, waypoint, *goal, points, config)
 
 
 def softmin(S: Array, temperature: float) -> Array:
-    """Weights exp(-(S - min S) / lambda) / sum along the last axis."""
+    """Return the weights exp(-(S - min S) / lambda) / sum along the last axis."""
     w = np.exp(-(S - S.min(axis=-1, keepdims=True)) / temperature)
     return w / w.sum(axis=-1, keepdims=True)

@@ -89,6 +89,12 @@ def test_bad_cloud_ages(planner: Planner, age: object):
         planner.plan(VehicleState(**STATE), Goal((5, 0, 0)), CLOUD, cloud_age=age)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("ground", [np.nan, np.inf, 2e6, "high", [1.0, 2.0]])
+def test_bad_ground_heights(planner: Planner, ground: object):
+    with pytest.raises(ValueError, match="ground_height"):
+        planner.plan(VehicleState(**STATE), Goal((5, 0, 0)), CLOUD, ground_height=ground)  # type: ignore[arg-type]
+
+
 def test_batches_have_a_leading_axis(trio: Planner):
     state = VehicleState(np.zeros((3, 3)), np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
     goal = Goal(np.ones((3, 3)))

@@ -10,7 +10,7 @@ from tests.planner.cases import PLAN_ARRAYS, Case, assert_same, config_of, kept_
 
 
 def assert_consistent(plan: Plan, case: Case, config: PlannerConfig) -> None:
-    """The chosen instance's arrays follow from its controls and its guide."""
+    """Assert that the arrays of the best instance follow from its controls and its guide."""
     m = plan.best
     x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[m], config)
     np.testing.assert_allclose(plan.positions[m, 1:], x.p, atol=1e-4)
@@ -56,7 +56,7 @@ def test_open_space_leads_to_the_goal(device: str):
 @pytest.mark.parametrize("preset", ["default", "paper"])
 @pytest.mark.parametrize("seed", range(3))
 def test_without_a_safe_candidate_the_drone_brakes(device: str, preset: str, seed: int):
-    """Inside a shell that its speed makes hard to stay clear of, the drone flies the braking sequence."""
+    """Inside a shell of points and too fast to stay clear of it, the drone flies the braking sequence."""
     config, case = config_of(preset), random_case(seed, tilt=0.3)
     case.velocity, case.acceleration = case.velocity / np.linalg.norm(case.velocity) * 5.0, np.zeros(3)
     case.points = shell(case.position, 0.7)
@@ -94,13 +94,13 @@ def test_a_drone_near_an_obstacle_may_fly_away_from_it(device: str):
     plan = case.plan(Planner(config, device=device))
     assert plan.status == PlanStatus.OK
     assert plan.positions[plan.best, -1, 0] > case.position[0] + 0.5
-    # Toward the wall there is no safe way.
+    # Toward the wall there is no safe candidate.
     case.velocity = np.array([-3.0, 0.0, 0.0])
     assert case.plan(Planner(config, device=device)).status == PlanStatus.NO_SAFE_CANDIDATE
 
 
-def test_safe_clearance_is_a_limit_and_no_less(device: str):
-    """A candidate is chosen up to its own clearance, and no more a centimetre beyond."""
+def test_safe_clearance_is_the_exact_limit(device: str):
+    """A candidate is selected up to its own clearance, and not one centimetre beyond."""
     config = config_of("paper", candidates__safe_clearance=0.0)
     planner, checked = Planner(config, device=device), 0
     for seed in range(8):
@@ -131,12 +131,12 @@ def test_same_seed_same_plans(device: str, preset: str):
 
 
 @pytest.mark.parametrize("seed", [-1, 2**31, 10**30])
-def test_a_seed_may_be_any_whole_number(device: str, seed: int):
+def test_a_seed_may_be_any_integer(device: str, seed: int):
     a, b = (Planner(device=device, seed=each) for each in (seed, seed % 2**32))
     assert_same(random_case(0).plan(a), random_case(0).plan(b))
 
 
-def test_the_paper_carries_nothing_from_plan_to_plan(device: str):
+def test_the_paper_preset_carries_nothing_from_plan_to_plan(device: str):
     planner = Planner(config_of("paper"), device=device)
     first = random_case(0).plan(planner)
     random_case(1).plan(planner)
@@ -153,7 +153,7 @@ def test_threads_do_not_change_the_plan(device: str):
             assert_same(one, other)
 
 
-def test_a_batch_is_so_many_single_planners(device: str):
+def test_a_batch_equals_single_planners(device: str):
     config, cases = config_of(), [random_case(seed, count=400 * seed) for seed in range(3)]
     batch = Planner(config, device=device, seed=5, batch=3)
     singles = [Planner(config, device=device, seed=5 + b) for b in range(3)]
@@ -223,14 +223,14 @@ def test_history_repeats_a_plan(device: str):
     other = Planner(config_of(), device=device, seed=2)
     other.restore(history)
     assert_same(first, random_case(2).plan(other))
-    # A history of another structure is as good as none.
+    # A history of another structure resets the planner.
     short = config_of(sampling__steps=10)
     restored, fresh = Planner(short, device=device), Planner(short, device=device)
     restored.restore(history)
     assert_same(random_case(0).plan(restored), random_case(0).plan(fresh))
 
 
-def test_reset_forgets(device: str):
+def test_reset_discards_the_previous_plan(device: str):
     planner = Planner(config_of(), device=device)
     first = random_case(0).plan(planner)
     random_case(1).plan(planner)
@@ -280,7 +280,7 @@ def test_launch_plans_from_device_arrays(device: str):
 
 
 def test_a_read_only_cloud_is_copied_once(device: str):
-    """And again after anything else was in its place."""
+    """It is copied again after the cloud on the device has changed."""
     case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
     fresh = case.plan(planner)
     case.points.flags.writeable = False

@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig
+from aero_planner.array_memory import allocate
+from aero_planner.arrays import Sizes
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import World
@@ -203,15 +206,13 @@ def test_a_structure_that_fails_leaves_the_last_good_one(session: Session, monke
     run(session, 3)
     session.configure({"costs.q_track": 9.0})
     good = session.config
-    planner = session._engine._planner
-    build = planner._build
 
-    def out_of_memory() -> None:
-        if planner.config.sampling.samples > 1000:
+    def out_of_memory(kind: type, sizes: Sizes, device: wp.Device) -> object:
+        if sizes.K > 1000:
             raise MemoryError("no room")
-        build()
+        return allocate(kind, sizes, device)
 
-    monkeypatch.setattr(planner, "_build", out_of_memory)
+    monkeypatch.setattr("aero_planner.planner.allocate", out_of_memory)
     session.configure({"sampling.samples": 2000})
     assert session.config == good
     assert run(session, 2)[-1].plan.stage1_cost.shape == (17, 16)

@@ -78,7 +78,7 @@ def test_lookahead(device: str, speed: float, distance: float, changes: dict[str
         np.testing.assert_allclose(reached, expected, atol=2e-5)
 
 
-def test_slow_drones_look_wider(device: str):
+def test_slow_drones_use_a_wider_spacing(device: str):
     planner = Planner(config_of(anchors__slow_spread=2.0, anchors__slow_speed=3.0), device=device)
 
     def width(speed: float) -> float:
@@ -92,7 +92,7 @@ def test_slow_drones_look_wider(device: str):
     assert width(3.1) == pytest.approx(18.0, abs=0.01)
 
 
-def test_a_goal_at_the_drone_keeps_everything_there(device: str):
+def test_a_goal_at_the_drone_holds_its_position(device: str):
     case = random_case(3, speed=0.0, count=0, tilt=0.0)
     case.goal = case.position
     case.acceleration = np.zeros(3)

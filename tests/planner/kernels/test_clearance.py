@@ -57,11 +57,11 @@ _PLANNERS: dict[str, Planner] = {}
     blocked_radius=st.floats(0.0, 5.0),
     speed=st.floats(0.0, 30.0),
 )
-def test_clearance_is_exact_whatever_the_grid(
+def test_clearance_is_exact_for_any_grid(
     device: str, seed: int, range_max: float, distance_max: float, safe_clearance: float, blocked_radius: float,
     speed: float,
 ):  # fmt: skip
-    """Cells as wide as range or radius demands; rollouts that leave the grid."""
+    """Vary the width of the cells, and let rollouts leave the grid."""
     config = config_of(
         partition__range_max=range_max, costs__distance_max=distance_max, costs__distance_min=0.05,
         candidates__safe_clearance=safe_clearance, costs__blocked_radius=blocked_radius, sampling__samples=8,
@@ -73,7 +73,7 @@ def test_clearance_is_exact_whatever_the_grid(
 
 
 def test_points_on_the_rim_of_the_grid(device: str):
-    """At exactly range_max along the axes, seen from positions on both sides of the grid's last cells."""
+    """Points at exactly range_max along the axes, queried from both sides of the last cells of the grid."""
     config = config_of("paper", partition__range_max=2.0)
     case = random_case(0, count=0)
     case.position, case.quaternion, case.velocity = np.zeros(3), np.array([1.0, 0, 0, 0]), np.array([3.0, 0, 0])
@@ -88,7 +88,7 @@ def test_points_on_the_rim_of_the_grid(device: str):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_ground_counts_as_an_obstacle(device: str, seed: int):
-    """Also where there is no point, and beyond the grid."""
+    """The ground also counts where there is no point, and beyond the grid."""
     case = random_case(seed, count=300 * seed, nearest=0.5)
     ground = float(case.position[2]) - 0.2
     config = config_of(candidates__prefer_safe=False)
@@ -128,7 +128,7 @@ def test_each_drone_of_a_batch_has_its_own_ground(device: str):
 
 
 def test_nothing_dives_to_unseen_ground(device: str):
-    """A goal ahead and 2 m below: without the ground the plan leads there, with it the drone keeps off."""
+    """For a goal ahead and 2 m below, the plan leads there only if the ground is unknown."""
     case = random_case(0, count=0, tilt=0.0)
     case.velocity, case.acceleration, case.goal = np.array([3.0, 0, -2.0]), np.zeros(3), case.beside(6, 0, -2.0)
     lowest = []

@@ -60,7 +60,7 @@ def test_collision_cost_over_distance(device: str, preset: str):
 
 
 def test_exponential_edges(device: str):
-    """The full C below and at d_min, C exp(-3) just below d_max, nothing at d_max."""
+    """The cost is C up to d_min, C exp(-3) just below d_max, and zero at d_max."""
     config = PlannerConfig.preset("paper")
     d_min, d_max = np.float32(0.4), np.float32(1.0)
     edges = [0.0, np.nextafter(d_min, np.float32(0)), d_min, np.nextafter(d_max, np.float32(0)), d_max, 5.0]
@@ -69,7 +69,7 @@ def test_exponential_edges(device: str):
 
 
 def test_quadratic_edges(device: str):
-    """The full C below d_min, the soft weight at d_min, a quarter of it half way, nothing from d_max on."""
+    """The cost is C just below d_min, the soft weight at d_min, a quarter of it half way, and zero from d_max on."""
     config = PlannerConfig()
     d_min, d_max = np.float32(0.28), np.float32(0.55)
     edges = [0.0, np.nextafter(d_min, np.float32(0)), d_min, (d_min + d_max) / 2, d_max, 5.0]

@@ -11,7 +11,7 @@ SEEDS = range(4)
 
 
 def nominal(planner: Planner) -> np.ndarray:
-    """Nominal controls of the last plan, shape [M, N, 4]."""
+    """Return the nominal controls of the last plan, shape [M, N, 4]."""
     return planner.workspace.nominal_controls.numpy()[0, : len(planner.config.kinds)]
 
 
@@ -51,7 +51,7 @@ def test_guides_that_reach_the_goal_take_its_velocity(device: str):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nominal_controls_fly_along_gentle_guides(device: str, seed: int):
-    """From a state that fits the guide, differential flatness reproduces it up to the steps of dt."""
+    """From a state that fits the guide, the controls reproduce the guide up to the discretisation."""
     config = config_of("paper", anchors__lookahead=0.8, anchors__lookahead_rest=0.8)
     case = random_case(seed, speed=0.0, tilt=0.0, count=0)
     case.velocity, case.acceleration = exact(np.random.default_rng(seed).normal(size=3) * 0.2), np.zeros(3)
@@ -64,8 +64,8 @@ def test_nominal_controls_fly_along_gentle_guides(device: str, seed: int):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_nominal_controls_take_up_a_tilted_start(device: str, seed: int):
-    """Tilted by up to 40 deg against the guide, the nominal still recovers within the horizon."""
+def test_nominal_controls_correct_a_tilted_start(device: str, seed: int):
+    """With an initial tilt of up to 40 deg against the guide, they recover within the horizon."""
     config = config_of("paper", anchors__lookahead=1.5, anchors__lookahead_rest=1.5)
     case = random_case(seed, speed=0.0)
     case.velocity, case.acceleration = np.zeros(3), np.zeros(3)
@@ -119,7 +119,7 @@ def test_brake_guide_ends_at_rest_within_its_reach(device: str, reach: float):
 
 
 def shifted(controls: np.ndarray, shift: float, hover: np.ndarray) -> np.ndarray:
-    """Controls from `shift` steps on, interpolated; hovering past their end."""
+    """Return the controls from `shift` time steps on, interpolated, and hover past their end."""
     padded = np.concatenate((controls, np.tile(hover, (len(controls) + 2, 1))))
     times = np.arange(len(controls)) + shift
     return np.stack([np.interp(times, np.arange(len(padded)), padded[:, i]) for i in range(4)], axis=1)
@@ -158,9 +158,7 @@ def test_states_without_time_are_one_replan_period_apart(device: str):
 @pytest.mark.parametrize(
     ("speed", "ahead", "distance"), [(0.3, 3.0, 12.0), (0.3, 0.0, 12.0), (0.3, 3.0, 2.9), (6.0, 3.0, 12.0)]
 )
-def test_ways_keep_their_direction_until_they_turn_to_the_goal(
-    device: str, speed: float, ahead: float, distance: float
-):
+def test_waypoints_lie_on_the_line_to_the_anchor(device: str, speed: float, ahead: float, distance: float):
     config, case = config_of(costs__waypoint_distance=ahead), random_case(0, speed=speed)
     case.goal = case.beside(distance, 0, 0)
     planner = Planner(config, device=device)
@@ -175,7 +173,7 @@ def test_ways_keep_their_direction_until_they_turn_to_the_goal(
     assert np.array_equal(turns[0], case.goal) == (speed > 1.0 or not ahead or distance < ahead)
 
 
-def test_the_previous_plan_keeps_its_way_until_it_is_near(device: str):
+def test_the_previous_plan_keeps_its_waypoint_until_it_is_near(device: str):
     config, case = config_of(), random_case(0, nearest=4.0, speed=0.3)
     planner = Planner(config, device=device)
     first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
@@ -190,7 +188,7 @@ def test_the_previous_plan_keeps_its_way_until_it_is_near(device: str):
 
 @pytest.mark.parametrize("elapsed", [-0.1, 1.25, 100.0])
 def test_a_previous_plan_of_another_time_is_not_used(device: str, elapsed: float):
-    """Then the candidate is a guide toward the goal, like the first one."""
+    """The candidate is then a guide toward the goal, as in the first plan."""
     case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
     first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
     before = nominal(planner).copy()

@@ -11,7 +11,7 @@ from tests.planner.cases import Case, config_of, kept_points, random_case
 
 
 def sampled_controls(planner: Planner, plan: Plan) -> np.ndarray:
-    """Controls of every sample, shape [M, N, K, 4]."""
+    """Return the controls of every sample, shape [M, N, K, 4]."""
     return planner.workspace.sample_controls.numpy()[..., : plan.stage1_cost.shape[1]].swapaxes(2, 3)
 
 
@@ -21,7 +21,7 @@ def turning_points(planner: Planner) -> np.ndarray:
 
 
 def on_an_edge(x: reference.Rollout, turn: np.ndarray, case: Case, plan: Plan, config: PlannerConfig) -> bool:
-    """Whether float32 may put a position of this rollout on the other side of a step of the penalties.
+    """Return True if float32 may put a position of this rollout on the other side of a step of the penalties.
 
     Rollouts agree to 1e-4 m (see test_dynamics).
     """
@@ -116,7 +116,7 @@ def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, s
 
 
 def test_weights_spread_with_the_temperature(device: str):
-    """So hot that every sample counts the same, the update is the mean of the samples."""
+    """At a very high temperature all samples count the same, and the update is their mean."""
     config = config_of("paper", sampling__temperature=1000.0, sampling__samples=64, **ONLY_CONTROLS)
     planner = Planner(config.replace({"costs.q_control": 0.0, "costs.q_control_rate": 0.0}), device=device)
     plan = random_case(0, count=0).plan(planner)
@@ -124,14 +124,14 @@ def test_weights_spread_with_the_temperature(device: str):
 
 
 def noise_of(planner: Planner, case: Case) -> np.ndarray:
-    """Noise of every sample, shape [M, K, N, 4], where no limit clips it."""
+    """Return the noise of every sample, shape [M, K, N, 4]; no limit may clip it."""
     plan = case.plan(planner)
     nominal = planner.workspace.nominal_controls.numpy()[0, : len(plan.kinds)]
     return (sampled_controls(planner, plan) - nominal[:, :, None]).transpose(0, 2, 1, 3)
 
 
 def noisy_config(**changes: Any) -> PlannerConfig:
-    """Hovering nominal and limits that hardly ever clip."""
+    """Return a configuration with hovering nominal controls and limits that hardly ever clip."""
     return config_of(
         "paper", sampling__samples=512, sampling__nominal="hover", vehicle__mass=10.0, vehicle__thrust_max=1000.0,
         vehicle__rate_xy_max=20.0, vehicle__rate_z_max=20.0, **changes,
@@ -160,14 +160,14 @@ def test_noise_statistics(device: str, correlation: float):
 
 
 def test_noise_is_gaussian(device: str):
-    """Quantiles of 768 000 standard normal numbers; a quantile's standard error is below 0.004 at these."""
+    """Compare quantiles of 768 000 standard normal numbers, whose standard error is below 0.004."""
     noise = noise_of(Planner(noisy_config(), device=device), random_case(0, count=0))[..., 0]
     quantiles = np.quantile(noise, [0.02275, 0.15866, 0.5, 0.84134, 0.97725])
     np.testing.assert_allclose(quantiles, [-2, -1, 0, 1, 2], atol=0.03)
 
 
 def test_noise_stays_in_its_table(device: str):
-    """With this seed the last of the 256 beginnings is drawn, 64 sequences before the table's end."""
+    """With this seed the last of the 256 possible first sequences is drawn, 64 before the end of the table."""
     config = noisy_config(anchors__columns=1, anchors__rows=1).replace({"sampling.samples": 1024})
     planner = Planner(config, device=device, seed=166)
     noise = noise_of(planner, random_case(0, count=0))[0]
@@ -200,7 +200,7 @@ def test_sampled_controls_respect_the_limits(device: str):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_best_is_the_least_S2_among_the_safe(device: str, seed: int):
+def test_best_has_the_lowest_S2_among_the_safe_instances(device: str, seed: int):
     config, case = config_of(), random_case(seed, nearest=0.5, count=1500)
     plan = case.plan(Planner(config, device=device))
     nearest = plan.clearance.min(axis=1)
@@ -212,15 +212,15 @@ def test_best_is_the_least_S2_among_the_safe(device: str, seed: int):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_papers_best_is_the_least_S2_of_all(device: str, seed: int):
+def test_best_of_the_paper_has_the_lowest_S2_of_all(device: str, seed: int):
     case = random_case(seed, nearest=0.5, count=1500)
     plan = case.plan(Planner(config_of("paper"), device=device))
     if plan.status == PlanStatus.OK:
         assert plan.best == np.argmin(plan.stage2_cost)
 
 
-def test_cost_to_go_counts_blocked_metres(device: str):
-    """A wall across the way: half a metre of the five beyond the last state is blocked per blocked probe."""
+def test_cost_to_go_is_the_blocked_length(device: str):
+    """Behind a wall, every blocked probe counts as half a metre of the 5 m beyond the final state."""
     config = config_of(costs__q_blocked=100.0, costs__blocked_radius=0.5, sampling__variance_thrust=0.0,
                        sampling__variance_rate_xy=0.0, sampling__variance_rate_z=0.0)  # fmt: skip
     case = random_case(0, count=0, tilt=0.0)

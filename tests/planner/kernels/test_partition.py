@@ -11,7 +11,7 @@ SEEDS = range(4)
 
 
 def away_from_borders(case: Case, rows: int, columns: int) -> Case:
-    """Without points so near a cell's border that float32 may put them on its other side.
+    """Remove points so near to the border of a cell that float32 may put them on the other side.
 
     At coordinates of 30 m float32 resolves 2e-6 m; at the nearest range of 0.6 m that is 3e-6 rad or 1e-4 fine cells.
     """
@@ -106,7 +106,7 @@ def test_points_that_are_not_finite_are_dropped_and_counted(device: str, seed: i
     np.testing.assert_array_equal(clean.controls, dirty.controls)
 
 
-def test_ranges_are_kept_from_range_min_to_range_max(device: str):
+def test_points_outside_range_min_and_range_max_are_ignored(device: str):
     # Axis-aligned, so that the ranges are exact.
     points = np.array([[2.0, 0, 0], [0, 8.0, 0], [-1.75, 0, 0], [0, -8.25, 0]], np.float32)
     config = config_of(partition__range_min=2.0, partition__range_max=8.0)
@@ -140,7 +140,7 @@ def test_points_on_the_poles_and_the_seam(device: str):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_partition_turns_with_the_body(device: str, seed: int):
-    """A cloud and an attitude turned together leave the partition as it is."""
+    """Rotating cloud and attitude together leaves the partition unchanged."""
     rng, case = np.random.default_rng(seed), random_case(seed)
     case.position = np.zeros(3)
     case.points = random_case(seed).points - random_case(seed).position.astype(np.float32)

@@ -9,14 +9,14 @@ from tests.planner.cases import Case, config_of, kept_points, random_case
 
 
 def nearest_approach(plan: Plan, *, between: bool) -> float:
-    """Least distance of the chosen instance's states, and of the places half way between them, to the cloud [m]."""
+    """Return the minimum distance of the best instance's states, and of their midpoints, to the cloud [m]."""
     x = plan.positions[plan.best].astype(np.float64)
     places = np.concatenate((x[1:], 0.5 * (x[1:] + x[:-1]))) if between else x[1:]
     return float(reference.clearance(places, kept_points(plan), 10.0).min())
 
 
 def cluttered(seed: int) -> Case:
-    """Fast amid thin posts, which fit between two states."""
+    """Return a fast drone among thin posts, which fit between two states."""
     case, rng = random_case(seed, count=0, speed=7.0), np.random.default_rng(seed)
     foot = rng.uniform(-8, 8, (60, 2))
     foot = foot[np.linalg.norm(foot, axis=1) > 1.2]
@@ -26,8 +26,8 @@ def cluttered(seed: int) -> Case:
 
 
 @pytest.mark.parametrize("between", [True, False])
-def test_what_is_safe_is_judged_between_the_steps(device: str, between: bool):
-    """With `between_steps` no chosen plan passes a post between two states; without, some do."""
+def test_safety_is_checked_between_the_states(device: str, between: bool):
+    """Without `between_steps` some selected plans pass a post between two states, with it none does."""
     config = config_of(candidates__between_steps=between, candidates__safe_clearance=0.3)
     planner, slipped, chosen = Planner(config, device=device), 0, 0
     for seed in range(60):
@@ -42,8 +42,8 @@ def test_what_is_safe_is_judged_between_the_steps(device: str, between: bool):
     assert slipped == 0 if between else slipped > 0
 
 
-def test_braking_leads_where_it_stays_farthest_from_obstacles(device: str):
-    """A wall beside and ahead: braking turns away from it, ends as slow, and without the fan leads straight on."""
+def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
+    """Next to a wall, braking turns away from it and ends as slow; without the fan it leads straight ahead."""
     case = random_case(0, count=0, tilt=0.0)
     case.velocity, case.acceleration, case.goal = np.array([6.0, 0, 0]), np.zeros(3), case.beside(20, 0, 0)
     y, z = np.meshgrid(np.arange(-0.3, 6, 0.05), np.arange(-6, 6, 0.05))
