@@ -14,15 +14,16 @@ from aero_planner import Planner
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.recordings import RecordingSource, inspect, open_recording
-from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
+from tests.planner.onboard.simulated import PLACES, SMALL, Relay, Simulation, poles
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the log of a second of flight."""
     path, planner = tmp_path_factory.mktemp("log") / "flight.mcap", Planner(SMALL, seed=1)
-    simulation = Simulation(planner, poles(PLACES), (18.0, 0.0, 2.0))
-    simulation.node._observers = (FlightLog(path, SMALL, OnboardConfig(), clock=lambda: simulation.now),)
+    relay = Relay()
+    simulation = Simulation(planner, poles(PLACES), (18.0, 0.0, 2.0), observers=[relay])
+    relay.observers.append(FlightLog(path, SMALL, OnboardConfig(), clock=lambda: simulation.now))
     simulation.engage()
     simulation.run(1.5)
     simulation.node.close()

@@ -201,7 +201,7 @@ DAMAGED = [
     ("m.ply", ply("binary").replace(b"vertex 500", b"vertex 1000000000000"), "truncated"),
     ("m.ply", b"PK", "does not start with a PLY header"),
     ("m.las", b"LASF", "small"),
-    ("m.las", b"PCDF" * 100, "signature"),
+    ("m.las", b"PCDF" * 100, "does not start with LASF"),
     ("m.npy", b"\x93NUMPY", "m.npy"),
     ("m.pts", b"5\n1 2 3\n", "truncated: its header declares 5 points, and it holds 1"),
     ("m.obj", b"1 2 3", "must end in one of .pcd"),
@@ -239,6 +239,18 @@ def test_a_las_header_that_declares_too_many_points_is_refused(tmp_path):
     struct.pack_into("<Q", content, 247, 10**12)
     path.write_bytes(content)
     assert "declares 1000000000000 points, and it holds 500" in refusal(path)
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_a_las_file_that_declares_too_many_records_or_chunks_is_refused(tmp_path, suffix):
+    path = tmp_path / f"m.{suffix}"
+    content = las("1.2", path)
+    for offset in (100, *([struct.unpack_from("<q", content, struct.unpack_from("<I", content, 96)[0])[0] + 4]
+                          if suffix == "laz" else [])):  # fmt: skip
+        damaged = bytearray(content)
+        struct.pack_into("<I", damaged, offset, 0xFFFFFFFF)
+        path.write_bytes(damaged)
+        assert "damaged" in refusal(path)
 
 
 def test_an_npy_header_that_declares_too_many_points_is_refused(tmp_path):
