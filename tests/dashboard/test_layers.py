@@ -32,10 +32,9 @@ def server():
 def frame():
     session = Session(FlightSource(scene("forest", seed=0)))
     session.set_samples(True)
-    for _ in range(3):
-        frame = session.tick()
+    frames = [session.tick() for _ in range(3)]
     session.close()
-    return frame
+    return frames[-1]
 
 
 def test_lines_keep_their_size_and_hide_the_rest_under_the_last_point(server):

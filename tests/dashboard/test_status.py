@@ -64,23 +64,24 @@ def test_dropped_ticks_are_reported(tell):
     assert "12 ticks dropped" in tell(dropped_ticks=12)
 
 
-@pytest.mark.parametrize(
-    ("layer", "words"),
-    [
-        ("rollouts", ["chosen rollout", "rank of the Stage II cost"]),
-        ("samples", ["rank of the Stage I cost"]),
-        ("guides", ["guides</span></div>"]),
-        ("anchors", ["initial endpoints", "refined anchors"]),
-        ("cloud", ["cloud: height"]),
-        ("fine_cells", ["occupied cells"]),
-        ("coarse_cells", ["coarse cells", "safe directions"]),
-        ("drone", ["drone"]),
-        ("trail", ["flown trail"]),
-        ("goal", ["goal</span></div>"]),
-        ("obstacles", ["obstacles"]),
-        ("ground", ["ground grid"]),
-    ],
-)
+LEGENDS = [
+    ("rollouts", ["chosen rollout", "rank of the Stage II cost"]),
+    ("samples", ["rank of the Stage I cost"]),
+    ("guides", ["guides</span></div>"]),
+    ("anchors", ["initial endpoints", "refined anchors"]),
+    ("cloud", ["cloud: height"]),
+    ("fine_cells", ["occupied cells"]),
+    ("coarse_cells", ["coarse cells", "safe directions"]),
+    ("drone", ["drone"]),
+    ("trail", ["flown trail"]),
+    ("goal", ["goal</span></div>"]),
+    ("obstacles", ["obstacles"]),
+    ("ground", ["ground grid"]),
+]
+"""Layers and words of their legends."""
+
+
+@pytest.mark.parametrize(("layer", "words"), LEGENDS)
 def test_the_legend_has_a_key_for_every_layer_that_is_shown(dashboard, tell, layer, words):
     def show(names: list[str]) -> str:
         dashboard.show_only(names)
@@ -92,8 +93,7 @@ def test_the_legend_has_a_key_for_every_layer_that_is_shown(dashboard, tell, lay
 
 
 def test_every_layer_has_a_legend_case(dashboard):
-    (mark,) = test_the_legend_has_a_key_for_every_layer_that_is_shown.pytestmark
-    assert set(dashboard.layers) == {layer for layer, _ in mark.args[1]} | {"recorded_path"}
+    assert set(dashboard.layers) == {layer for layer, _ in LEGENDS} | {"recorded_path"}
 
 
 def test_the_legend_names_the_quantity_that_colours_the_rollouts(dashboard, tell):
