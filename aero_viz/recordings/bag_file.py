@@ -1,11 +1,13 @@
-"""The interface of all file readers, and the base of those whose files consist of chunks of records."""
+"""The base of all file readers, and the base of those whose files consist of chunks of records."""
 
 from __future__ import annotations
 
 import mmap
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 __all__ = [
     "HEAD_BYTES",
@@ -61,30 +63,31 @@ class Message(NamedTuple):
     """First `HEAD_BYTES` bytes of the message; empty unless `BagFile.scan` was asked for its type."""
 
 
-class BagFile(Protocol):
+class BagFile(ABC):
     """One file of a recording. Opening it reads only its first bytes; `scan` is the one pass over the whole file."""
 
-    path: Path
-    problems: list[str]
-    """Defects found by `scan`. Each completes the sentence "FILE is ..."."""
-    truncated: bool
-    """True if `scan` found that the end of the file is missing."""
-    channels: dict[int, Channel]
-    """Channels found so far, by their number in the file."""
-    damaged: int
-    """Number of records and chunks that could not be read."""
+    def __init__(self, path: Path):
+        self.path = path
+        self.problems: list[str] = []
+        """Defects found by `scan`. Each completes the sentence "FILE is ..."."""
+        self.truncated = False
+        """True if `scan` found that the end of the file is missing."""
+        self.channels: dict[int, Channel] = {}
+        """Channels found so far, by their number in the file."""
+        self.damaged = 0
+        """Number of records and chunks that could not be read."""
 
+    @abstractmethod
     def scan(self, types: Collection[str]) -> Iterator[Message]:
         """Yield all messages in file order, with the heads of those of `types`. Stops where a truncated file ends."""
-        ...
 
+    @abstractmethod
     def read(self, position: Any) -> bytes:
         """Return the whole message at a position found by `scan`. Raises ValueError if it is damaged."""
-        ...
 
+    @abstractmethod
     def close(self) -> None:
         """Close the file."""
-        ...
 
 
 def make_channel(topic: str, type_name: str, encoding: str) -> Channel:
@@ -137,7 +140,7 @@ def decompress(compression: str, data: bytes, size: int, *, exact: bool = True) 
     return raw
 
 
-class ChunkedFile:
+class ChunkedFile(BagFile):
     """A file of records, some of which are compressed chunks of records (MCAP and ROS 1).
 
     The file is mapped into memory, not loaded. A scan touches only the headers of records and the heads of messages,
@@ -145,33 +148,20 @@ class ChunkedFile:
     """
 
     def __init__(self, path: Path):
-        self.path = path
-        self.problems: list[str] = []
-        self.truncated = False
-        self.channels: dict[int, Channel] = {}
-        self.damaged = 0
+        super().__init__(path)
         with path.open("rb") as file:
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         # Neighbouring sweeps share a chunk. Two cover playback across the border between chunks.
-        self._chunks: dict[int, bytes] = {}
+        self._chunk = lru_cache(maxsize=2)(self._decompress_chunk)
 
     def read(self, position: ChunkPosition) -> bytes:
         """Return the message at a position found by `scan`. Raises ValueError if its chunk is damaged."""
         chunk, start, stop = position
-        return unwrap(self._map[start:stop] if chunk is None else self.chunk(chunk)[start:stop])
+        return unwrap(self._map[start:stop] if chunk is None else self._chunk(chunk)[start:stop])
 
-    def chunk(self, offset: int) -> bytes:
-        """Return the decompressed chunk whose record starts at byte `offset`. The last two are cached."""
-        if offset not in self._chunks:
-            raw = self.decompress_chunk(offset)
-            while len(self._chunks) > 1:
-                del self._chunks[next(iter(self._chunks))]
-            self._chunks[offset] = raw
-        return self._chunks[offset]
-
-    def decompress_chunk(self, offset: int) -> bytes:
-        """Decompress the chunk whose record starts at byte `offset`."""
-        raise NotImplementedError
+    @abstractmethod
+    def _decompress_chunk(self, offset: int) -> bytes:
+        """Return the decompressed chunk at byte `offset`. Raises ValueError if it is damaged."""
 
     def message(
         self, channel: Channel, time: int, position: ChunkPosition, buffer: Buffer, types: Collection[str]
@@ -190,6 +180,5 @@ class ChunkedFile:
         return Message(channel, time, position, len(whole), whole[:HEAD_BYTES])
 
     def close(self) -> None:
-        """Close the file."""
-        self._chunks.clear()
+        self._chunk.cache_clear()
         self._map.close()

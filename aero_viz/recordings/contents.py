@@ -63,7 +63,7 @@ class TopicContents:
     damaged: int = 0
     """Number of messages that cannot be decoded."""
     reason: str = ""
-    """Why the first of them cannot be decoded."""
+    """The reason why the first of them cannot be decoded."""
     clouds: list[CloudEntry] = field(default_factory=list)
     poses: PoseSamples = field(default_factory=PoseSamples)
     child: str = ""
@@ -87,7 +87,7 @@ class Contents:
     last: int | None
     """Time of the last message [ns], None without messages."""
     problems: list[str]
-    """What the user should know, one sentence each."""
+    """Notices for the user, one sentence each."""
 
     @property
     def duration(self) -> float:

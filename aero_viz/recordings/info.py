@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,15 +36,15 @@ class RecordingInfo:
     duration_s: float
     """Time from the first to the last message of any topic [s]."""
     topics: tuple[Topic, ...]
-    sweeps: int
+    sweeps: int = 0
     """Number of sweeps that can be played."""
-    poses: int
+    poses: int = 0
     """Number of poses on the topic that is played."""
-    points_topic: str | None
-    pose_topic: str | None
-    points_per_sweep: PointsPerSweep | None
-    problems: tuple[str, ...]
-    """What keeps sweeps from being played, and what else the user should know, one sentence each."""
+    points_topic: str | None = None
+    pose_topic: str | None = None
+    points_per_sweep: PointsPerSweep | None = None
+    problems: tuple[str, ...] = ()
+    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""
@@ -75,27 +75,15 @@ def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: st
         with readable(storage.path):
             contents = read_contents(storage)
             require_topics(contents, points_topic=points_topic, pose_topic=pose_topic)
+            topics = tuple(Topic(topic.name, topic.type, topic.count) for topic in contents.topics)
+            report = RecordingInfo(str(storage.path), storage.format, contents.duration, topics)
             try:
                 recording = Recording(storage, contents, points_topic, pose_topic)
             except UserError as error:
-                return RecordingInfo(
-                    path=str(storage.path),
-                    format=storage.format,
-                    duration_s=contents.duration,
-                    topics=tuple(Topic(topic.name, topic.type, topic.count) for topic in contents.topics),
-                    sweeps=0,
-                    poses=0,
-                    points_topic=None,
-                    pose_topic=None,
-                    points_per_sweep=None,
-                    problems=(*contents.problems, str(error)),
-                )
+                return replace(report, problems=(*contents.problems, str(error)))
             counts = recording.sweep_counts
-            return RecordingInfo(
-                path=str(storage.path),
-                format=storage.format,
-                duration_s=contents.duration,
-                topics=recording.topics,
+            return replace(
+                report,
                 sweeps=len(counts),
                 poses=0 if recording.poses is None else len(recording.poses.times),
                 points_topic=recording.points_topic,

@@ -111,7 +111,7 @@ class McapFile(ChunkedFile):
             # The incomplete last chunk of a truncated file still has whole messages if it is not compressed.
             if header.compression and not record.complete:
                 return
-            buffer = self.chunk(record.start) if header.compression else self._map
+            buffer = self._chunk(record.start) if header.compression else self._map
         except Exception:
             self.damaged += 1
             return
@@ -152,8 +152,7 @@ class McapFile(ChunkedFile):
         (stored_size,) = struct.unpack_from("<Q", self._map, name + length)
         return _ChunkHeader(compression, name + length + 8, stored_size, size, checksum)
 
-    def decompress_chunk(self, offset: int) -> bytes:
-        """Decompress the chunk whose content starts at byte `offset`. Raises ValueError if its checksum is wrong."""
+    def _decompress_chunk(self, offset: int) -> bytes:
         header = self._chunk_header(offset)
         raw = decompress(header.compression, self._map[header.start : header.start + header.stored_size], header.size)
         if header.checksum and zlib.crc32(raw) != header.checksum:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.clouds import read_cloud
-from aero_viz.recordings.contents import CloudEntry, Contents, Topic, read_contents
+from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, decode_points
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.storage import Storage, open_storage, readable
@@ -51,11 +51,8 @@ class Recording:
         self.path = storage.path
         self.format = storage.format
         """"mcap", "rosbag1", "rosbag2-mcap" or "rosbag2-sqlite3"."""
-        self.topics = tuple(Topic(topic.name, topic.type, topic.count) for topic in contents.topics)
-        self.duration = contents.duration
-        """Time from the first to the last message of any topic [s]."""
         self.problems: list[str] = list(contents.problems)
-        """What the user should know, one sentence each."""
+        """Notices for the user, one sentence each."""
         cloud = choose_cloud_topic(contents, points_topic)
         self.points_topic = cloud.name
         self._type, self._encoding = cloud.type, cloud.encoding
@@ -71,7 +68,7 @@ class Recording:
         """Number of points in each playable sweep [n], invalid ones included."""
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
-        self._cache: OrderedDict[int, PointSweep] = OrderedDict()
+        self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
         if not any(len(self.sweep(i).points) for i in range(len(self._entries))):
             advice = suggest_other_clouds(contents, cloud)
             raise UserError(
@@ -117,9 +114,9 @@ class Recording:
 
     def sweep(self, index: int) -> PointSweep:
         """Return playable sweep `index`, without points if it is unreadable. The last few sweeps are cached."""
-        if index in self._cache:
-            self._cache.move_to_end(index)
-            return self._cache[index]
+        return self._cached_sweep(index)
+
+    def _read_sweep(self, index: int) -> PointSweep:
         entry = self._entries[index]
         try:
             decoded = decode_points(read_cloud(entry.file.read(entry.position), self._type, self._encoding))
@@ -130,15 +127,11 @@ class Recording:
         if self.extrinsic is not IDENTITY:
             rotation = rotation_matrix(self.extrinsic.quaternion).astype(np.float32)
             points = points @ rotation.T + self.extrinsic.position.astype(np.float32)
-        sweep = PointSweep(float(self.sweep_times[index]), points, decoded.times, decoded.dropped)
-        self._cache[index] = sweep
-        if len(self._cache) > _CACHED_SWEEPS:
-            self._cache.popitem(last=False)
-        return sweep
+        return PointSweep(float(self.sweep_times[index]), points, decoded.times, decoded.dropped)
 
     def close(self) -> None:
         """Close the files."""
-        self._cache.clear()
+        self._cached_sweep.cache_clear()
         self._storage.close()
 
     def __enter__(self) -> Recording:

@@ -35,7 +35,6 @@ class Ros1File(ChunkedFile):
     """One ROS 1 bag (wiki.ros.org/Bags/Format/2.0). It needs no index. Chunks may be plain, bz2 or lz4."""
 
     def scan(self, types: Collection[str]) -> Iterator[Message]:
-        """Yield all messages in file order."""
         size, complete = len(self._map), True
         for record in _records(self._map, len(ROS1_MAGIC), size):
             complete &= record.complete
@@ -62,7 +61,7 @@ class Ros1File(ChunkedFile):
         if not plain and not chunk.complete:
             return
         try:
-            buffer = self._map if plain else self.chunk(chunk.offset)
+            buffer = self._map if plain else self._chunk(chunk.offset)
         except Exception:
             self.damaged += 1
             return
@@ -93,8 +92,7 @@ class Ros1File(ChunkedFile):
         except (KeyError, struct.error, ValueError):
             self.damaged += 1
 
-    def decompress_chunk(self, offset: int) -> bytes:
-        """Decompress the chunk whose record starts at byte `offset`."""
+    def _decompress_chunk(self, offset: int) -> bytes:
         chunk = next(_records(self._map, offset, len(self._map)))
         compression = chunk.header[b"compression"].decode()
         return decompress(compression, self._map[chunk.start : chunk.stop], _U32.unpack(chunk.header[b"size"])[0])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,7 @@ from aero_planner import Goal, Plan, VehicleState
 from aero_planner.quaternions import rotate, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
-from aero_viz.recordings.recording import PointSweep, Recording
+from aero_viz.recordings.recording import Recording
 from aero_viz.session.source import Observation, SourceInfo
 
 __all__ = ["MAX_POINTS", "RecordedPath", "RecordingSource"]
@@ -109,8 +109,10 @@ class RecordingSource:
         )
         self._index = 0
         self._goal: NDArray[np.float64] | None = None
-        self._world_sweeps: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
-        self._cloud: tuple[tuple[int, int], NDArray[np.float32]] | None = None
+        # As many sweeps as one observation needs.
+        self._world_sweep = lru_cache(maxsize=sweeps + 2)(self._compute_world_sweep)
+        # Poses are more frequent than sweeps.
+        self._joined_sweeps = lru_cache(maxsize=1)(self._join_sweeps)
 
     @property
     def goal_ahead(self) -> float:
@@ -134,9 +136,9 @@ class RecordingSource:
         pose = self._pose(time)
         state = VehicleState(pose.position, pose.velocity, pose.quaternion, time=time)
         first, last = self._window(time)
-        age = time - float(self.recording.sweep_times[last - 1]) if last > first else 0.0
+        age = time - float(self.recording.sweep_times[last - 1])
         goal = Goal(self._goal_at(time, pose))
-        return Observation(time, state, goal, self._join_sweeps(first, last), last - first, cloud_age=max(age, 0.0))
+        return Observation(time, state, goal, self._joined_sweeps(first, last), last - first, cloud_age=max(age, 0.0))
 
     def advance(self, plan: Plan | None = None) -> None:
         """Go to the next tick; the plan is ignored. After the last tick the outcome is "end"."""
@@ -176,8 +178,8 @@ class RecordingSource:
 
     def close(self) -> None:
         """Close the recording."""
-        self._world_sweeps.clear()
-        self._cloud = None
+        self._world_sweep.cache_clear()
+        self._joined_sweeps.cache_clear()
         self.recording.close()
 
     def _pose(self, time: float) -> Pose:
@@ -209,25 +211,14 @@ class RecordingSource:
         return first, last
 
     def _join_sweeps(self, first: int, last: int) -> NDArray[np.float32]:
-        """Return sweeps first .. last - 1 in the world frame. Poses are more frequent than sweeps: cache the result."""
-        if self._cloud is None or self._cloud[0] != (first, last):
-            cloud = np.concatenate([self._world_sweep(i) for i in range(first, last)])
-            cloud.flags.writeable = False
-            self._cloud = ((first, last), cloud)
-        return self._cloud[1]
+        """Return sweeps first .. last - 1 in the world frame [P, 3] [m], read-only."""
+        cloud = np.concatenate([self._world_sweep(i) for i in range(first, last)])
+        cloud.flags.writeable = False
+        return cloud
 
-    def _world_sweep(self, index: int) -> NDArray[np.float32]:
-        """Return a sweep in the world frame [P, 3] [m]. As many as one observation needs are cached."""
-        if index in self._world_sweeps:
-            self._world_sweeps.move_to_end(index)
-        else:
-            self._world_sweeps[index] = self._move_to_world(self.recording.sweep(index))
-            if len(self._world_sweeps) > self.sweeps + 2:
-                self._world_sweeps.popitem(last=False)
-        return self._world_sweeps[index]
-
-    def _move_to_world(self, sweep: PointSweep) -> NDArray[np.float32]:
-        poses = self.recording.poses
+    def _compute_world_sweep(self, index: int) -> NDArray[np.float32]:
+        """Return a sweep in the world frame [P, 3] [m]."""
+        sweep, poses = self.recording.sweep(index), self.recording.poses
         if poses is None or not len(sweep.points):
             return sweep.points
         if sweep.point_times is not None:

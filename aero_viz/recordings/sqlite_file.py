@@ -7,22 +7,18 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
-from aero_viz.recordings.bag_file import HEAD_BYTES, ZSTD_MAGIC, Channel, Message, make_channel, unwrap
+from aero_viz.recordings.bag_file import HEAD_BYTES, ZSTD_MAGIC, BagFile, Channel, Message, make_channel, unwrap
 
 __all__ = ["SQLITE_MAGIC", "SqliteFile"]
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 
-class SqliteFile:
+class SqliteFile(BagFile):
     """One SQLite file of rosbag2. A position is a row number. Heads are read without loading their messages."""
 
     def __init__(self, path: Path):
-        self.path = path
-        self.problems: list[str] = []
-        self.truncated = False
-        self.channels: dict[int, Channel] = {}
-        self.damaged = 0
+        super().__init__(path)
         # Without a write-ahead log nobody is writing; `immutable` then allows a read-only folder.
         log = path.with_name(path.name + "-wal")
         mode = "mode=ro" if log.exists() and log.stat().st_size else "mode=ro&immutable=1"
@@ -30,7 +26,6 @@ class SqliteFile:
         self._database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True, check_same_thread=False)
 
     def scan(self, types: Collection[str]) -> Iterator[Message]:
-        """Yield all messages in the order of recording."""
         try:
             for row, topic, type_name, encoding in self._database.execute(
                 "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
@@ -60,7 +55,6 @@ class SqliteFile:
             return Message(channel, time, row, 0, b"")
 
     def read(self, position: int) -> bytes:
-        """Return the message of a row. Raises ValueError if the row is damaged."""
         try:
             (data,) = self._database.execute("SELECT data FROM messages WHERE id = ?", (position,)).fetchone()
             return unwrap(bytes(data))
@@ -68,5 +62,4 @@ class SqliteFile:
             raise ValueError(f"row {position} is damaged ({error})") from error
 
     def close(self) -> None:
-        """Close the file."""
         self._database.close()

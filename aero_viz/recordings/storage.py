@@ -41,7 +41,7 @@ class Storage:
     def __init__(self, path: Path, files: list[Path], *, is_folder: bool):
         self.path = path
         self.problems: list[str] = []
-        """What the user should know about the files, one sentence each."""
+        """Notices for the user about the files, one sentence each."""
         self.files: list[BagFile] = []
         """Open files in the order of recording."""
         self._stack = ExitStack()

@@ -35,7 +35,7 @@ class PoseSource(NamedTuple):
     extrinsic: Transform
     """Pose of the LiDAR in the body's frame."""
     notice: str
-    """What the user should know about the extrinsic; empty if nothing."""
+    """Notice for the user about the extrinsic; empty if there is nothing to say."""
 
 
 class ChosenPoses(NamedTuple):

@@ -3,11 +3,9 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import bags
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Bag1
-from rosbags.rosbag2 import Writer as Bag2
-from rosbags.typesys import Stores, get_typestore
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
@@ -132,36 +130,15 @@ def test_csv_columns_are_found_by_name(tmp_path):
     assert trajectory.at(np.array([0.123]))[1][0] == pytest.approx([5.0, 0.0, 0.0])
 
 
-def write_bag(path: Path, *, ros1: bool, trajectory: Trajectory) -> Path:
-    """Write a trajectory as nav_msgs/Odometry, level and nose forward, so that the twist is the velocity."""
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    types, kind = store.types, "nav_msgs/msg/Odometry"
-    zero, level = np.zeros(36), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    assert trajectory.velocities is not None
-    with Bag1(path) if ros1 else Bag2(path, version=9) as writer:
-        connection = writer.add_connection("/odom", kind, typestore=store)
-        for time, p, v in zip(trajectory.times, trajectory.positions, trajectory.velocities, strict=True):
-            stamp = round(1e9 * time)
-            when = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
-            header = types["std_msgs/msg/Header"](*([0] if ros1 else []), when, "map")
-            pose = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](*p), level)
-            linear, angular = (types["geometry_msgs/msg/Vector3"](*values) for values in (v, np.zeros(3)))
-            twist = types["geometry_msgs/msg/Twist"](linear, angular)
-            message = types[kind](
-                header,
-                "body",
-                types["geometry_msgs/msg/PoseWithCovariance"](pose, zero),
-                types["geometry_msgs/msg/TwistWithCovariance"](twist, zero),
-            )
-            data = store.serialize_ros1(message, kind) if ros1 else store.serialize_cdr(message, kind)
-            writer.write(connection, stamp, data)
-    return path
-
-
 @pytest.mark.parametrize(("name", "ros1"), [("flight.bag", True), ("flight", False)])
 def test_bags_of_ros_1_and_ros_2_score_like_the_trajectory_in_them(tmp_path, name, ros1):
     flown = straight(rate=20.0)
-    loaded = load_trajectory(write_bag(tmp_path / name, ros1=ros1, trajectory=flown))
+    assert flown.velocities is not None
+    # The drone is level and faces forward, so that the twist is the velocity.
+    samples = zip(flown.times, flown.positions, flown.velocities, strict=True)
+    messages = [bags.odometry(time, position, twist=velocity) for time, position, velocity in samples]
+    path = bags.write_ros1(tmp_path / name, messages) if ros1 else bags.write_ros2(tmp_path / name, messages, "sqlite3")
+    loaded = load_trajectory(path)
     expected, found = score(flown, BALL), score(loaded, BALL)
     for field in COMPARED:
         value = getattr(expected, field)

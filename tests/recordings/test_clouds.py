@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bags
 import numpy as np
 import pytest
 
@@ -22,18 +23,18 @@ def point_times(sweep):
 @pytest.mark.parametrize("code", ["f4", "f8"])
 @pytest.mark.parametrize("big_endian", [False, True])
 @pytest.mark.parametrize("point_step", [None, 48])
-def test_number_formats_and_padding(bags, mcap_of, code, big_endian, point_step):
+def test_number_formats_and_padding(mcap_of, code, big_endian, point_step):
     columns = {"intensity": np.ones(200, "f4"), **bags.xyz(bags.wall(), code), "ring": np.arange(200, dtype="u2")}
     path = mcap_of([bags.cloud(0, columns, big_endian=big_endian, point_step=point_step)])
     np.testing.assert_array_equal(read(path).points, bags.wall().astype(np.float32))
 
 
-def test_rows_with_padding_between_them(bags, mcap_of):
+def test_rows_with_padding_between_them(mcap_of):
     sweep = read(mcap_of([bags.cloud(0, bags.xyz(bags.wall()), height=4, row_padding=7)]))
     np.testing.assert_array_equal(sweep.points, bags.wall().astype(np.float32))
 
 
-def test_invalid_points_are_dropped_and_counted(bags, mcap_of):
+def test_invalid_points_are_dropped_and_counted(mcap_of):
     points, times = bags.wall(), np.arange(200, dtype="u4") * 500_000
     points[3], points[7, 1], points[9, 2], points[11, 0] = 0.0, np.nan, np.inf, 1e7
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(points), "t": times})]))
@@ -55,44 +56,44 @@ def test_invalid_points_are_dropped_and_counted(bags, mcap_of):
     ],
     ids=["ns u4", "livox ns u4", "s f4", "us f4", "absolute s f8", "absolute ns f8"],
 )
-def test_point_times_in_every_unit(bags, mcap_of, name, values):
+def test_point_times_in_every_unit(mcap_of, name, values):
     seconds = np.linspace(0, 0.1, 200)
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), name: values(seconds, bags.START)})]))
     np.testing.assert_allclose(point_times(sweep), seconds, atol=2e-6)
 
 
-def test_times_before_the_stamp(bags, mcap_of):
+def test_times_before_the_stamp(mcap_of):
     seconds = np.linspace(-0.1, 0, 200)
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "time": seconds.astype("f4")})]))
     np.testing.assert_allclose(point_times(sweep), seconds, atol=1e-7)
 
 
-def test_constant_time_field_is_ignored(bags, mcap_of):
+def test_constant_time_field_is_ignored(mcap_of):
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "t": np.zeros(200, "u4")})]))
     assert sweep.point_times is None
 
 
-def test_livox_custom_messages(written, bags):
+def test_livox_custom_messages(written):
     offsets = np.arange(50) * 2_000_000
     sweep = read(written([bags.livox(0, bags.wall(50), offsets)]))
     np.testing.assert_array_equal(sweep.points, bags.wall(50).astype(np.float32))
     np.testing.assert_allclose(point_times(sweep), offsets * 1e-9, rtol=1e-6)
 
 
-def test_unset_stamps_fall_back_to_the_time_of_recording(bags, mcap_of):
+def test_unset_stamps_fall_back_to_the_time_of_recording(mcap_of):
     path = mcap_of([bags.cloud(0.1 * k, bags.xyz(bags.wall()), stamped=False) for k in range(3)])
     with open_recording(path) as recording:
         np.testing.assert_allclose(recording.sweep_times, [0, 0.1, 0.2], atol=1e-9)
 
 
-def test_missing_coordinate_is_named(bags, mcap_of):
+def test_missing_coordinate_is_named(mcap_of):
     columns = bags.xyz(bags.wall())
     del columns["z"]
     with pytest.raises(UserError, match="lacks z as floating-point fields and has x, y"):
         open_recording(mcap_of([bags.cloud(0, columns)]))
 
 
-def test_empty_clouds_are_an_error_only_if_all_are_empty(bags, mcap_of):
+def test_empty_clouds_are_an_error_only_if_all_are_empty(mcap_of):
     empty = [bags.cloud(0.1 * k, bags.xyz(np.empty((0, 3)))) for k in range(3)]
     with pytest.raises(UserError, match=r"no sweep on /points .* has a point: check that"):
         open_recording(mcap_of(empty))
@@ -100,6 +101,6 @@ def test_empty_clouds_are_an_error_only_if_all_are_empty(bags, mcap_of):
     assert info.sweeps == 1 and "3 of 4 sweeps on /points have no points: left out" in info.problems
 
 
-def test_clouds_of_invalid_points_only_are_an_error(bags, mcap_of):
+def test_clouds_of_invalid_points_only_are_an_error(mcap_of):
     with pytest.raises(UserError, match=r"no sweep on /points .* has a valid point: all are zero"):
         open_recording(mcap_of([bags.cloud(0.1 * k, bags.xyz(np.zeros((5, 3)))) for k in range(3)]))

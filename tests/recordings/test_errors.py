@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bags
 import numpy as np
 import pytest
 
@@ -9,7 +10,7 @@ from aero_viz.errors import UserError
 from aero_viz.recordings import inspect, open_recording
 
 
-def test_missing_file_suggests_its_neighbours(bags, tmp_path):
+def test_missing_file_suggests_its_neighbours(tmp_path):
     bags.write_mcap(tmp_path / "flight_03.mcap", bags.drive(2))
     with pytest.raises(UserError, match=r"did you mean flight_03.mcap"):
         inspect(tmp_path / "flight_30.mcap")
@@ -19,7 +20,7 @@ def test_missing_file_suggests_its_neighbours(bags, tmp_path):
         inspect(tmp_path / "no" / "such.bag")
 
 
-def test_folders_without_a_recording(bags, tmp_path):
+def test_folders_without_a_recording(tmp_path):
     with pytest.raises(UserError, match=r"folder without a recording.*MCAP"):
         inspect(tmp_path)
     bags.write_mcap(tmp_path / "one.mcap", bags.drive(2))
@@ -40,7 +41,7 @@ def test_unknown_formats_list_the_supported_ones(tmp_path):
         inspect(tmp_path / "c.bag")
 
 
-def test_damaged_metadata(bags, tmp_path):
+def test_damaged_metadata(tmp_path):
     path = bags.write_ros2(tmp_path / "bag", bags.drive(2), "mcap")
     (path / "metadata.yaml").write_text("{nonsense: [")
     with pytest.raises(UserError, match=r"metadata.yaml is damaged"):
@@ -50,7 +51,7 @@ def test_damaged_metadata(bags, tmp_path):
         inspect(path)
 
 
-def test_no_clouds(bags, mcap_of):
+def test_no_clouds(mcap_of):
     path = mcap_of([bags.odometry(0, [0, 0, 0]), bags.text(0.5)])
     with pytest.raises(UserError, match=r"no PointCloud2 topic .* /note \(std_msgs/msg/String\), /odom"):
         open_recording(path)
@@ -58,7 +59,7 @@ def test_no_clouds(bags, mcap_of):
     assert info.sweeps == 0 and "no PointCloud2 topic" in info.problems[0]
 
 
-def test_named_topics(bags, mcap_of):
+def test_named_topics(mcap_of):
     path = mcap_of(bags.drive(2))
     with pytest.raises(UserError, match="no points topic /point; did you mean /points"):
         open_recording(path, points_topic="/point")
@@ -70,7 +71,7 @@ def test_named_topics(bags, mcap_of):
         open_recording(path, pose_topic="/points")
 
 
-def test_only_suitable_topics_are_suggested(bags, mcap_of):
+def test_only_suitable_topics_are_suggested(mcap_of):
     path = mcap_of([*bags.drive(2), bags.text(0.5)])
     with pytest.raises(UserError, match=r"no points topic /lidar; choose /points$"):
         inspect(path, points_topic="/lidar")
@@ -85,7 +86,7 @@ def test_only_suitable_topics_are_suggested(bags, mcap_of):
 
 @pytest.mark.parametrize("harm", ["cut", "flip"])
 @pytest.mark.parametrize("name", ["mcap-zstd", "mcap-plain", "mcap-unchunked", "db3", "rosbag1", "rosbag1-lz4"])
-def test_damaged_files_play_or_are_refused(bags, tmp_path, name, harm):
+def test_damaged_files_play_or_are_refused(tmp_path, name, harm):
     path = bags.FORMATS[name](tmp_path, bags.drive(4))
     whole, random = path.read_bytes(), np.random.default_rng(len(name))
     outcomes = set()

@@ -5,14 +5,17 @@ from __future__ import annotations
 import dataclasses
 import re
 
+import bags
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import inspect, open_recording
 
 
-def test_same_recording_from_every_format(written, bags):
+def test_same_recording_from_every_format(written):
     path = written([*bags.drive(), bags.text(0.95)])
     with open_recording(path) as recording:
         assert recording.points_topic == "/points" and recording.pose_topic == "/odom"
@@ -29,7 +32,7 @@ def test_same_recording_from_every_format(written, bags):
         np.testing.assert_allclose(recording.poses.velocities, np.tile([2.0, 0, 0], (37, 1)))
 
 
-def test_report_of_every_format(written, bags):
+def test_report_of_every_format(written):
     info = inspect(written([*bags.drive(), bags.text(0.95)]))
     assert info.sweeps == 10 and info.poses == 37 and info.problems == ()
     assert info.duration_s == pytest.approx(0.95)
@@ -51,18 +54,18 @@ def test_report_of_every_format(written, bags):
         ("rosbag1-lz4", "rosbag1"),
     ],
 )
-def test_format_name(bags, tmp_path, name, expected):
+def test_format_name(tmp_path, name, expected):
     assert inspect(bags.FORMATS[name](tmp_path, bags.drive())).format == expected
 
 
-def test_content_decides_the_format_and_not_the_suffix(bags, tmp_path):
+def test_content_decides_the_format_and_not_the_suffix(tmp_path):
     path = bags.write_ros1(tmp_path / "a.bag", bags.drive())
     assert inspect(path.rename(tmp_path / "flight.bag.active")).format == "rosbag1"
 
 
 @pytest.mark.parametrize("compression", ["NONE", "ZSTD", "LZ4"])
-def test_truncated_mcap_plays_up_to_the_cut(bags, tmp_path, compression):
-    whole = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=bags.CompressionType[compression])
+def test_truncated_mcap_plays_up_to_the_cut(tmp_path, compression):
+    whole = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=CompressionType[compression])
     whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     info = inspect(whole)
     assert 2 <= info.sweeps < 10
@@ -73,7 +76,7 @@ def test_truncated_mcap_plays_up_to_the_cut(bags, tmp_path, compression):
 
 
 @pytest.mark.parametrize("compression", [None, "lz4"])
-def test_truncated_ros1_bag_plays_up_to_the_cut(bags, tmp_path, compression):
+def test_truncated_ros1_bag_plays_up_to_the_cut(tmp_path, compression):
     # Enough sweeps for several of the chunks of 1 MiB that rosbags writes.
     points = np.tile(bags.wall(20_000), (1, 1))
     items = [bags.cloud(0.1 * k, bags.xyz(points)) for k in range(20)]
@@ -85,14 +88,14 @@ def test_truncated_ros1_bag_plays_up_to_the_cut(bags, tmp_path, compression):
     assert problem in info.problems
 
 
-def test_file_cut_before_its_first_message_is_refused(bags, tmp_path):
+def test_file_cut_before_its_first_message_is_refused(tmp_path):
     path = bags.write_mcap(tmp_path / "a.mcap", bags.drive())
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(UserError, match=r"a.mcap is truncated: no messages precede the cut; record or copy"):
         inspect(path)
 
 
-def test_unindexed_ros1_bag_plays_and_suggests_a_repair(bags, tmp_path):
+def test_unindexed_ros1_bag_plays_and_suggests_a_repair(tmp_path):
     path = bags.write_ros1(tmp_path / "a.bag", bags.drive())
     raw = bytearray(path.read_bytes())
     at = raw.index(b"index_pos=") + len(b"index_pos=")
@@ -104,7 +107,7 @@ def test_unindexed_ros1_bag_plays_and_suggests_a_repair(bags, tmp_path):
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_damaged_chunk_loses_only_its_messages(bags, tmp_path, which):
+def test_damaged_chunk_loses_only_its_messages(tmp_path, which):
     path = bags.write_mcap(tmp_path / "a.mcap", bags.drive())
     raw = bytearray(path.read_bytes())
     at = [match.end() for match in re.finditer(b"zstd", raw)][which] + 100
@@ -116,10 +119,12 @@ def test_damaged_chunk_loses_only_its_messages(bags, tmp_path, which):
 
 
 @pytest.mark.parametrize(("compression", "sweeps"), [("NONE", {10}), ("ZSTD", {5, 6, 7, 8, 9})])
-def test_wrong_length_of_a_chunk_loses_at_most_that_chunk(bags, tmp_path, compression, sweeps):
-    path = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=bags.CompressionType[compression])
+def test_wrong_length_of_a_chunk_loses_at_most_that_chunk(tmp_path, compression, sweeps):
+    path = bags.write_mcap(tmp_path / "a.mcap", bags.drive(), compression=CompressionType[compression])
     with path.open("rb") as file:
-        chunks = bags.make_reader(file).get_summary().chunk_indexes
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunks = summary.chunk_indexes
     raw = bytearray(path.read_bytes())
     raw[chunks[0].chunk_start_offset + 8] = 255  # the most significant byte of the length
     path.write_bytes(raw)
@@ -128,7 +133,7 @@ def test_wrong_length_of_a_chunk_loses_at_most_that_chunk(bags, tmp_path, compre
     assert any("to the next chunk" in problem for problem in info.problems)
 
 
-def test_damaged_message_in_the_middle_is_counted(bags, mcap_of):
+def test_damaged_message_in_the_middle_is_counted(mcap_of):
     broken = bags.cloud(0.45, bags.xyz(bags.wall()))
     build = broken.build
     broken.build = lambda store, ros1: _shortened(build(store, ros1))
@@ -142,7 +147,7 @@ def _shortened(message):
     return message
 
 
-def test_folder_without_metadata_plays(bags, tmp_path):
+def test_folder_without_metadata_plays(tmp_path):
     path = bags.write_ros2(tmp_path / "bag", bags.drive(), "sqlite3")
     (path / "metadata.yaml").unlink()
     info = inspect(path)
@@ -150,7 +155,7 @@ def test_folder_without_metadata_plays(bags, tmp_path):
     assert any("metadata.yaml" in problem for problem in info.problems)
 
 
-def test_folder_of_several_files_is_one_recording(bags, tmp_path):
+def test_folder_of_several_files_is_one_recording(tmp_path):
     items = bags.drive()
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -161,10 +166,10 @@ def test_folder_of_several_files_is_one_recording(bags, tmp_path):
     assert inspect(folder).sweeps == 10
 
 
-def test_topics_are_reported_even_if_none_can_be_decoded(bags, tmp_path):
+def test_topics_are_reported_even_if_none_can_be_decoded(tmp_path):
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
-        writer = bags.McapWriter(file)
+        writer = Writer(file)
         writer.start()
         schema = writer.register_schema("foxglove.PointCloud", "protobuf", b"")
         channel = writer.register_channel("/cloud", "protobuf", schema)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 
+import bags
+
 from aero_viz.recordings import inspect
 
 
-def test_json_has_the_documented_keys(bags, mcap_of):
+def test_json_has_the_documented_keys(mcap_of):
     report = json.loads(json.dumps(inspect(mcap_of(bags.drive())).to_dict()))
     assert {"format", "duration_s", "topics", "sweeps", "poses", "points_per_sweep", "problems"} <= set(report)
     assert report["topics"][0] == {"name": "/odom", "type": "nav_msgs/msg/Odometry", "count": 37}
     assert report["points_per_sweep"] == {"min": 200, "median": 200, "max": 200}
 
 
-def test_table_marks_the_topics_that_are_played(bags, mcap_of):
+def test_table_marks_the_topics_that_are_played(mcap_of):
     table = inspect(mcap_of(bags.drive(child="base_link"))).format_table()
     assert "/points" in table and "<- sweeps" in table and "<- poses" in table
     assert "10 sweeps can be played, 37 poses" in table

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import bags
 import pytest
 from small_source import small_config
 
@@ -15,7 +16,7 @@ from aero_viz.session.engine import Engine
 
 
 @pytest.fixture
-def path(bags, mcap_of):
+def path(mcap_of):
     return mcap_of(bags.drive(sweeps=14))
 
 

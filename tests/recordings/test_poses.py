@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bags
 import numpy as np
 import pytest
 
@@ -70,7 +71,7 @@ def test_long_gaps_are_not_interpolated():
     np.testing.assert_array_equal(gap.covers([0.15, 0.25, 2.0, 4.95, 5.05]), [True, True, False, True, True])
 
 
-def test_pose_stamped_only(written, bags):
+def test_pose_stamped_only(written):
     items = [bags.pose_stamped(0.1 * k, [0.5 * k, 0, 1]) for k in range(5)]
     items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(5)]
     with open_recording(written(sorted(items, key=lambda item: item.time))) as recording:
@@ -79,7 +80,7 @@ def test_pose_stamped_only(written, bags):
         np.testing.assert_allclose(recording.poses.velocities, np.tile([5.0, 0, 0], (5, 1)), atol=1e-6)
 
 
-def test_tf_chain_with_a_static_extrinsic(written, bags):
+def test_tf_chain_with_a_static_extrinsic(written):
     items = [
         bags.transform(0, "base_link", "lidar", [0.1, 0, 0.2], YAW_90, topic="/tf_static"),
         bags.transform(0, "map", "odom", [10, 0, 0], YAW_90),
@@ -97,7 +98,7 @@ def test_tf_chain_with_a_static_extrinsic(written, bags):
         np.testing.assert_allclose(pose.velocity, [0, 2, 0], atol=1e-6)
 
 
-def test_odometry_of_another_frame_uses_the_static_transform(bags, mcap_of):
+def test_odometry_of_another_frame_uses_the_static_transform(mcap_of):
     static = [
         bags.transform(0, "base", "mast", [0, 0, 1], topic="/tf_static"),
         bags.transform(0, "mast", "lidar", [0, 0, 0.5], YAW_90, topic="/tf_static"),
@@ -108,26 +109,26 @@ def test_odometry_of_another_frame_uses_the_static_transform(bags, mcap_of):
         assert recording.problems == []
 
 
-def test_unknown_extrinsic_is_reported(bags, mcap_of):
+def test_unknown_extrinsic_is_reported(mcap_of):
     problems = inspect(mcap_of(bags.drive(child="base_link"))).problems
     assert any("'base_link'" in problem and "'lidar'" in problem for problem in problems)
 
 
-def test_odometry_is_preferred_unless_a_topic_is_named(bags, mcap_of):
+def test_odometry_is_preferred_unless_a_topic_is_named(mcap_of):
     path = mcap_of([*bags.drive(), *(bags.pose_stamped(0.01 * k, [0, k, 0]) for k in range(100))])
     assert inspect(path).pose_topic == "/odom"
     info = inspect(path, pose_topic="/pose")
     assert info.pose_topic == "/pose" and info.poses == 100
 
 
-def test_topic_of_other_times_is_not_used_for_the_poses(bags, mcap_of):
+def test_topic_of_other_times_is_not_used_for_the_poses(mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
     items += [bags.odometry(60.0, [0, 0, 0], topic="/odom_of_another_day")]
     items += [bags.pose_stamped(0.1 * k, [k, 0, 0]) for k in range(10)]
     assert inspect(mcap_of(items)).pose_topic == "/pose"
 
 
-def test_uncovered_sweeps_are_left_out_and_reported(bags, mcap_of):
+def test_uncovered_sweeps_are_left_out_and_reported(mcap_of):
     items = [item for item in bags.drive() if item.topic == "/points" or item.time >= bags.START + 0.4e9]
     path = mcap_of(items)
     info = inspect(path)
@@ -138,14 +139,14 @@ def test_uncovered_sweeps_are_left_out_and_reported(bags, mcap_of):
         assert recording.poses.times[0] == pytest.approx(0.1)
 
 
-def test_different_clocks_fall_back_to_the_time_of_recording(bags, mcap_of):
+def test_different_clocks_fall_back_to_the_time_of_recording(mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall()), late=1000.0) for k in range(10)]
     items += [bags.odometry(1000 + 0.1 * k, [k, 0, 0]) for k in range(10)]
     info = inspect(mcap_of(items))
     assert info.sweeps == 10 and any("different clocks" in problem for problem in info.problems)
 
 
-def test_poses_of_another_time_are_an_error(bags, mcap_of):
+def test_poses_of_another_time_are_an_error(mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(3)]
     path = mcap_of([*items, bags.odometry(60, [0, 0, 0]), bags.odometry(61, [0, 0, 0])])
     with pytest.raises(UserError, match=r"/odom .* do not overlap the sweeps"):
@@ -153,7 +154,7 @@ def test_poses_of_another_time_are_an_error(bags, mcap_of):
     assert inspect(path).sweeps == 0
 
 
-def test_unset_quaternions_are_left_out(bags, mcap_of):
+def test_unset_quaternions_are_left_out(mcap_of):
     items = [*bags.drive(), bags.odometry(0.512, [0, 0, 0], wxyz=(0, 0, 0, 0))]
     info = inspect(mcap_of(items))
     assert info.poses == 37

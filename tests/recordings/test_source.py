@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bags
 import numpy as np
 import pytest
 
@@ -31,7 +32,7 @@ def play(source):
     return seen
 
 
-def test_one_tick_per_pose_until_the_end(bags, source_of):
+def test_one_tick_per_pose_until_the_end(source_of):
     source = source_of(bags.drive())
     seen = play(source)
     np.testing.assert_allclose([o.time for o in seen], 0.025 * np.arange(37), atol=1e-9)
@@ -42,7 +43,7 @@ def test_one_tick_per_pose_until_the_end(bags, source_of):
         assert o.state.time == o.time
 
 
-def test_sweeps_from_all_positions_coincide_in_the_world(bags, source_of):
+def test_sweeps_from_all_positions_coincide_in_the_world(source_of):
     for o in play(source_of(bags.drive(sweeps=14))):
         count = min(int(o.time / 0.1 + 1e-6) + 1, 10)
         newest = 0.1 * min(int(o.time / 0.1 + 1e-6), 13)
@@ -52,13 +53,13 @@ def test_sweeps_from_all_positions_coincide_in_the_world(bags, source_of):
         np.testing.assert_allclose(o.points[:, 0], 5.0, atol=1e-5)
 
 
-def test_number_of_sweeps_can_be_chosen(bags, source_of):
+def test_number_of_sweeps_can_be_chosen(source_of):
     assert play(source_of(bags.drive(), sweeps=3))[-1].sweep_count == 3
     with pytest.raises(UserError, match="sweeps must be at least 1"):
         source_of(bags.drive(), sweeps=0)
 
 
-def test_cloud_has_the_newest_sweeps_that_fit_whole(bags, source_of):
+def test_cloud_has_the_newest_sweeps_that_fit_whole(source_of):
     big = np.tile(bags.wall(1000), (70, 1))
     items = [bags.cloud(0.1 * k, bags.xyz(np.add(big, [k, 0, 0]))) for k in range(5)]
     items += [bags.pose_stamped(0.1 * k, [0, 0, 0]) for k in range(5)]
@@ -67,13 +68,13 @@ def test_cloud_has_the_newest_sweeps_that_fit_whole(bags, source_of):
     assert set(np.unique(o.points[:, 0])) == {8.0, 9.0}
 
 
-def test_newest_sweep_is_used_even_if_it_exceeds_the_limit(bags, source_of):
+def test_newest_sweep_is_used_even_if_it_exceeds_the_limit(source_of):
     big = np.tile(bags.wall(1000), (220, 1))
     o = play(source_of([bags.cloud(0, bags.xyz(big)), bags.pose_stamped(0, [0, 0, 0])]))[0]
     assert o.sweep_count == 1 and len(o.points) == 220_000
 
 
-def fast_turn(bags, pose_period: float):
+def fast_turn(pose_period: float):
     """Return a sweep of a sensor that turns at 2 rad/s, moves at 3 m/s, and measures a post at (4, 1) 200 times."""
     seconds = np.arange(200) * 5e-4
     yaw, x = 2.0 * seconds, 3.0 * seconds
@@ -87,18 +88,18 @@ def fast_turn(bags, pose_period: float):
     return items
 
 
-def test_points_are_moved_by_the_pose_at_their_own_time(bags, source_of):
-    points = source_of(fast_turn(bags, 0.05)).observe().points
+def test_points_are_moved_by_the_pose_at_their_own_time(source_of):
+    points = source_of(fast_turn(0.05)).observe().points
     assert np.abs(points[:, :2] - [4, 1]).max() < 2e-3
 
 
-def test_sparse_poses_move_a_sweep_as_a_whole(bags, source_of):
-    points = source_of(fast_turn(bags, 0.45)).observe().points
+def test_sparse_poses_move_a_sweep_as_a_whole(source_of):
+    points = source_of(fast_turn(0.45)).observe().points
     np.testing.assert_allclose(points[0, :2], [4, 1], atol=1e-5)
     assert np.abs(points[-1, :2] - [4, 1]).max() > 0.2
 
 
-def test_goal_moves_along_the_recorded_path(bags, source_of):
+def test_goal_moves_along_the_recorded_path(source_of):
     corner = [[k * 0.5, 0, 0] for k in range(21)] + [[10, k * 0.5, 0] for k in range(1, 21)]
     items = [bags.pose_stamped(0.1 * k, p) for k, p in enumerate(corner)]
     items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(41)]
@@ -116,7 +117,7 @@ def test_goal_moves_along_the_recorded_path(bags, source_of):
         source.goal_ahead = 0.0
 
 
-def test_goal_of_a_standing_drone_is_along_its_heading(bags, source_of):
+def test_goal_of_a_standing_drone_is_along_its_heading(source_of):
     jitter = np.random.default_rng(1).normal(0, 0.01, (200, 3))
     yaw = np.array([np.cos(0.3), 0, 0, np.sin(0.3)])
     items = [bags.pose_stamped(0.01 * k, jitter[k], yaw) for k in range(200)]
@@ -127,7 +128,7 @@ def test_goal_of_a_standing_drone_is_along_its_heading(bags, source_of):
     np.testing.assert_allclose(offset, [15 * np.cos(0.6), 15 * np.sin(0.6), 0], atol=1e-6)
 
 
-def test_fixed_goal_stays_until_it_is_reset(bags, source_of):
+def test_fixed_goal_stays_until_it_is_reset(source_of):
     source = source_of(bags.drive())
     automatic = np.array(source.observe().goal.position)
     source.set_goal([1, 2, 3])
@@ -140,7 +141,7 @@ def test_fixed_goal_stays_until_it_is_reset(bags, source_of):
         source.set_goal([1, np.nan, 2])
 
 
-def test_checkpoint_restores_tick_goal_and_outcome(bags, source_of):
+def test_checkpoint_restores_tick_goal_and_outcome(source_of):
     source = source_of(bags.drive())
     source.seek(0.5)
     saved, before = source.checkpoint(), source.observe()
@@ -154,7 +155,7 @@ def test_checkpoint_restores_tick_goal_and_outcome(bags, source_of):
     np.testing.assert_array_equal(after.goal.position, before.goal.position)
 
 
-def test_seek_goes_to_the_tick_at_or_before(bags, source_of):
+def test_seek_goes_to_the_tick_at_or_before(source_of):
     source = source_of(bags.drive())
     for time, expected in [(0.26, 0.25), (-5.0, 0.0), (100.0, 0.9)]:
         source.seek(time)
@@ -166,7 +167,7 @@ def test_seek_goes_to_the_tick_at_or_before(bags, source_of):
         source.seek(np.nan)
 
 
-def test_recording_without_poses_plays_at_the_origin(bags, source_of):
+def test_recording_without_poses_plays_at_the_origin(source_of):
     source = source_of([bags.cloud(0.1 * k, bags.xyz(bags.wall(seed=k))) for k in range(4)])
     assert any("no poses are recorded" in notice for notice in source.info.notices)
     seen = play(source)
@@ -175,7 +176,7 @@ def test_recording_without_poses_plays_at_the_origin(bags, source_of):
     np.testing.assert_array_equal(seen[-1].goal.position, [15, 0, 0])
 
 
-def test_scenery_shows_the_recorded_path(bags, source_of):
+def test_scenery_shows_the_recorded_path(source_of):
     source = source_of(bags.drive())
     np.testing.assert_allclose(source.info.recorded_path[-1], [1.8, 0, 0], atol=1e-6)
     assert source.info.world is None and "Open loop" in source.info.notices[0]
