@@ -53,8 +53,7 @@ import sys
 import numpy as np
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.onboard.flight_log import FlightLog
-from aero_planner.onboard.point_source import PointPacket
-from aero_planner.onboard.vehicle_link import VehicleSample
+from aero_planner.onboard.interfaces import PointPacket, VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
 import time
 
@@ -63,8 +62,8 @@ k = 0
 while True:
     now = time.monotonic()
     state = VehicleState(np.array([0.01 * k, 0.0, 2.0]), np.array([1.0, 0.0, 0.0]), np.array([1.0, 0, 0, 0]), None, now)
-    log.sample(VehicleSample(now, state, True, True, now))
-    log.points(PointPacket(np.ones((500, 3), np.float32) * (1 + k % 7), now - np.linspace(0.02, 0.0, 500)))
+    log.observe(VehicleSample(now, state, True, True, now))
+    log.observe(PointPacket(np.ones((500, 3), np.float32) * (1 + k % 7), now - np.linspace(0.02, 0.0, 500)))
     k += 1
     if k % 50 == 0:
         print(k, flush=True)

@@ -17,7 +17,7 @@ import pytest
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.failsafe_table import Cause, State
-from aero_planner.onboard.observer import PlanRecord
+from aero_planner.onboard.interfaces import PlanRecord
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
@@ -106,7 +106,7 @@ def live(telemetry: Telemetry) -> Iterator[tuple[LiveSession, Watcher]]:
 def show(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
     """Send plans one after the other, each when the one before has been shown."""
     for record in records:
-        telemetry.plan(record)
+        telemetry.observe(record)
         assert watcher.wait(lambda number=record.number: watcher.frames and watcher.frames[-1].index == number)
 
 
@@ -114,11 +114,11 @@ def send(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> N
     """Send plans to a session that holds still, and wait until it has them."""
     for record in records:
         sent = telemetry.sent
-        telemetry.plan(record)
+        telemetry.observe(record)
         while telemetry.sent == sent:
             time.sleep(0.001)
     count = len(watcher.notices)
-    telemetry.change(StateChange(1.0, State.READY, State.FLYING, Cause.ENGAGED))
+    telemetry.observe(StateChange(1.0, State.READY, State.FLYING, Cause.ENGAGED))
     assert watcher.wait(lambda: len(watcher.notices) > count)  # what was sent before has come before
 
 
@@ -127,7 +127,7 @@ def test_frames_are_what_the_drone_planned(telemetry: Telemetry, records: list[P
     assert client.config == SMALL and client.onboard.rates.replan == 25.0
     frames, stream = [], iter(client)
     for record in records[:8]:
-        telemetry.plan(record)
+        telemetry.observe(record)
         frame = next(stream)
         assert isinstance(frame, Frame)
         frames.append(frame)
@@ -158,7 +158,7 @@ def test_a_session_follows_holds_and_goes_back(
     sink = session.subscribe_playing(states.append)
     session.pause()
     assert sink.drain() and states == [True, False]
-    telemetry.plan(records[5])
+    telemetry.observe(records[5])
     while session.time_range[1] <= session.frame.time:  # received and not shown
         time.sleep(0.01)
     assert session.frame.index == records[4].number
@@ -292,7 +292,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
 
 def test_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
     _, watcher = live
-    telemetry.change(StateChange(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
+    telemetry.observe(StateChange(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
     assert watcher.wait(lambda: watcher.notices)
     assert watcher.notices[0] == Notice("error", f"FLYING → BRAKING: {Cause.CLOUD_STALE.value}")
 

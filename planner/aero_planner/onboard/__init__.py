@@ -1,11 +1,11 @@
 """The node that flies: it connects a LiDAR, the planner and an autopilot. docs/onboard.md describes it.
 
-- The loop: `node`, `periodic_loop`, `replanner`, `plan_schedule`, `dead_reckoning`, `goal_tracker`, `stop_controller`.
+- The loop: `node`, `interfaces` (to LiDAR, autopilot and observers), `periodic_loop`, `replanner`, `plan_schedule`,
+  `dead_reckoning`, `goal_tracker`, `stop_controller`.
 - Safety: `failsafe_table` (what happens on which fault), `safety_machine`, `watchdog`, `failsafe_process`,
   `heartbeat_memory`, `safety_docs`.
-- LiDAR: `point_source` (the interface), `livox`, `sweep_buffer`, `host_clock`.
-- Autopilot: `vehicle_link` (the interface), `mavlink`, `mavlink_sender`, `mavlink_parser`, `transport`, `frames`,
-  `thrust`, `estimator_reset`.
-- Observers: `observer`, `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
+- LiDAR: `livox`, `sweep_buffer`, `host_clock`.
+- Autopilot: `mavlink`, `mavlink_sender`, `mavlink_parser`, `transport`, `frames`, `thrust`, `estimator_reset`.
+- Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
 - Programs: `run`, `preflight`, `input_checks`, `bundle_export`, `connections`, `settings`.
 """

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.vehicle_link import VehicleSample
+from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.quaternions import integrate_rates, rotate
 
 __all__ = ["DeadReckoning", "MotionState", "acceleration", "propagate"]

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,9 @@ from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard import ros_messages
-from aero_planner.onboard.observer import Observer, PlanRecord
-from aero_planner.onboard.point_source import PointPacket
+from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointPacket, VehicleSample
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
-from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import quaternion_from_angles, rotate
 
 __all__ = ["FlightLog"]
@@ -38,9 +36,6 @@ _POSE_SPACING = 0.018
 """Smallest time between two poses [s]; in `aero-viz play` each pose is a tick."""
 _LINES_SPACING = 0.098
 """Smallest time between two plans that are logged with guides and rollouts [s], about 30 kB each."""
-
-
-_Item: TypeAlias = PlanRecord | StateChange | VehicleSample | PointPacket
 
 
 class FlightLog(Observer):
@@ -105,7 +100,7 @@ class FlightLog(Observer):
         for name, text in (("config_0.yaml", format_config(planner)), ("onboard.yaml", format_onboard(onboard))):
             self._writer.add_attachment(stamp, stamp, name, "application/yaml", text.encode())
         self._flush()
-        self._mailbox: Mailbox[_Item] = Mailbox(
+        self._mailbox: Mailbox[Observation] = Mailbox(
             self._write, capacity=_WAITING, name="aero-planner-log", low_priority=True, at_end=self._finish
         )
 
@@ -116,23 +111,8 @@ class FlightLog(Observer):
 
     # --- called by the node -----------------------------------------------------------------------------------------
 
-    def plan(self, record: PlanRecord) -> None:
-        """Log a plan."""
-        self._put(record)
-
-    def change(self, change: StateChange) -> None:
-        """Log a transition."""
-        self._put(change)
-
-    def sample(self, sample: VehicleSample) -> None:
-        """Log a state."""
-        self._put(sample)
-
-    def points(self, packet: PointPacket) -> None:
-        """Log points."""
-        self._put(packet)
-
-    def _put(self, item: _Item) -> None:
+    def observe(self, item: Observation) -> None:
+        """Log an item."""
         self._refused += not self._mailbox.put(item)
 
     def close(self, timeout: float = 5.0) -> None:
@@ -145,7 +125,7 @@ class FlightLog(Observer):
 
     # --- the thread -------------------------------------------------------------------------------------------------
 
-    def _write(self, item: _Item) -> None:
+    def _write(self, item: Observation) -> None:
         if self.failed:
             return
         try:

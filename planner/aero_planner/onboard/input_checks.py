@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.check_report import Check
 from aero_planner.onboard.failsafe_table import is_inside_fence
-from aero_planner.onboard.point_source import PointSource
+from aero_planner.onboard.interfaces import PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import make_sweep_buffer
-from aero_planner.onboard.vehicle_link import VehicleLink, VehicleSample
 
 __all__ = ["check_inputs"]
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.host_clock import HostClock
-from aero_planner.onboard.point_source import PointCounters, PointPacket
+from aero_planner.onboard.interfaces import PointCounters, PointPacket
 
 __all__ = ["CARTESIAN_CM", "CARTESIAN_MM", "LivoxPacket", "LivoxSource", "Reject", "encode_packet", "parse_packet"]
 
@@ -137,7 +137,7 @@ def encode_packet(
 
 
 class LivoxSource:
-    """Receives a Mid-360's points; implements `aero_planner.onboard.point_source.PointSource`.
+    """Receives a Mid-360's points; implements `aero_planner.onboard.interfaces.PointSource`.
 
     Args:
         port: UDP port of the host to listen on; 0 selects a free port.

@@ -22,10 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
 from aero_planner.onboard.frames import attitude_from_ned, world_from_ned
 from aero_planner.onboard.host_clock import HostClock
+from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.mavlink_parser import MavlinkParser
 from aero_planner.onboard.mavlink_sender import MavlinkSender, load_dialect
 from aero_planner.onboard.transport import open_transport
-from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
@@ -41,7 +41,7 @@ _BYTES_PER_POLL = 65_536  # bounds the time of a poll during a flood
 
 
 class MavlinkLink:
-    """A connection to an autopilot that speaks MAVLink; implements `aero_planner.onboard.vehicle_link.VehicleLink`.
+    """A connection to an autopilot that speaks MAVLink; implements `aero_planner.onboard.interfaces.VehicleLink`.
 
     Args:
         url: See `aero_planner.onboard.transport.open_transport`.

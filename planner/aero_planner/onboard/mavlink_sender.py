@@ -33,7 +33,7 @@ def load_dialect() -> Any:
 
 
 class MavlinkSender:
-    """Packs commands and other messages and sends them; implements `aero_planner.onboard.vehicle_link.CommandSink`.
+    """Packs commands and other messages and sends them; implements `aero_planner.onboard.interfaces.CommandSink`.
 
     Args:
         transport: Connection to the autopilot; None sends nothing. It may be replaced at any time.

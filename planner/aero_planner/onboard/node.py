@@ -31,15 +31,13 @@ from aero_planner.onboard.failsafe_table import (
     is_inside_fence,
 )
 from aero_planner.onboard.goal_tracker import GoalTracker
-from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.periodic_loop import PeriodicLoop
 from aero_planner.onboard.plan_schedule import PlanSchedule
-from aero_planner.onboard.point_source import PointSource
-from aero_planner.onboard.replanner import ControlSnapshot, PlanResult, Replanner
+from aero_planner.onboard.replanner import ControlSnapshot, Replanner
 from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.stop_controller import StopController
-from aero_planner.onboard.vehicle_link import VehicleLink, VehicleSample
 from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
@@ -71,6 +69,9 @@ class Node:
 
     Attributes:
         config: Configuration of the node.
+        safety: The state machine, to be read only.
+        schedule: The plans being flown, to be read only.
+        snapshot: What the control loop knew at its newest tick; None before the first vehicle state.
         changes: The last transitions of the safety state.
         failures: Number of ticks of the control loop that raised an exception.
         sent: Number of commands sent by the control loop.
@@ -81,14 +82,13 @@ class Node:
         planner: Planner,
         link: VehicleLink,
         lidar: PointSource,
-        config: OnboardConfig | None = None,
+        config: OnboardConfig,
         *,
         goal: ArrayLike | None = None,
         clock: Callable[[], float] = time.monotonic,
         observers: Sequence[Observer] = (),
         failsafe: FailsafeProcess | None = None,
     ) -> None:
-        config = config or OnboardConfig()
         check_together(planner.config, config)
         self.config = config
         self.changes: deque[StateChange] = deque(maxlen=1000)
@@ -101,9 +101,9 @@ class Node:
         self._observers = tuple(observers)
         self._failsafe = failsafe
         self._vehicle = planner.config.vehicle
-        self._schedule = PlanSchedule()
-        self._replanner = Replanner(planner, config, self._schedule, clock)
-        self._safety = SafetyMachine(config.limits, on_change=self._on_change)
+        self.schedule = PlanSchedule()
+        self._replanner = Replanner(planner, config, self.schedule, clock)
+        self.safety = SafetyMachine(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle)
         self._stop_controller = StopController(self._vehicle, config.brake)
         self._watchdog = Watchdog(
@@ -114,7 +114,7 @@ class Node:
             deadline=config.limits.deadline,
             blind_time=config.limits.blind_time,
         )
-        self._snapshot: ControlSnapshot | None = None
+        self.snapshot: ControlSnapshot | None = None
         self._sample: VehicleSample | None = None
         self._state_finite = True
         self._points_time = -math.inf
@@ -141,22 +141,7 @@ class Node:
     @property
     def state(self) -> State:
         """The safety state."""
-        return self._safety.state
-
-    @property
-    def safety(self) -> SafetyMachine:
-        """The state machine, to be read only."""
-        return self._safety
-
-    @property
-    def schedule(self) -> PlanSchedule:
-        """The plans being flown, to be read only."""
-        return self._schedule
-
-    @property
-    def snapshot(self) -> ControlSnapshot | None:
-        """What the control loop knew at its newest tick; None before the first vehicle state."""
-        return self._snapshot
+        return self.safety.state
 
     @property
     def goal(self) -> NDArray[np.float64] | None:
@@ -196,30 +181,35 @@ class Node:
         self._link.poll()
         self._read_state()
         inputs, motion = self._gather_inputs(now, loop_age)
-        previous_state = self._safety.state
-        reaction = self._safety.step(now, inputs)
+        previous_state = self.state
+        reaction = self.safety.step(now, inputs)
         is_obeyed = inputs.armed and inputs.offboard
         command = self._choose_command(now, reaction, inputs, motion)
         if command is not None:
             self._send(command)
-        elif previous_state in COMMANDING and self._safety.state is State.HANDED_BACK and is_obeyed:
+        elif previous_state in COMMANDING and self.state is State.HANDED_BACK and is_obeyed:
             # The autopilot follows the last command until it notices the silence, so that must be a level hover.
             self._send(self._stop_controller.hover)
         self._report(now, motion, command if is_obeyed else None, follows_plan=reaction in AS_PLANNED)
         # Last, so that a flood of packets delays no command.
         self._read_points()
-        if self._stopping and self._safety.state not in COMMANDING:
+        if self._stopping and self.state not in COMMANDING:
             self._fell_silent.set()
         return reaction
 
     def plan_once(self) -> bool:
         """Plan from the newest snapshot of the control loop; return True if there is a new plan."""
-        result = self._replanner.plan_once(self._snapshot)
+        result = self._replanner.plan_once(self.snapshot)
         if result is None:
             return False
-        if self._observers:
-            record = self._make_record(result)
-            self._notify(lambda observer: observer.plan(record))
+        record = PlanRecord(
+            **vars(result),
+            safety=self.state,
+            faults=self.safety.active_faults(),
+            late_ticks=self._loops["control"].statistics.missed,
+            sweeps=self.config.lidar.sweeps,
+        )
+        self._notify(record)
         return True
 
     def watch_once(self) -> bool:
@@ -246,7 +236,7 @@ class Node:
                 self._sample = sample
                 self._reckoning.correct(sample)
                 self._replanner.add_arrival(sample)
-                self._notify(lambda observer: observer.sample(sample))
+                self._notify(sample)
         elif sample is not None and previous is not None and sample.time == previous.time:
             self._sample = sample  # a heartbeat has changed its flags
         self._goals.update(self._link.goal)
@@ -256,11 +246,11 @@ class Node:
             if len(packet.times):
                 self._points_time = max(self._points_time, float(packet.times.max()))
                 self._replanner.add_arrival(packet)
-                self._notify(lambda observer, packet=packet: observer.points(packet))
+                self._notify(packet)
 
     def _gather_inputs(self, now: float, loop_age: float) -> tuple[Inputs, MotionState | None]:
         latest, sample, goal = self._link.state, self._sample, self.goal
-        plan = self._schedule.at(now)
+        plan = self.schedule.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
         position = np.full(3, np.nan) if motion is None else motion.position
         inputs = Inputs(
@@ -290,7 +280,7 @@ class Node:
             self._hold = None
         if reaction is Reaction.SILENT or motion is None:
             return None
-        if reaction in AS_PLANNED and (planned := self._schedule.command(now)) is not None:
+        if reaction in AS_PLANNED and (planned := self.schedule.command(now)) is not None:
             return planned
         if reaction is Reaction.HOLD and self._hold is None and motion.speed <= self.config.limits.speed_stopped:
             self._hold = motion.position
@@ -303,7 +293,7 @@ class Node:
         """Report the end of a tick to planning thread, watchdog and failsafe process."""
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
-            self._snapshot = ControlSnapshot(self._sample, motion, self.goal, obeyed, follows_plan)
+            self.snapshot = ControlSnapshot(self._sample, motion, self.goal, obeyed, follows_plan)
         heartbeat = Heartbeat(now, motion, obeyed, self._upcoming_commands(now) if follows_plan else None)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
@@ -313,7 +303,7 @@ class Node:
         """Return the planned commands for the next control periods if no tick follows, shape [n, 4]."""
         period, limits = 1.0 / self.config.rates.control, self.config.limits
         count = min(UPCOMING_MAX, math.ceil(takeover_time(self.config) / period))
-        return self._bounded(self._schedule.upcoming(now, period=period, count=count, age_max=limits.plan_age))
+        return self._bounded(self.schedule.upcoming(now, period=period, count=count, age_max=limits.plan_age))
 
     def _bounded(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
         vehicle = self._vehicle
@@ -324,35 +314,15 @@ class Node:
         self._link.send(self._bounded(command))
         self.sent += 1
 
-    def _make_record(self, result: PlanResult) -> PlanRecord:
-        return PlanRecord(
-            number=result.number,
-            time=result.time,
-            state=result.state,
-            measured=result.snapshot.sample.state,
-            goal=result.goal,
-            points=result.points,
-            cloud_age=result.cloud_age,
-            plan=result.plan,
-            plan_ms=result.plan_ms,
-            safety=self._safety.state,
-            faults=self._safety.active_faults(),
-            late_ticks=self._loops["control"].statistics.missed,
-            sweeps=self.config.lidar.sweeps,
-        )
-
     def _on_change(self, change: StateChange) -> None:
         self.changes.append(change)
         is_fault = change.target in (State.BRAKING, State.HANDED_BACK)
         _log.log(logging.WARNING if is_fault else logging.INFO, "%s", change)
-        self._notify(lambda observer: observer.change(change))
+        self._notify(change)
 
-    def _notify(self, call: Callable[[Observer], None]) -> None:
+    def _notify(self, item: Observation) -> None:
         for observer in self._observers:
-            try:
-                call(observer)
-            except Exception:
-                _log.exception("%s failed", type(observer).__name__)
+            _run_step(lambda observer=observer: observer.observe(item), type(observer).__name__)
 
     # --- start and end ----------------------------------------------------------------------------------------------
 
@@ -396,7 +366,8 @@ class Node:
             self._send(self._stop_controller.hover)  # for the same reason as in `control_once`
         self._link.close()
         self._lidar.close()
-        self._notify(lambda observer: observer.close())
+        for observer in self._observers:
+            _run_step(observer.close, type(observer).__name__)
         return not any(thread.is_alive() for thread in self._threads)
 
     def _run_control(self) -> None:

@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
+from aero_planner.onboard.interfaces import PlanResult, PointPacket, VehicleSample
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
-from aero_planner.onboard.point_source import PointPacket
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import make_sweep_buffer
-from aero_planner.onboard.vehicle_link import VehicleSample
-from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
+from aero_planner.plan import Goal, PlanStatus, VehicleState
 from aero_planner.planner import Planner
 
-__all__ = ["ControlSnapshot", "PlanResult", "Replanner"]
+__all__ = ["ControlSnapshot", "Replanner"]
 
 _log = logging.getLogger(__name__)
 
@@ -43,26 +42,6 @@ class ControlSnapshot:
     """Command that the drone obeys, shape [4]; None if it does not obey the node."""
     follows_plan: bool
     """True if the command comes from the plan."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlanResult:
-    """A plan and its inputs."""
-
-    number: int
-    time: float
-    """When the planner was called, host time [s]."""
-    snapshot: ControlSnapshot
-    goal: NDArray[np.float64]
-    """[m], shape [3], world frame."""
-    state: VehicleState
-    """State from which the plan starts."""
-    points: NDArray[np.float32]
-    """Cloud [m], shape [P, 3], world frame."""
-    cloud_age: float
-    """[s]"""
-    plan: Plan
-    plan_ms: float
 
 
 class Replanner:
@@ -158,12 +137,6 @@ class Replanner:
             self.planner.reset()
             self._count_failure("the plan contains NaN or infinity")
             return None
-        self._append(plan, controls, snapshot, state, start)
-        return PlanResult(self._number, start, snapshot, snapshot.goal, state, points, cloud_age, plan, 1e3 * duration)
-
-    def _append(
-        self, plan: Plan, controls: NDArray[np.float64], snapshot: ControlSnapshot, state: VehicleState, now: float
-    ) -> None:
         self._number += 1
         scheduled = ScheduledPlan(
             number=self._number,
@@ -173,7 +146,18 @@ class Replanner:
             controls=controls,
             status=PlanStatus(int(plan.status)),  # type: ignore[arg-type]
         )
-        self._schedule.append(scheduled, now)
+        self._schedule.append(scheduled, start)
+        return PlanResult(
+            number=self._number,
+            time=start,
+            state=state,
+            measured=snapshot.sample.state,
+            goal=snapshot.goal,
+            points=points,
+            cloud_age=cloud_age,
+            plan=plan,
+            plan_ms=1e3 * duration,
+        )
 
     def _count_failure(self, message: str) -> None:
         self.failures += 1

@@ -21,7 +21,7 @@ import numpy as np
 
 from aero_planner.config import PlannerConfig
 from aero_planner.mailbox import lower_thread_priority
-from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
 from aero_planner.onboard.telemetry_protocol import Kind, encode
@@ -111,21 +111,19 @@ class Telemetry(Observer):
 
     # --- called by the node -----------------------------------------------------------------------------------------
 
-    def plan(self, record: PlanRecord) -> None:
-        """Offer a plan."""
-        now = self._clock()
-        if self._viewers and now >= self._next_plan:
+    def observe(self, item: Observation) -> None:
+        """Offer a plan or a transition; anything else is ignored."""
+        if not self._viewers:
+            return
+        if isinstance(item, StateChange):
+            self._changes.append(item)
+            self._notify_thread()
+        elif isinstance(item, PlanRecord) and (now := self._clock()) >= self._next_plan:
             # At a steady rate: the next plan is due one period after this one was due, unless that was long ago.
             period = 1.0 / self._settings.rate
             self._next_plan = max(self._next_plan + period, now + 0.5 * period)
-            self._record = record
+            self._record = item
             self.accepted += 1
-            self._notify_thread()
-
-    def change(self, change: StateChange) -> None:
-        """Offer a transition."""
-        if self._viewers:
-            self._changes.append(change)
             self._notify_thread()
 
     def close(self) -> None:

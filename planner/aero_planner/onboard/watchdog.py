@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.dead_reckoning import MotionState, propagate
+from aero_planner.onboard.interfaces import CommandSink
 from aero_planner.onboard.stop_controller import StopController
-from aero_planner.onboard.vehicle_link import CommandSink
 
 __all__ = ["UPCOMING_MAX", "Heartbeat", "Watchdog"]
 

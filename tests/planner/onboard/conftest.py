@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from aero_planner import Planner
-from aero_planner.onboard.observer import Observer, PlanRecord
+from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, in_flight, poles
 
 
@@ -15,8 +15,9 @@ class Records(Observer):
     def __init__(self) -> None:
         self.plans: list[PlanRecord] = []
 
-    def plan(self, record: PlanRecord) -> None:
-        self.plans.append(record)
+    def observe(self, item: Observation) -> None:
+        if isinstance(item, PlanRecord):
+            self.plans.append(item)
 
 
 @pytest.fixture(scope="package")

@@ -17,13 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Plan, Planner, PlannerConfig, VehicleState
 from aero_planner.onboard.dead_reckoning import MotionState, propagate
 from aero_planner.onboard.failsafe_table import State
+from aero_planner.onboard.interfaces import Observation, Observer, PointCounters, PointPacket, VehicleSample
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.observer import Observer, PlanRecord
-from aero_planner.onboard.point_source import PointCounters, PointPacket
-from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stop_controller import StopController
-from aero_planner.onboard.vehicle_link import VehicleSample
 from aero_planner.quaternions import conjugate, rotate
 
 STEP = 0.005
@@ -112,21 +109,9 @@ class Relay(Observer):
     def __init__(self) -> None:
         self.observers: list[Observer] = []
 
-    def plan(self, record: PlanRecord) -> None:
+    def observe(self, item: Observation) -> None:
         for observer in self.observers:
-            observer.plan(record)
-
-    def change(self, change: StateChange) -> None:
-        for observer in self.observers:
-            observer.change(change)
-
-    def sample(self, sample: VehicleSample) -> None:
-        for observer in self.observers:
-            observer.sample(sample)
-
-    def points(self, packet: PointPacket) -> None:
-        for observer in self.observers:
-            observer.points(packet)
+            observer.observe(item)
 
     def close(self) -> None:
         for observer in self.observers:

@@ -9,9 +9,9 @@ import pytest
 
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, acceleration, propagate
+from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.settings import BrakeSettings
 from aero_planner.onboard.stop_controller import StopController
-from aero_planner.onboard.vehicle_link import VehicleSample
 
 VEHICLE = PlannerConfig().vehicle
 HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])

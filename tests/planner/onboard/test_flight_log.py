@@ -15,8 +15,8 @@ from mcap_ros2.decoder import DecoderFactory
 from aero_planner import Planner, PlannerConfig, VehicleState
 from aero_planner.config.file import load_config
 from aero_planner.onboard.flight_log import FlightLog
+from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.settings import OnboardConfig, load_onboard
-from aero_planner.onboard.vehicle_link import VehicleSample
 from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import PLACES, SMALL, Relay, Simulation, poles
 
@@ -139,13 +139,13 @@ def test_a_slow_disk_at_the_end_drops_waiting_items_and_logs_it(
         sync(file)
 
     monkeypatch.setattr(os, "fsync", slow)
-    log.sample(sample(1.0))
+    log.observe(sample(1.0))
     assert stuck.wait(10.0)
     for k in range(30):
-        log.sample(sample(2.0 + 0.02 * k))
+        log.observe(sample(2.0 + 0.02 * k))
     log.close(0.1)
     assert "slow.mcap may be missing: the disk is too slow; 30 items were dropped" in caplog.text
-    log.sample(sample(3.0))  # while the thread hangs
+    log.observe(sample(3.0))  # while the thread hangs
     assert log.dropped == 31
     # When the disk recovers, the file is complete: no other thread has closed or written it.
     gate.set()
@@ -162,7 +162,7 @@ def test_no_flight_replaces_another(tmp_path: Path):
     for k in range(3):
         log = FlightLog(tmp_path / "flight.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0)
         for i in range(k + 1):
-            log.sample(sample(1.0 + i))
+            log.observe(sample(1.0 + i))
         log.close()
         paths.append(log.path)
     assert [path.name for path in paths] == ["flight.mcap", "flight_1.mcap", "flight_2.mcap"]

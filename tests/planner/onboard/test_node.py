@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aero_planner import Plan, Planner, PlanStatus, VehicleState
+from aero_planner import Plan, Planner, PlanStatus
 from aero_planner.onboard.failsafe_table import Reaction, State
-from aero_planner.onboard.observer import Observer, PlanRecord
 from aero_planner.onboard.plan_schedule import ScheduledPlan
 from aero_planner.quaternions import rotate
+from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import CORRIDOR, GOAL, PLACES, WORLD, Simulation, in_flight, spoiled
 
 PERIOD = 0.02
@@ -83,25 +83,16 @@ def test_each_command_is_the_planned_control_of_its_time(flight: Simulation):
 
 
 def test_plans_start_where_the_drone_will_be(small_planner: Planner):
-    class StartStates(Observer):
-        """Keeps the states from which the plans start."""
-
-        def __init__(self) -> None:
-            self.planned: list[VehicleState] = []
-
-        def plan(self, record: PlanRecord) -> None:
-            self.planned.append(record.state)
-
-    observer = StartStates()
-    simulation = in_flight(small_planner, plan_time=0.06, state_delay=0.0, observers=[observer])
-    del observer.planned[:-1]
+    seen = Records()
+    simulation = in_flight(small_planner, plan_time=0.06, state_delay=0.0, observers=[seen])
+    del seen.plans[:-1]
     truth: dict[float, NDArray[np.float64]] = {}
     for _ in range(60):
         simulation.run(0.005)
         truth[simulation.now] = simulation.motion.position
     times = np.array(list(truth))
     errors = []
-    for state in observer.planned:
+    for state in (record.state for record in seen.plans):
         nearest = int(np.abs(times - float(state.time)).argmin())  # type: ignore[arg-type]
         if abs(times[nearest] - float(state.time)) < 0.004:  # type: ignore[arg-type]
             errors.append(np.linalg.norm(np.asarray(state.position) - truth[times[nearest]]))

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
 from aero_planner.onboard.failsafe_table import Cause, State
-from aero_planner.onboard.observer import PlanRecord
+from aero_planner.onboard.interfaces import PlanRecord
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP, Telemetry, encode_plan
@@ -84,7 +84,7 @@ def serve(clock: Clock) -> Iterator[Callable[..., Telemetry]]:
 def send(telemetry: Telemetry, record: PlanRecord, clock: Clock) -> None:
     """Offer a plan when the next one is due."""
     clock.now += 1.0
-    telemetry.plan(record)
+    telemetry.observe(record)
 
 
 def test_a_viewer_gets_the_configuration_and_then_plans(serve, clock: Clock, records: list[PlanRecord]):
@@ -128,7 +128,7 @@ def test_the_rate_is_limited_and_without_viewers_nothing_is_sent(serve, clock: C
     for tick in range(101):  # 2 s at 50 Hz
         clock.now = 200.0 + 0.02 * tick
         before = telemetry.accepted
-        telemetry.plan(records[0])
+        telemetry.observe(records[0])
         if telemetry.accepted != before:
             numbers.append(viewer.read_plan().values["number"])
     assert 20 <= len(numbers) <= 22 and telemetry.sent == len(numbers)
@@ -178,15 +178,15 @@ def test_viewers_come_and_go(serve, clock: Clock, records: list[PlanRecord]):
             second.read_plan()
         second.socket.close()
         while telemetry.viewers:
-            telemetry.change(CHANGE)
+            telemetry.observe(CHANGE)
 
 
 def test_transitions_are_sent(serve):
     telemetry = serve()
-    telemetry.change(CHANGE)
+    telemetry.observe(CHANGE)
     viewer = Viewer(telemetry.port)
     assert viewer.read() is not None
-    telemetry.change(CHANGE)
+    telemetry.observe(CHANGE)
     message = viewer.read()
     assert message is not None and message.kind == Kind.CHANGE
     assert message.values == {
@@ -201,7 +201,7 @@ def test_closing_ends_connections_and_the_thread(serve):
     telemetry.close()
     assert viewer.read() is None
     telemetry.close()
-    telemetry.change(CHANGE)  # has no effect
+    telemetry.observe(CHANGE)  # has no effect
     assert not any(thread.name == "aero-planner-telemetry" for thread in threading.enumerate())
 
 

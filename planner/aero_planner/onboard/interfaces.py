@@ -1,0 +1,170 @@
+"""The interfaces of the node: to a LiDAR, to an autopilot, independent of their protocols, and to observers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner.onboard.failsafe_table import Cause, State
+from aero_planner.onboard.safety_machine import StateChange
+from aero_planner.plan import Plan, VehicleState
+
+__all__ = [
+    "CommandSink", "Observation", "Observer", "PlanRecord", "PlanResult", "PointCounters", "PointPacket", "PointSource",
+    "VehicleLink", "VehicleSample",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class PointPacket:
+    """Points in the order in which they were measured."""
+
+    points: NDArray[np.float32]
+    """[m], shape [n, 3], sensor frame (x forward, y left, z up); finite."""
+    times: NDArray[np.float64]
+    """When each point was measured, host time (`time.monotonic`) [s], shape [n]; never later than its arrival."""
+
+
+@dataclass
+class PointCounters:
+    """Counts of packets and points since the start."""
+
+    packets: int = 0
+    """Packets that were used."""
+    lost: int = 0
+    """Packets missing in the sequence. A packet that arrives late is subtracted again."""
+    bad: int = 0
+    """Packets that were refused: wrong length, version, type or checksum, or an inconsistent time stamp."""
+    duplicates: int = 0
+    """Packets that arrived a second time and were refused."""
+    points: int = 0
+    """Points that were passed on."""
+    filtered: int = 0
+    """Points that were removed: rays without return, and points that the sensor marks as noise."""
+
+
+class PointSource(Protocol):
+    """A LiDAR. All methods are called from one thread."""
+
+    @property
+    def counters(self) -> PointCounters:
+        """Counts of packets and points."""
+        ...
+
+    def poll(self) -> list[PointPacket]:
+        """Return what has arrived since the last call, oldest first. Never blocks; never raises for bad data."""
+        ...
+
+    def close(self) -> None:
+        """Release the connection."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleSample:
+    """The vehicle at one time."""
+
+    time: float
+    """When the state was measured, host time (`time.monotonic`) [s]; never later than its arrival."""
+    state: VehicleState
+    """Position, velocity and attitude, float64, finite, world frame, unit quaternion. Its `time` equals `time`."""
+    armed: bool
+    """True if the newest heartbeat reports that the vehicle is armed."""
+    offboard: bool
+    """True if the newest heartbeat reports that the autopilot takes commands from this computer."""
+    heartbeat_time: float
+    """When the newest heartbeat arrived, host time [s]; -inf before the first."""
+    resets: int = 0
+    """Number of resets of the autopilot's estimator; positions before and after a reset are not comparable."""
+
+
+class CommandSink(Protocol):
+    """Receiver of commands."""
+
+    def send(self, command: ArrayLike) -> None:
+        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
+
+        Raises:
+            ValueError: The command has another shape or is not finite; nothing was sent.
+        """
+        ...
+
+
+class VehicleLink(CommandSink, Protocol):
+    """Connection to an autopilot. `send` and `poll` may be called from different threads."""
+
+    @property
+    def state(self) -> VehicleSample | None:
+        """The newest sample; None before the first. Heartbeats update its flags between two states."""
+        ...
+
+    @property
+    def goal(self) -> NDArray[np.float64] | None:
+        """The last goal received [m], shape [3], world frame; None before the first."""
+        ...
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Number of states and goals that could not be used, by reason."""
+        ...
+
+    def poll(self) -> None:
+        """Read what has arrived. Never blocks; never raises for bad data."""
+        ...
+
+    def close(self) -> None:
+        """Release the connection."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult:
+    """A plan and its inputs."""
+
+    number: int
+    """Counts the plans."""
+    time: float
+    """When the planner was called, host time [s]."""
+    state: VehicleState
+    """State from which the plan starts: the measured state, predicted for when the plan was expected to be ready."""
+    measured: VehicleState
+    """Newest measured state."""
+    goal: NDArray[np.float64]
+    """[m], shape [3], world frame."""
+    points: NDArray[np.float32]
+    """Cloud [m], shape [P, 3], world frame; must not be modified."""
+    cloud_age: float
+    """Age of the newest point [s]."""
+    plan: Plan
+    plan_ms: float
+    """Duration of the planner's call [ms]."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRecord(PlanResult):
+    """A plan, its inputs, and the state of the node."""
+
+    safety: State
+    faults: tuple[Cause, ...] = ()
+    """Faults that prevent flying the plan."""
+    late_ticks: int = 0
+    """Number of deadlines that the control loop has missed since the start."""
+    sweeps: int = 10
+    """Number of sweeps in the cloud."""
+
+
+Observation: TypeAlias = PlanRecord | StateChange | VehicleSample | PointPacket
+
+
+class Observer:
+    """Base class of observers, such as the flight log. Every method must return at once and must not raise."""
+
+    def observe(self, item: Observation) -> None:
+        """Receive an item. The planning thread passes plans; the control thread passes everything else."""
+
+    def close(self) -> None:
+        """Release resources; the node has ended."""
