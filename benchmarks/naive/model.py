@@ -102,7 +102,7 @@ def v_rate(q: wp.vec4, u: wp.vec4, c: Params) -> wp.vec3:
 
 @wp.func
 def rk4(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, c: Params):
-    """Return p, v and q, normalised, after one Runge-Kutta step of dt at constant u."""
+    """Return p, v and the normalised q after one Runge-Kutta step of dt at constant u."""
     h = c.dt
     q1 = q_rate(q, u)
     v1 = v_rate(q, u, c)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.kernels.params import Params
+from benchmarks.naive.arrays import Arrays
 from benchmarks.naive.model import rotate, rotate_back, yaw
 
 __all__ = ["cells_of_points", "coarse_cells", "complete_goal", "fine_cells", "initial_anchors", "refined_anchors"]
@@ -33,93 +33,69 @@ def center_of(row: int, column: int, rows: int, columns: int) -> wp.vec3:
 
 
 @wp.kernel
-def complete_goal(
-    position: wp.array(dtype=wp.vec3),
-    quaternion_in: wp.array(dtype=wp.vec4),
-    goal_position: wp.array(dtype=wp.vec3),
-    goal_velocity_in: wp.array(dtype=wp.vec3),
-    goal_quaternion_in: wp.array(dtype=wp.vec4),
-    quaternion: wp.array(dtype=wp.vec4),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
-):
+def complete_goal(a: Arrays):
     """Normalise the attitudes and complete the goal, as `aero_planner.Goal` says. Launched over [B]."""
     b = wp.tid()
-    quaternion[b] = wp.normalize(quaternion_in[b])
-    goal_velocity[b] = goal_velocity_in[b]
-    if wp.isnan(goal_velocity_in[b][0]):
-        goal_velocity[b] = wp.vec3(0.0, 0.0, 0.0)
-    goal_quaternion[b] = wp.normalize(goal_quaternion_in[b])
-    if wp.isnan(goal_quaternion_in[b][0]):
-        way = goal_position[b] - position[b]
-        angle = yaw(quaternion[b])
+    a.q0[b] = wp.normalize(a.quaternion[b])
+    a.v_goal[b] = a.goal_velocity[b]
+    if wp.isnan(a.goal_velocity[b][0]):
+        a.v_goal[b] = wp.vec3(0.0, 0.0, 0.0)
+    a.q_goal[b] = wp.normalize(a.goal_quaternion[b])
+    if wp.isnan(a.goal_quaternion[b][0]):
+        way = a.goal_position[b] - a.position[b]
+        angle = yaw(a.q0[b])
         if wp.length(wp.vec2(way[0], way[1])) > 0.5:
             angle = wp.atan2(way[1], way[0])
-        goal_quaternion[b] = wp.vec4(wp.cos(0.5 * angle), 0.0, 0.0, wp.sin(0.5 * angle))
+        a.q_goal[b] = wp.vec4(wp.cos(0.5 * angle), 0.0, 0.0, wp.sin(0.5 * angle))
 
 
 @wp.kernel
-def cells_of_points(
-    points: wp.array2d(dtype=wp.vec3),
-    point_count: wp.array(dtype=int),
-    position: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    params: wp.array(dtype=Params),
-    rows: int,
-    columns: int,
-    keys: wp.array2d(dtype=wp.uint64),
-    dropped: wp.array(dtype=int),
-):
+def cells_of_points(a: Arrays):
     """Find the minimum (range, index) of each cell as one packed number. Launched over [B, P]."""
     b, i = wp.tid()
-    if i >= point_count[b]:
+    rows = a.coarse_rows * a.fine_cells
+    columns = a.coarse_columns * a.fine_cells
+    if i >= a.point_count[b]:
         return
-    x = points[b, i]
+    x = a.points[b, i]
     if not (wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])):
-        wp.atomic_add(dropped, b, 1)
+        wp.atomic_add(a.dropped, b, 1)
         return
-    r = wp.length(x - position[b])
-    if r > params[b].range_max or r < params[b].range_min:
+    r = wp.length(x - a.position[b])
+    if r > a.params[b].range_max or r < a.params[b].range_min:
         return
-    row, column = cell_of(rotate_back(quaternion[b], x - position[b]), rows, columns)
+    row, column = cell_of(rotate_back(a.q0[b], x - a.position[b]), rows, columns)
     key = (wp.uint64(wp.cast(r, wp.uint32)) << wp.uint64(32)) | wp.uint64(i)
-    wp.atomic_min(keys, b, row * columns + column, key)
+    wp.atomic_min(a.keys, b, row * columns + column, key)
 
 
 @wp.kernel
-def fine_cells(
-    keys: wp.array2d(dtype=wp.uint64),
-    points: wp.array2d(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    fine_range: wp.array2d(dtype=float),
-    count: wp.array(dtype=int),
-    filtered: wp.array2d(dtype=wp.vec3),
-):
+def fine_cells(a: Arrays):
     """Write r_ij, and the filtered cloud as a list in any order. Launched over [B, fine cells]."""
     b, cell = wp.tid()
-    fine_range[b, cell] = params[b].range_max
-    key = keys[b, cell]
+    a.fine_range[b, cell] = a.params[b].range_max
+    key = a.keys[b, cell]
     if key != NOTHING:
-        fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
-        filtered[b, wp.atomic_add(count, b, 1)] = points[b, int(key & wp.uint64(0xFFFFFFFF))]
+        a.fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
+        a.filtered[b, wp.atomic_add(a.count, b, 1)] = a.points[b, int(key & wp.uint64(0xFFFFFFFF))]
 
 
 @wp.func
-def safest(
-    fine_range: wp.array2d(dtype=float), b: int, row: int, column: int, pool: int, rows: int, columns: int,
-    toward: wp.vec3,
-):  # fmt: skip
+def safest(a: Arrays, b: int, row: int, column: int, toward: wp.vec3):
     """Return the largest range in a coarse cell, and its direction.
 
     Among equal ranges it is the direction nearest to `toward`, and the first of several within 1e-6.
     """
+    pool = a.fine_cells
+    rows = a.coarse_rows * pool
+    columns = a.coarse_columns * pool
     best_range = float(-1.0)
     best_cosine = float(-2.0)
     best_direction = wp.vec3(0.0, 0.0, 0.0)
     for i in range(row * pool, row * pool + pool):
         for j in range(column * pool, column * pool + pool):
-            r = fine_range[b, i * columns * pool + j]
-            d = center_of(i, j, rows * pool, columns * pool)
+            r = a.fine_range[b, i * columns + j]
+            d = center_of(i, j, rows, columns)
             cosine = wp.dot(d, toward)
             if r > best_range or (r == best_range and cosine > best_cosine + 1.0e-6):
                 best_range = r
@@ -129,86 +105,60 @@ def safest(
 
 
 @wp.kernel
-def initial_anchors(
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    goal_position: wp.array(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    columns: int,
-    rows: int,
-    steps: int,
-    reach: wp.array(dtype=float),
-    direction: wp.array2d(dtype=wp.vec3),
-):
+def initial_anchors(a: Arrays):
     """Write the look-ahead l and the M_h x M_v initial directions, body frame. Launched over [B, M_h M_v]."""
     b, m = wp.tid()
-    c = params[b]
-    way = goal_position[b] - position[b]
+    c = a.params[b]
+    rows = a.anchor_rows
+    columns = a.anchor_columns
+    way = a.goal_position[b] - a.position[b]
     distance = wp.length(way)
     if distance < 1.0e-3:
-        way = rotate(quaternion[b], wp.vec3(1.0, 0.0, 0.0))
-    speed = wp.length(velocity[b])
-    T = float(steps) * c.dt
+        way = rotate(a.q0[b], wp.vec3(1.0, 0.0, 0.0))
+    speed = wp.length(a.velocity[b])
+    T = float(a.nominal.shape[2]) * c.dt
     length = wp.min(wp.min(c.lookahead, 0.6 * T * c.speed_limit), distance)
     if c.lookahead_rest < c.lookahead:
         length = wp.min(length, c.lookahead_rest + 0.6 * T * speed)
-    reach[b] = length
+    a.reach[b] = length
     spacing = wp.radians(c.spacing)
     if speed < c.slow_speed:
         spacing = spacing * c.slow_spread
     azimuth = wp.atan2(way[1], way[0]) + (float(m % columns) - 0.5 * float(columns - 1)) * spacing
     elevation = wp.atan2(way[2], wp.sqrt(way[0] * way[0] + way[1] * way[1]))
     elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * spacing
-    direction[b, m] = rotate_back(
-        quaternion[b],
+    a.direction[b, m] = rotate_back(
+        a.q0[b],
         wp.vec3(wp.cos(elevation) * wp.cos(azimuth), wp.cos(elevation) * wp.sin(azimuth), wp.sin(elevation)),
     )
 
 
 @wp.kernel
-def coarse_cells(
-    fine_range: wp.array2d(dtype=float),
-    direction: wp.array2d(dtype=wp.vec3),
-    pool: int,
-    rows: int,
-    columns: int,
-    safe_range: wp.array2d(dtype=float),
-    safe_direction: wp.array2d(dtype=wp.vec3),
-):
+def coarse_cells(a: Arrays):
     """Find the safe direction of each coarse cell, ties toward its first anchor or its centre. Launched over [B, C]."""
     b, cell = wp.tid()
+    rows = a.coarse_rows
+    columns = a.coarse_columns
     row = cell // columns
     column = cell % columns
     toward = center_of(row, column, rows, columns)
     found = int(0)
-    for m in range(direction.shape[1]):
-        r, c = cell_of(direction[b, m], rows, columns)
+    for m in range(a.direction.shape[1]):
+        r, c = cell_of(a.direction[b, m], rows, columns)
         if r == row and c == column and found == 0:
-            toward = direction[b, m]
+            toward = a.direction[b, m]
             found = 1
-    best_range, best_direction = safest(fine_range, b, row, column, pool, rows, columns, toward)
-    safe_range[b, cell] = best_range
-    safe_direction[b, cell] = best_direction
+    best_range, best_direction = safest(a, b, row, column, toward)
+    a.safe_range[b, cell] = best_range
+    a.safe_direction[b, cell] = best_direction
 
 
 @wp.kernel
-def refined_anchors(
-    position: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    params: wp.array(dtype=Params),
-    fine_range: wp.array2d(dtype=float),
-    reach: wp.array(dtype=float),
-    direction: wp.array2d(dtype=wp.vec3),
-    pool: int,
-    rows: int,
-    columns: int,
-    anchor: wp.array2d(dtype=wp.vec3),
-):
+def refined_anchors(a: Arrays):
     """Write p0 + l d with d the safe direction of the anchor's coarse cell. Launched over [B, M_h M_v]."""
     b, m = wp.tid()
-    d = direction[b, m]
-    if params[b].refine != 0:
-        row, column = cell_of(d, rows, columns)
-        _r, d = safest(fine_range, b, row, column, pool, rows, columns, d)
-    anchor[b, m] = position[b] + reach[b] * rotate(quaternion[b], d)
+    d = a.direction[b, m]
+    if a.params[b].refine != 0:
+        row, column = cell_of(d, a.coarse_rows, a.coarse_columns)
+        _r, d = safest(a, b, row, column, d)
+    a.anchor[b, m] = a.position[b] + a.reach[b] * rotate(a.q0[b], d)

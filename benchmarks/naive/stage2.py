@@ -1,16 +1,12 @@
-"""Stage II: rollouts of the optimised controls, selection, braking.
-
-Instance i = b (M + BRAKING_CANDIDATES) + m is instance m of drone b; the braking candidates
-follow the M instances.
-"""
+"""Stage II: rollouts of the optimised controls, selection, braking. The braking candidates follow the M instances."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.kernels.params import Params
-from benchmarks.naive.guides import BRAKING_CANDIDATES, write_brake
-from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost
+from benchmarks.naive.arrays import BRAKING_CANDIDATES, Arrays
+from benchmarks.naive.guides import follow_guide, turned, write_guide
+from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost, yaw
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
 __all__ = ["braking_candidates", "commit", "final_rollouts", "final_scores", "select"]
@@ -19,176 +15,120 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def braking_candidates(
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    acceleration: wp.array(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    anchor: wp.array2d(dtype=wp.vec3),
-    coefficient: wp.array3d(dtype=wp.vec3),
-    guide: wp.array3d(dtype=wp.vec3),
-    goal_position: wp.array(dtype=wp.vec3),
-    waypoint: wp.array2d(dtype=wp.vec3),
-    controls: wp.array3d(dtype=wp.vec4),
-):
-    """Write the controls that brake straight ahead, left, right, farther left and farther right. Launched over [B]."""
+def braking_candidates(a: Arrays):
+    """Write guides and controls that brake straight ahead, left, right, farther left and farther right over [B].
+
+    They stop within brake_reach v T.
+    """
     b = wp.tid()
-    M = controls.shape[1] - BRAKING_CANDIDATES
+    c = a.params[b]
+    T = float(a.nominal.shape[2]) * c.dt
     for candidate in range(BRAKING_CANDIDATES):
-        angle = float((candidate + 1) // 2) * wp.radians(params[b].brake_fan)
+        row = a.nominal.shape[1] + candidate
+        angle = float((candidate + 1) // 2) * wp.radians(c.brake_fan)
         if candidate % 2 == 0:
             angle = -angle
-        waypoint[b, M + candidate] = goal_position[b]
-        write_brake(b, M + candidate, angle, position[b], velocity[b], acceleration[b], quaternion[b], params[b],
-                    anchor, coefficient, guide, controls)  # fmt: skip
+        a.anchor[b, row] = a.position[b] + c.brake_reach * T * turned(a.velocity[b], angle)
+        a.waypoint[b, row] = a.goal_position[b]
+        write_guide(a, b, row, a.anchor[b, row], wp.vec3(0.0, 0.0, 0.0), c.dt)
+        follow_guide(a, b, row, yaw(a.q0[b]), a.controls)
 
 
 @wp.kernel
-def final_rollouts(
-    instances: int,
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    goal_position: wp.array(dtype=wp.vec3),
-    goal_velocity: wp.array(dtype=wp.vec3),
-    goal_quaternion: wp.array(dtype=wp.vec4),
-    params: wp.array(dtype=Params),
-    waypoint: wp.array2d(dtype=wp.vec3),
-    controls: wp.array3d(dtype=wp.vec4),
-    states: wp.array3d(dtype=wp.vec3),
-    positions: wp.array3d(dtype=wp.vec3),
-    J_goal: wp.array2d(dtype=float),
-    J_speed: wp.array2d(dtype=float),
-):
-    """Roll out the optimised controls and the braking candidates. Launched over [B (M + BRAKING_CANDIDATES)]."""
+def final_rollouts(a: Arrays):
+    """Roll out the optimised controls and the braking candidates. Launched over [B R]."""
     i = wp.tid()
-    b = i // instances
-    m = i % instances
-    c = params[b]
-    N = controls.shape[2]
-    p = position[b]
-    v = velocity[b]
-    q = quaternion[b]
-    states[b, m, 0] = p
+    b = i // a.controls.shape[1]
+    m = i % a.controls.shape[1]
+    c = a.params[b]
+    N = a.controls.shape[2]
+    p = a.position[b]
+    v = a.velocity[b]
+    q = a.q0[b]
+    a.states[b, m, 0] = p
     goal = float(0.0)
     speed = float(0.0)
     for t in range(N):
-        p, v, q = rk4(p, v, q, controls[b, m, t], c)
-        states[b, m, t + 1] = p
-        positions[i, 0, t] = p
-        positions[i, 0, N + PROBES + t] = 0.5 * (states[b, m, t] + p)
-        goal += goal_cost(p, v, q, goal_position[b], goal_velocity[b], goal_quaternion[b], c)
+        p, v, q = rk4(p, v, q, a.controls[b, m, t], c)
+        a.states[b, m, t + 1] = p
+        a.positions[i, 0, t] = p
+        a.positions[i, 0, N + PROBES + t] = 0.5 * (a.states[b, m, t] + p)
+        goal += goal_cost(p, v, q, a.goal_position[b], a.v_goal[b], a.q_goal[b], c)
         speed += speed_cost(v, c)
     for j in range(PROBES):
-        positions[i, 0, N + j] = probe_position(p, waypoint[b, m], goal_position[b], j, c)
-    J_goal[b, m] = goal
-    J_speed[b, m] = speed
+        a.positions[i, 0, N + j] = probe_position(p, a.waypoint[b, m], a.goal_position[b], j, c)
+    a.J_goal[b, m] = goal
+    a.J_speed[b, m] = speed
 
 
 @wp.kernel
-def final_scores(
-    instances: int,
-    goal_position: wp.array(dtype=wp.vec3),
-    waypoint: wp.array2d(dtype=wp.vec3),
-    params: wp.array(dtype=Params),
-    positions: wp.array3d(dtype=wp.vec3),
-    distance: wp.array3d(dtype=float),
-    J_goal: wp.array2d(dtype=float),
-    J_speed: wp.array2d(dtype=float),
-    J_col: wp.array2d(dtype=float),
-    S2: wp.array2d(dtype=float),
-    nearest: wp.array2d(dtype=float),
-):
-    """Sum S2 and find the minimum clearance of every instance. Launched over [B (M + BRAKING_CANDIDATES)]."""
+def final_scores(a: Arrays):
+    """Sum S2 and find the minimum clearance of every row. Launched over [B R]."""
     i = wp.tid()
-    b = i // instances
-    m = i % instances
-    c = params[b]
-    N = (distance.shape[2] - PROBES) // 2
+    b = i // a.controls.shape[1]
+    m = i % a.controls.shape[1]
+    c = a.params[b]
+    N = a.controls.shape[2]
     least = float(1.0e9)
     for t in range(N):
-        least = wp.min(least, distance[i, 0, t])
+        least = wp.min(least, a.distance[i, 0, t])
         if c.between_steps != 0:
-            least = wp.min(least, distance[i, 0, N + PROBES + t])
-    nearest[b, m] = least
-    collision, to_go = collision_and_blocked(i, 0, N, waypoint[b, m], goal_position[b], c, positions, distance)
-    J_col[b, m] = collision
-    S2[b, m] = J_goal[b, m] + collision + to_go + J_speed[b, m]
+            least = wp.min(least, a.distance[i, 0, N + PROBES + t])
+    a.nearest[b, m] = least
+    collision, to_go = collision_and_blocked(i, 0, N, a.waypoint[b, m], a.goal_position[b], c, a.positions, a.distance)
+    a.J_col[b, m] = collision
+    a.S2[b, m] = a.J_goal[b, m] + collision + to_go + a.J_speed[b, m]
 
 
 @wp.kernel
-def select(
-    brake_index: int,
-    position: wp.array(dtype=wp.vec3),
-    ground_height: wp.array(dtype=float),
-    params: wp.array(dtype=Params),
-    cloud_age: wp.array(dtype=float),
-    count: wp.array(dtype=int),
-    filtered: wp.array2d(dtype=wp.vec3),
-    S2: wp.array2d(dtype=float),
-    nearest: wp.array2d(dtype=float),
-    best: wp.array(dtype=int),
-    status: wp.array(dtype=int),
-    source: wp.array(dtype=int),
-):
+def select(a: Arrays):
     """Select the lowest S2, with prefer_safe among the safe instances; brake if it is not safe. Launched over [B].
 
     status: 0 OK, 1 none safe, 2 cloud too old. `source` is the row whose controls are flown. Of the braking candidates
     it is the one with the largest clearance, and the first of several equal ones.
     """
     b = wp.tid()
-    c = params[b]
-    M = S2.shape[1] - BRAKING_CANDIDATES
+    c = a.params[b]
+    M = a.nominal.shape[1]
     safe = c.safe_clearance
-    start_distance = distance_to(position[b], safe, b, ground_height[b], c, count, filtered)
+    start_distance = distance_to(a.position[b], safe, b, a)
     if start_distance < safe:  # too near already: do not come nearer
         safe = start_distance - 0.02
     chosen = int(0)
     for m in range(1, M):
-        better = S2[b, m] < S2[b, chosen]
-        if c.prefer_safe != 0 and (nearest[b, m] >= safe) != (nearest[b, chosen] >= safe):
-            better = nearest[b, m] >= safe
+        better = a.S2[b, m] < a.S2[b, chosen]
+        if c.prefer_safe != 0 and (a.nearest[b, m] >= safe) != (a.nearest[b, chosen] >= safe):
+            better = a.nearest[b, m] >= safe
         if better:
             chosen = m
-    status[b] = 0
-    if nearest[b, chosen] < safe:
-        status[b] = 1
-    if cloud_age[b] > c.cloud_age_max:
-        status[b] = 2
-    source[b] = chosen
-    if status[b] != 0:
-        source[b] = M
-        for candidate in range(M + 1, M + BRAKING_CANDIDATES):
-            if nearest[b, candidate] > nearest[b, source[b]]:
-                source[b] = candidate
-        if brake_index >= 0:
-            chosen = brake_index
-    best[b] = chosen
+    a.status[b] = 0
+    if a.nearest[b, chosen] < safe:
+        a.status[b] = 1
+    if a.cloud_age[b] > c.cloud_age_max:
+        a.status[b] = 2
+    a.source[b] = chosen
+    if a.status[b] != 0:
+        a.source[b] = M
+        for row in range(M + 1, M + BRAKING_CANDIDATES):
+            if a.nearest[b, row] > a.nearest[b, a.source[b]]:
+                a.source[b] = row
+        if a.brake_index >= 0:
+            chosen = a.brake_index
+    a.best[b] = chosen
 
 
 @wp.kernel
-def commit(
-    best: wp.array(dtype=int),
-    source: wp.array(dtype=int),
-    anchor: wp.array2d(dtype=wp.vec3),
-    guide: wp.array3d(dtype=wp.vec3),
-    controls: wp.array3d(dtype=wp.vec4),
-    states: wp.array3d(dtype=wp.vec3),
-    J_goal: wp.array2d(dtype=float),
-    J_col: wp.array2d(dtype=float),
-    S2: wp.array2d(dtype=float),
-):
+def commit(a: Arrays):
     """Replace the selected instance by the row that is flown. Launched over [B]."""
     b = wp.tid()
-    m = best[b]
-    n = source[b]
-    anchor[b, m] = anchor[b, n]
-    J_goal[b, m] = J_goal[b, n]
-    J_col[b, m] = J_col[b, n]
-    S2[b, m] = S2[b, n]
-    for t in range(controls.shape[2]):
-        controls[b, m, t] = controls[b, n, t]
-    for t in range(controls.shape[2] + 1):
-        guide[b, m, t] = guide[b, n, t]
-        states[b, m, t] = states[b, n, t]
+    m = a.best[b]
+    n = a.source[b]
+    a.anchor[b, m] = a.anchor[b, n]
+    a.J_goal[b, m] = a.J_goal[b, n]
+    a.J_col[b, m] = a.J_col[b, n]
+    a.S2[b, m] = a.S2[b, n]
+    for t in range(a.controls.shape[2]):
+        a.controls[b, m, t] = a.controls[b, n, t]
+    for t in range(a.controls.shape[2] + 1):
+        a.guide[b, m, t] = a.guide[b, n, t]
+        a.states[b, m, t] = a.states[b, n, t]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.config import Value
-from benchmarks.naive import NaivePlanner, guides, mppi
+from benchmarks.naive import NaivePlanner, mppi
 from tests.planner.cases import Case, config_of, random_case
 
 Arrays = dict[str, NDArray[Any]]
@@ -210,12 +210,11 @@ def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
     positions[:M, 0, :N] = plan.positions[:, 1:]
     a.positions.assign(positions)
     wp.launch(
-        mppi.clearance, dim=a.distance.shape, device=device,
-        inputs=[
-            M + guides.BRAKING_CANDIDATES, N, planner.inputs.ground_height, naive.params, a.count, a.filtered,
-            a.positions, a.distance,
-        ],
-    )  # fmt: skip
+        mppi.clearance,
+        dim=a.distance.shape,
+        device=device,
+        inputs=[a.controls.shape[1], a, a.positions, a.distance],
+    )
     expected = np.minimum(a.distance.numpy()[:M, 0, :N], np.float32(config.costs.distance_max))
     np.testing.assert_allclose(plan.clearance, expected, rtol=3e-7)
     assert (plan.clearance < config.costs.distance_max).sum() > 20
