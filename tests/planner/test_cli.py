@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from aero_planner import PlannerConfig
+from aero_planner import Planner, PlannerConfig
 from aero_planner.cli import main
 from aero_planner.onboard.settings import OnboardConfig, load_flight_config
 from tests.planner.onboard.test_stderr import fill
@@ -205,6 +205,25 @@ def test_a_node_starts_waits_and_ends(flight_file: Path, tmp_path: Path):
         flown = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}["config_0.yaml"]
     (tmp_path / "flown.yaml").write_text(flown)
     assert load_flight_config(tmp_path / "flown.yaml")[0] == load_flight_config(flight_file)[0]
+
+
+def test_the_node_avoids_the_ground_even_where_the_configuration_does_not(
+    call: Callable[..., Outcome], flight_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+):  # fmt: skip
+    def end(planner: Planner, *_: object, **__: object) -> None:
+        raise ValueError(f"the planner avoids the ground: {planner.config.costs.use_ground}")
+
+    monkeypatch.setattr("aero_planner.onboard.run.Node", end)
+    flight_file.write_text(flight_file.read_text() + "costs:\n  use_ground: false\n")
+    log = tmp_path / "flight.mcap"
+    code, _, err = call("run", "--config", str(flight_file), "--log", str(log))
+    assert code == 2 and "the planner avoids the ground: True" in err
+    assert "costs.use_ground is off; the node switches it on" in caplog.text
+    with log.open("rb") as file:
+        flown = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}["config_0.yaml"]
+    (tmp_path / "flown.yaml").write_text(flown)
+    assert load_flight_config(tmp_path / "flown.yaml")[0].costs.use_ground
 
 
 def test_a_stalled_and_lost_terminal_does_not_prevent_the_end(flight_file: Path):

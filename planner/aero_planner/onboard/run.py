@@ -64,6 +64,10 @@ def run_node(
         ValueError: the device can't plan, or an argument is invalid.
         OSError: a connection or the flight log can't be opened.
     """
+    if not planner_config.costs.use_ground:
+        # A Mid-360 does not see the ground below it, so the node avoids what is below its geofence in any case.
+        _log.warning("costs.use_ground is off; the node switches it on to stay above limits.fence_height_min")
+        planner_config = planner_config.replace({"costs.use_ground": True})
     with contextlib.ExitStack() as resources:
         with _planning_errors(device):
             planner = Planner(planner_config, device=device, seed=seed, threads=threads)
