@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.frames import attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink_sender import load_dialect
-from aero_planner.onboard.thrust import force_from_signal, signal_from_force
+from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.faults import Channel
@@ -107,10 +107,8 @@ class SimulatedAutopilot:
         self.refused = 0
         self.violations: list[str] = []
         self._model = model
-        self._compensation = compensation
-        self._motors: dict[str, float] = dict(
-            mass=model.mass, gravity=model.gravity, hover_thrust=self._motor_signal(hover_thrust), curve=curve
-        )
+        self._compensation = ThrustModel(mass=1.0, gravity=1.0, hover_thrust=1.0, curve=compensation)
+        self._motors = ThrustModel(model.mass, model.gravity, self._compensation.signal(hover_thrust), curve)
         self._finished = wp.zeros(1, dtype=int, device="cpu")
         self._command = wp.zeros((1, 1), dtype=wp.vec4, device="cpu")
         views = (self.vehicle.position, self.vehicle.velocity, self.vehicle.quaternion, self._command)
@@ -269,16 +267,12 @@ class SimulatedAutopilot:
         if not (is_rates_and_thrust and is_addressed and np.isfinite(values).all()):
             self.refused += 1
             return
-        force = force_from_signal(self._motor_signal(min(max(values[0], 0.0), 1.0)), **self._motors)
+        force = self._motors.force(self._compensation.signal(min(max(values[0], 0.0), 1.0)))
         if self._now - self._last_setpoint_time > self._loss_time:
             self._stream_start = self._now
         self._last_setpoint_time = self._now
         rates = flu_from_frd(values[1:]).tolist()
         self.setpoints.append(Setpoint(self._arrival, force, tuple(rates), self.mode))
-
-    def _motor_signal(self, thrust: float) -> float:
-        """Return the signal to the motors, in [0, 1], for a thrust setpoint in [0, 1]."""
-        return signal_from_force(thrust, mass=1.0, gravity=1.0, hover_thrust=1.0, curve=self._compensation)
 
     def _handle_command(self, message: Any) -> None:
         d = self._dialect

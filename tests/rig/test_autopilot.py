@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 from aero_planner.onboard.mavlink_sender import load_dialect
-from aero_planner.onboard.thrust import signal_from_force
+from aero_planner.onboard.thrust import ThrustModel
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.autopilot import PERIOD, Mode, SimulatedAutopilot
 
@@ -175,13 +175,13 @@ def test_the_node_must_not_compensate_a_curve_that_the_autopilot_compensates(mak
     c = make(hover_thrust=0.4, curve=0.6, compensation=compensation)
     for weights in (0.5, 1.0, 1.7):
         force = weights * 9.81
-        c.run(0.04, thrust=signal_from_force(force, mass=1.0, hover_thrust=0.4, curve=curve))
+        c.run(0.04, thrust=ThrustModel(mass=1.0, hover_thrust=0.4, curve=curve).signal(force))
         assert c.autopilot.setpoints[-1].thrust == pytest.approx(force, rel=1e-6)
 
 
 def test_a_curve_compensated_twice_gives_the_wrong_thrust(make):
     c = make(hover_thrust=0.4, curve=0.6, compensation=0.6)
-    c.run(0.04, thrust=signal_from_force(1.7 * 9.81, mass=1.0, hover_thrust=0.4, curve=0.6))
+    c.run(0.04, thrust=ThrustModel(mass=1.0, hover_thrust=0.4, curve=0.6).signal(1.7 * 9.81))
     assert c.autopilot.setpoints[-1].thrust < 1.6 * 9.81
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_sender import MavlinkSender
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.thrust import ThrustModel
 
-__all__ = ["make_sender", "open_lidar", "open_link"]
+__all__ = ["make_sender", "open_lidar", "open_link", "thrust_model"]
 
 
 def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
@@ -25,9 +24,11 @@ def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
     try:
         return MavlinkLink(
             settings.url,
+            thrust_model(config, vehicle),
             baud=settings.baud,
+            system=settings.system,
+            component=settings.component,
             state_rate=settings.state_rate,
-            **_sender_options(config, vehicle),
         )
     except OSError as error:
         raise OSError(
@@ -42,19 +43,13 @@ def make_sender(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkSender:
     Raises:
         ImportError: pymavlink is not installed; names the extra to install.
     """
-    return MavlinkSender(None, **_sender_options(config, vehicle))
+    system, component = config.mavlink.system, config.mavlink.component
+    return MavlinkSender(None, system=system, component=component, thrust=thrust_model(config, vehicle))
 
 
-def _sender_options(config: OnboardConfig, vehicle: VehicleConfig) -> dict[str, Any]:
-    """Return the MAVLink identity and the thrust model with which commands are sent."""
-    return dict(
-        system=config.mavlink.system,
-        component=config.mavlink.component,
-        mass=vehicle.mass,
-        gravity=vehicle.gravity,
-        hover_thrust=config.thrust.hover_thrust,
-        curve=config.thrust.curve,
-    )
+def thrust_model(config: OnboardConfig, vehicle: VehicleConfig) -> ThrustModel:
+    """Return the model with which thrust is converted to the autopilot's normalised thrust."""
+    return ThrustModel(vehicle.mass, vehicle.gravity, config.thrust.hover_thrust, config.thrust.curve)
 
 
 def open_lidar(config: OnboardConfig) -> LivoxSource:

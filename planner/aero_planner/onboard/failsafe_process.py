@@ -163,13 +163,7 @@ def main() -> None:
     if not line:
         return
     settings = json.loads(line)
-    onboard = OnboardConfig().replace(
-        {
-            f"{section}.{name}": value
-            for section, values in settings["onboard"].items()
-            for name, value in values.items()
-        }
-    )
+    onboard = OnboardConfig.from_dict(settings["onboard"])
     vehicle = VehicleConfig(**settings["vehicle"])
     sender = make_sender(onboard, vehicle)
     watchdog = Watchdog(

@@ -45,7 +45,7 @@ def check_inputs(
         clock: Host time [s].
         sleep: Waits for a time [s].
     """
-    sweeps = make_sweep_buffer(onboard, clock=clock)
+    sweeps = make_sweep_buffer(onboard)
     states, points, newest_point = 0, 0, -math.inf
     last: VehicleSample | None = None
     start = clock()

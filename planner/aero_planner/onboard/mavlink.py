@@ -25,6 +25,7 @@ from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.mavlink_parser import MavlinkParser
 from aero_planner.onboard.mavlink_sender import MavlinkSender, load_dialect
+from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.onboard.transport import open_transport
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
@@ -40,18 +41,15 @@ _LIMIT = 1e6  # [m], [m/s]; larger values have no precision left in float32
 _BYTES_PER_POLL = 65_536  # bounds the time of a poll during a flood
 
 
-class MavlinkLink:
+class MavlinkLink(MavlinkSender):
     """A connection to an autopilot that speaks MAVLink; implements `aero_planner.onboard.interfaces.VehicleLink`.
 
     Args:
         url: See `aero_planner.onboard.transport.open_transport`.
+        thrust: Thrust model of the vehicle.
         baud: Baud rate of a serial device [bit/s].
         system: System id of the autopilot and of this computer.
         component: Component id of this computer.
-        mass: Mass of the vehicle [kg].
-        gravity: [m/s^2].
-        hover_thrust: See `aero_planner.onboard.thrust`.
-        curve: See `aero_planner.onboard.thrust`.
         state_rate: ODOMETRY messages per second that are requested from the autopilot; 0 requests none.
         clock: Host time [s].
 
@@ -68,34 +66,20 @@ class MavlinkLink:
 
     def __init__(
         self,
-        url: str = "udpin:127.0.0.1:14540",
+        url: str,
+        thrust: ThrustModel,
         *,
         baud: int = 921_600,
         system: int = 1,
         component: int = 191,
-        mass: float = 1.0,
-        gravity: float = 9.81,
-        hover_thrust: float = 0.5,
-        curve: float = 0.0,
         state_rate: float = 100.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._dialect = load_dialect()
+        load_dialect()  # raises before the transport is opened
         self._transport = open_transport(url, baud=baud)
-        self._system, self._component = system, component
-        self._sender = MavlinkSender(
-            self._transport,
-            system=system,
-            component=component,
-            mass=mass,
-            gravity=gravity,
-            hover_thrust=hover_thrust,
-            curve=curve,
-            clock=clock,
-        )
+        super().__init__(self._transport, system=system, component=component, thrust=thrust, clock=clock)
         self._parser = MavlinkParser(self._dialect, datagrams=self._transport.datagrams)
         self._state_rate = state_rate
-        self._time = clock
         self._polling = threading.Lock()
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
@@ -109,11 +93,6 @@ class MavlinkLink:
         self._estimate: EstimatorState | None = None
         self._origin: tuple[Any, ...] | None = None
         self._resets = self._detected_resets = 0
-
-    @property
-    def sent(self) -> int:
-        """Number of commands sent."""
-        return self._sender.sent
 
     @property
     def bad(self) -> int:
@@ -145,13 +124,9 @@ class MavlinkLink:
                 self._heartbeat_sent = now
                 kind, none = self._dialect.MAV_TYPE_ONBOARD_CONTROLLER, self._dialect.MAV_AUTOPILOT_INVALID
                 active = self._dialect.MAV_STATE_ACTIVE
-                self._sender.send_message(self._dialect.MAVLink_heartbeat_message(kind, none, 0, 0, active, 3))
+                self.send_message(self._dialect.MAVLink_heartbeat_message(kind, none, 0, 0, active, 3))
         finally:
             self._polling.release()
-
-    def send(self, command: ArrayLike) -> None:
-        """Command the vehicle, see `MavlinkSender.send`."""
-        self._sender.send(command)
 
     def close(self) -> None:
         """Release the connection."""
@@ -193,7 +168,7 @@ class MavlinkLink:
         d = self._dialect
         command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0
         parameters = d.MAVLINK_MSG_ID_ODOMETRY, 1e6 / self._state_rate, *[0.0] * 5
-        self._sender.send_message(d.MAVLink_command_long_message(self._system, *command, *parameters))
+        self.send_message(d.MAVLink_command_long_message(self._system, *command, *parameters))
 
     def _process_odometry(self, message: Any) -> None:
         d = self._dialect

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aero_planner.onboard.frames import frd_from_flu
-from aero_planner.onboard.thrust import signal_from_force
+from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.onboard.transport import Transport
 
 __all__ = ["MavlinkSender", "load_dialect"]
@@ -39,10 +39,7 @@ class MavlinkSender:
         transport: Connection to the autopilot; None sends nothing. It may be replaced at any time.
         system: System id of the autopilot and of this computer.
         component: Component id of this computer.
-        mass: Mass of the vehicle [kg].
-        gravity: [m/s^2].
-        hover_thrust: See `aero_planner.onboard.thrust`.
-        curve: See `aero_planner.onboard.thrust`.
+        thrust: Thrust model of the vehicle.
         clock: Host time [s].
 
     Raises:
@@ -59,17 +56,15 @@ class MavlinkSender:
         *,
         system: int,
         component: int,
-        mass: float,
-        gravity: float,
-        hover_thrust: float,
-        curve: float,
+        thrust: ThrustModel,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.transport = transport
         self.sent = 0
         self._dialect = load_dialect()
         self._system = system
-        self._thrust_model = dict(mass=mass, gravity=gravity, hover_thrust=hover_thrust, curve=curve)
+        self._component = component
+        self._thrust = thrust
         self._time = clock
         self._packer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         self._sending = threading.Lock()
@@ -83,7 +78,7 @@ class MavlinkSender:
         values = np.asarray(command, dtype=np.float64)
         if values.shape != (4,) or not np.isfinite(values).all():
             raise ValueError(f"the command is {values.tolist()}; it must be a thrust and three rates, all finite.")
-        thrust = signal_from_force(float(values[0]), **self._thrust_model)
+        thrust = self._thrust.signal(float(values[0]))
         rates = frd_from_flu(values[1:])
         message = self._dialect.MAVLink_set_attitude_target_message(
             int(1e3 * self._time()) & 0xFFFFFFFF,

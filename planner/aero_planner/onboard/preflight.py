@@ -6,7 +6,6 @@ import contextlib
 import importlib.metadata
 import platform
 import shutil
-import socket
 import statistics
 import sys
 import time
@@ -19,11 +18,11 @@ from numpy.typing import ArrayLike
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import Bundle
-from aero_planner.onboard.connections import open_lidar, open_link
+from aero_planner.onboard.connections import open_lidar, open_link, thrust_model
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.settings import OnboardConfig, check_together
-from aero_planner.onboard.thrust import force_from_signal
+from aero_planner.onboard.telemetry import listen
 
 __all__ = ["check_thrust", "preflight"]
 
@@ -135,9 +134,7 @@ def _check_bundle(bundle: Bundle | None) -> Iterator[Check]:
 def check_thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     """Check that the hover thrust is plausible and that the planner asks for no more thrust than there is."""
     vehicle, thrust = planner.vehicle, onboard.thrust
-    full = force_from_signal(
-        1.0, mass=vehicle.mass, gravity=vehicle.gravity, hover_thrust=thrust.hover_thrust, curve=thrust.curve
-    )
+    full = thrust_model(onboard, vehicle).force(1.0)
     weight = vehicle.mass * vehicle.gravity
     curve = f" and thrust.curve {thrust.curve:g}, valid only if THR_MDL_FAC is 0" if thrust.curve else ""
     finding = f"hovers at {thrust.hover_thrust:g} with {weight:.1f} N{curve}: at most {full:.1f} N"
@@ -181,17 +178,13 @@ def _check_telemetry_port(onboard: OnboardConfig) -> Iterator[Check]:
     if not settings.enabled:
         return
     address = f"{settings.host}:{settings.port}"
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((settings.host, settings.port))
-        except OSError as error:
-            finding = f"{address}: {error.strerror or error}"
-            advice = "Stop the node that is already running, or set another telemetry.port."
-            yield Check(name, finding, ok=False, required=False, advice=advice)
-            return
-    yield Check(name, f"{address} is free")
+    try:
+        listen(settings).close()
+    except OSError as error:
+        advice = "Stop the node that is already running, or set another telemetry.port."
+        yield Check(name, f"{address}: {error.strerror or error}", ok=False, required=False, advice=advice)
+    else:
+        yield Check(name, f"{address} is free")
 
 
 def _check_receive_buffer() -> Iterator[Check]:

@@ -67,7 +67,7 @@ class Replanner:
         self.durations: deque[float] = deque(maxlen=10_000)
         self.is_finite = True
         planner.reserve(config.lidar.points_max)  # so that no plan has to wait for larger buffers
-        self._sweeps = make_sweep_buffer(config, clock=clock)
+        self._sweeps = make_sweep_buffer(config)
         self._sweep_period = config.lidar.sweep_period
         self._resets = 0
         self._next_cloud = -np.inf

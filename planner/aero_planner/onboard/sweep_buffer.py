@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,16 +19,6 @@ _POSES = 512
 """Poses that are kept: 5 s at 100 Hz."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Chunk:
-    """Points that were placed together."""
-
-    points: NDArray[np.float32]
-    """World frame [m], shape [n, 3]."""
-    newest_time: float
-    """When the newest was measured [s]."""
-
-
 class SweepBuffer:
     """The deskewed points of the last `sweeps` x `period` seconds. Thread-safe.
 
@@ -45,7 +32,6 @@ class SweepBuffer:
         mount_position: Position of the sensor in the body frame [m], shape [3].
         mount_quaternion: Sensor to body, w x y z, unit, shape [4].
         max_gap: Longest time between two poses that is interpolated [s].
-        clock: Host time [s], for ages.
 
     Raises:
         ValueError: An option is out of range.
@@ -63,7 +49,6 @@ class SweepBuffer:
         mount_position: ArrayLike = (0.0, 0.0, 0.0),
         mount_quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0),
         max_gap: float = 0.25,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         for name, value in (("sweeps", sweeps), ("period", period), ("capacity", capacity), ("max_gap", max_gap)):
             if not value > 0:
@@ -74,9 +59,9 @@ class SweepBuffer:
         position = np.asarray(mount_position, dtype=np.float64)
         self._mount = np.column_stack([rotation_matrix(mount_quaternion), position]).astype(np.float32)
         self._max_gap = max_gap
-        self._clock = clock
         self._poses = PoseTrack(_POSES)
-        self._chunks: deque[_Chunk] = deque()
+        # Points that were placed together, world frame [m], shape [n, 3], and when the newest was measured [s].
+        self._chunks: deque[tuple[NDArray[np.float32], float]] = deque()
         self._count = 0
         self._newest = -np.inf
         self._waiting: deque[tuple[NDArray[np.float32], NDArray[np.float64]]] = deque()
@@ -131,18 +116,14 @@ class SweepBuffer:
         """Number of points that wait for a pose."""
         return self._waiting_count
 
-    def cloud(self, now: float | None = None) -> tuple[NDArray[np.float32], float]:
-        """Return the points in the world frame [m], shape [P, 3], oldest first, and the age of the newest [s].
+    def cloud(self, now: float) -> tuple[NDArray[np.float32], float]:
+        """Return the points in the world frame [m], shape [P, 3], oldest first, and the age of the newest at `now` [s].
 
         The array is a copy. The age is infinite before the first point.
-
-        Args:
-            now: Host time [s]; None reads the clock.
         """
         with self._lock:
-            chunks, newest = [chunk.points for chunk in self._chunks], self._newest
-        points = np.concatenate(chunks) if chunks else np.zeros((0, 3), dtype=np.float32)
-        return points, (self._clock() if now is None else now) - newest
+            chunks, newest = [points for points, _ in self._chunks], self._newest
+        return np.concatenate(chunks) if chunks else np.zeros((0, 3), dtype=np.float32), now - newest
 
     def _place_waiting(self) -> None:
         newest = self._poses.newest_time
@@ -164,19 +145,19 @@ class SweepBuffer:
             self.dropped += int(len(known) - known.sum())
             placed, times = placed[known], times[known]
         if len(placed) > 0:
-            self._keep(_Chunk(placed, float(times.max())))
+            self._keep(placed, float(times.max()))
 
-    def _keep(self, chunk: _Chunk) -> None:
-        self._chunks.append(chunk)
-        self._count += len(chunk.points)
-        self._newest = max(self._newest, chunk.newest_time)
+    def _keep(self, points: NDArray[np.float32], time: float) -> None:
+        self._chunks.append((points, time))
+        self._count += len(points)
+        self._newest = max(self._newest, time)
         # The newest chunk always stays: it is never larger than the capacity.
-        while self._count > self._capacity or self._chunks[0].newest_time < self._newest - self._window:
-            self._count -= len(self._chunks.popleft().points)
+        while self._count > self._capacity or self._chunks[0][1] < self._newest - self._window:
+            self._count -= len(self._chunks.popleft()[0])
 
 
-def make_sweep_buffer(config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> SweepBuffer:
-    """Return an empty sweep buffer for the LiDAR as it is mounted; `clock` is the host time [s]."""
+def make_sweep_buffer(config: OnboardConfig) -> SweepBuffer:
+    """Return an empty sweep buffer for the LiDAR as it is mounted."""
     lidar = config.lidar
     return SweepBuffer(
         lidar.sweeps,
@@ -184,5 +165,4 @@ def make_sweep_buffer(config: OnboardConfig, *, clock: Callable[[], float] = tim
         lidar.points_max,
         mount_position=(lidar.mount_x, lidar.mount_y, lidar.mount_z),
         mount_quaternion=quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw),
-        clock=clock,
     )

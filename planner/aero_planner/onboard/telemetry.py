@@ -27,7 +27,7 @@ from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
 from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_planner.plan import VehicleState
 
-__all__ = ["POINT_STEP", "Telemetry", "encode_change", "encode_hello", "encode_plan"]
+__all__ = ["POINT_STEP", "Telemetry", "encode_change", "encode_hello", "encode_plan", "listen"]
 
 _log = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ class Telemetry(Observer):
         self._record: PlanRecord | None = None
         self._changes: deque[StateChange] = deque(maxlen=_CHANGES)
         self._closed = False
-        self._server = _listen(self._settings)
+        self._server = listen(self._settings)
         self.port: int = self._server.getsockname()[1]
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._server, selectors.EVENT_READ)
@@ -236,7 +236,7 @@ class Telemetry(Observer):
             _log.info("viewer %s disconnected", viewer.name)
 
 
-def _listen(settings: TelemetrySettings) -> socket.socket:
+def listen(settings: TelemetrySettings) -> socket.socket:
     """Return a non-blocking socket that listens; OSError if the address or port can't be used."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     server = socket.socket(family, socket.SOCK_STREAM)

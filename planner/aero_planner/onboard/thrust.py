@@ -1,45 +1,41 @@
-"""Conversion between thrust in newtons and the autopilot's normalised thrust, based on the hover thrust.
-
-The total thrust at the normalised thrust s in [0, 1] is F(s) = F_1 ((1 - c) s + c s^2), PX4's motor model. The curve c
-is 0 if the autopilot linearises the thrust itself (THR_MDL_FAC fits the motors). Only with THR_MDL_FAC = 0 is it the
-motors' own curve, up to 1 for a thrust proportional to the square of the signal. F_1, the thrust at full signal, need
-not be known: hovering gives F(h) = m g at the hover thrust h (PX4's MPC_THR_HOVER).
-"""
+"""Conversion between thrust in newtons and the autopilot's normalised thrust, based on the hover thrust."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["calibrate_hover_thrust", "force_from_signal", "signal_from_force"]
+__all__ = ["ThrustModel", "calibrate_hover_thrust"]
 
 
-def force_from_signal(
-    signal: float, *, mass: float, gravity: float = 9.81, hover_thrust: float, curve: float = 0.0
-) -> float:
-    """Return the total thrust [N] at a normalised thrust.
+@dataclass(frozen=True)
+class ThrustModel:
+    """PX4's motor model: the total thrust at the normalised thrust s in [0, 1] is F(s) = F_1 ((1 - c) s + c s^2).
 
-    Args:
-        signal: Normalised thrust s.
-        mass: m [kg].
-        gravity: g [m/s^2].
-        hover_thrust: h, the normalised thrust at which the vehicle hovers, in (0, 1].
-        curve: c in [0, 1].
+    F_1, the thrust at full signal, need not be known: hovering gives F(h) = m g at the hover thrust h.
     """
-    return mass * gravity * _shape(signal, curve) / _shape(hover_thrust, curve)
 
+    mass: float = 1.0
+    """m [kg]."""
+    gravity: float = 9.81
+    """g [m/s^2]."""
+    hover_thrust: float = 0.5
+    """h, the normalised thrust at which the vehicle hovers, in (0, 1]; PX4's MPC_THR_HOVER."""
+    curve: float = 0.0
+    """c in [0, 1]. 0 if the autopilot linearises the thrust itself (THR_MDL_FAC fits the motors). Only with
+    THR_MDL_FAC = 0 is it the motors' own curve, up to 1 for a thrust proportional to the square of the signal."""
 
-def signal_from_force(
-    force: float, *, mass: float, gravity: float = 9.81, hover_thrust: float, curve: float = 0.0
-) -> float:
-    """Return the normalised thrust in [0, 1] whose total thrust is nearest to F [N].
+    def force(self, signal: float) -> float:
+        """Return the total thrust [N] at a normalised thrust."""
+        return self.mass * self.gravity * _shape(signal, self.curve) / _shape(self.hover_thrust, self.curve)
 
-    For the other arguments, see `force_from_signal`.
-    """
-    ratio = force / (mass * gravity) * _shape(hover_thrust, curve)
-    return min(1.0, _solve(ratio, curve))
+    def signal(self, force: float) -> float:
+        """Return the normalised thrust in [0, 1] whose total thrust is nearest to `force` [N]."""
+        ratio = force / (self.mass * self.gravity) * _shape(self.hover_thrust, self.curve)
+        return min(1.0, _solve(ratio, self.curve))
 
 
 def calibrate_hover_thrust(
@@ -52,7 +48,7 @@ def calibrate_hover_thrust(
         accelerations: Specific force along the body's z axis at the same times, as an accelerometer measures it
             (9.81 in hover) [m/s^2], shape [n].
         gravity: g [m/s^2].
-        curve: c in [0, 1].
+        curve: c in [0, 1], see `ThrustModel`.
 
     Raises:
         ValueError: The log has other shapes, is empty, is not finite, or contains no thrust.

@@ -31,6 +31,7 @@ from aero_planner.onboard.livox import LivoxPacket, LivoxSource, Reject, encode_
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.sweep_buffer import SweepBuffer
+from aero_planner.onboard.thrust import ThrustModel
 
 __all__ = ["TARGETS", "run"]
 
@@ -70,7 +71,7 @@ class FuzzLivox:
     def __init__(self) -> None:
         self.now = 1000.0
         self.source = LivoxSource(0, host="127.0.0.1", clock=lambda: self.now)
-        self.sweeps = SweepBuffer(capacity=20_000, clock=lambda: self.now)
+        self.sweeps = SweepBuffer(capacity=20_000)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.sequence = 0
         self.seen = 0
@@ -114,7 +115,7 @@ class FuzzLivox:
             assert np.isfinite(packet.times).all()
             assert (packet.times <= self.now + 1e-6).all()
             self.sweeps.add_points(packet.points, packet.times)
-        cloud, _ = self.sweeps.cloud()
+        cloud, _ = self.sweeps.cloud(self.now)
         assert len(cloud) <= 20_000
         assert np.isfinite(cloud).all()
         self.seen = self.source.counters.packets
@@ -133,7 +134,7 @@ class FuzzMavlink:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self.link = MavlinkLink(f"udpin:127.0.0.1:{self.port}", clock=lambda: self.now)
+        self.link = MavlinkLink(f"udpin:127.0.0.1:{self.port}", ThrustModel(), clock=lambda: self.now)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.sequence, self.wild = 0, False
         self.kinds = list(self.dialect.mavlink_map.values())

@@ -13,6 +13,7 @@ import pytest
 from aero_planner.onboard import mavlink as mavlink_module
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_sender import load_dialect
+from aero_planner.onboard.thrust import ThrustModel
 
 mavlink = load_dialect()
 HALF = math.sqrt(0.5)
@@ -89,7 +90,7 @@ def port() -> int:
 
 @pytest.fixture
 def link(clock, port):
-    link = MavlinkLink(f"udpin:127.0.0.1:{port}", mass=2.0, hover_thrust=0.4, clock=clock)
+    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(2.0, hover_thrust=0.4), clock=clock)
     yield link
     link.close()
 
@@ -394,7 +395,7 @@ def test_udpout_sends_first():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
         autopilot.bind(("127.0.0.1", 0))
         autopilot.settimeout(5.0)
-        link = MavlinkLink(f"udpout:127.0.0.1:{autopilot.getsockname()[1]}")
+        link = MavlinkLink(f"udpout:127.0.0.1:{autopilot.getsockname()[1]}", ThrustModel())
         link.poll()
         data, address = autopilot.recvfrom(2048)
         (heartbeat,) = mavlink.MAVLink(None).parse_buffer(data)
@@ -409,7 +410,7 @@ def test_udpout_sends_first():
 def test_serial_devices_are_streams():
     there, device = os.openpty()
     try:
-        link = MavlinkLink(os.ttyname(device), baud=115_200)
+        link = MavlinkLink(os.ttyname(device), ThrustModel(), baud=115_200)
         protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         for k in range(50):
             data = bytes(odometry((k, 0, 0), time=5.0 + 0.01 * k).pack(protocol))

@@ -143,15 +143,15 @@ def test_the_cloud_holds_the_last_sweeps():
 
 
 def test_ages():
-    buffer = SweepBuffer(clock=lambda: 7.0)
-    assert buffer.cloud()[1] == math.inf
-    assert buffer.cloud()[0].shape == (0, 3)
+    buffer = SweepBuffer()
+    assert buffer.cloud(7.0)[1] == math.inf
+    assert buffer.cloud(7.0)[0].shape == (0, 3)
     for t in (6.0, 6.02):
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]], [6.01])
-    assert buffer.cloud()[1] == pytest.approx(0.99)
+    assert buffer.cloud(7.0)[1] == pytest.approx(0.99)
     buffer.add_points([[1.0, 0.0, 0.0]], [6.005])  # late: the newest point stays the newest
-    assert buffer.cloud()[1] == pytest.approx(0.99)
+    assert buffer.cloud(7.0)[1] == pytest.approx(0.99)
 
 
 def test_poses_that_are_not_newer_are_ignored():
@@ -202,7 +202,7 @@ def test_it_is_thread_safe():
     def look():
         try:
             for _ in range(300):
-                cloud, _ = buffer.cloud()
+                cloud, _ = buffer.cloud(7.0)
                 assert np.isfinite(cloud).all()
         except Exception as error:
             failures.append(error)
