@@ -26,7 +26,7 @@ def examine() -> CheckReport:
         *map(_check_package, _PACKAGES),
         *_check_devices(),
         _check_open3d(),
-        _check_playwright(),
+        _check_package("playwright", needed_for="snapshots and browser tests"),
         _check_browser(),
     ]
     return CheckReport(
@@ -34,11 +34,14 @@ def examine() -> CheckReport:
     )
 
 
-def _check_package(name: str) -> Check:
+def _check_package(name: str, *, needed_for: str = "") -> Check:
+    """Check that a package is installed, which is required unless it is needed only for something optional."""
     try:
         return Check(name, importlib.metadata.version(name))
     except importlib.metadata.PackageNotFoundError:
-        return Check(name, "not installed", ok=False, advice=f"{sys.executable} -m pip install {name}")
+        prefix = f"Needed only for {needed_for}: " if needed_for else ""
+        advice = f"{prefix}{sys.executable} -m pip install {name}"
+        return Check(name, "not installed", ok=False, required=not needed_for, advice=advice)
 
 
 def _check_devices() -> list[Check]:
@@ -82,14 +85,6 @@ def _check_open3d() -> Check:
         finding = (str(error) or type(error).__name__).splitlines()[0]
         return Check("open3d loads", finding, ok=False, required=False, advice=advice)
     return Check("open3d loads", "yes")
-
-
-def _check_playwright() -> Check:
-    try:
-        return Check("playwright", importlib.metadata.version("playwright"))
-    except importlib.metadata.PackageNotFoundError:
-        advice = f"Needed only for snapshots and browser tests: {sys.executable} -m pip install playwright"
-        return Check("playwright", "not installed", ok=False, required=False, advice=advice)
 
 
 def _check_browser() -> Check:

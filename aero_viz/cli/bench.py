@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
 import sys
 from pathlib import Path
 from typing import Literal
@@ -10,7 +9,7 @@ from typing import Literal
 import tyro
 
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalInt, OptionalPath
-from aero_viz.cli.progress import progress_bar
+from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.errors import UserError
 
 __all__ = ["bench"]
@@ -96,8 +95,7 @@ def bench(
     except RuntimeError as error:
         raise UserError(f"The benchmark cannot run on {device}: {error}") from error
     if json:
-        content = {**run.header, "output": str(folder), "summary": [line.to_dict() for line in summaries]}
-        content["worlds"] = world_records(run)
-        print(json_module.dumps(content, allow_nan=False))
+        summary = [line.to_dict() for line in summaries]
+        print_json({**run.header, "output": str(folder), "summary": summary, "worlds": world_records(run)})
     else:
         print(format_summaries(summaries), *format_worlds(run), folder / "report.md", sep="\n")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json as json_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from aero_viz.cli.flags import (
     ConfigFlags,
@@ -18,12 +17,9 @@ from aero_viz.cli.flags import (
     WorldName,
     flight_rules,
 )
+from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.cli.page import PageFlags, flight_opener, serve
-from aero_viz.cli.progress import progress_bar
 from aero_viz.errors import UserError
-
-if TYPE_CHECKING:
-    from aero_viz.flight import FlightResult
 
 __all__ = ["fly", "score"]
 
@@ -105,9 +101,9 @@ def fly(
                 options["recorder"] = flight_recorder(log)
             result = fly_once(loaded, **options)
     except FlightInterrupted as interrupted:
-        _print_result(interrupted.result, as_json=json)
+        print_report(interrupted.result, as_json=json)
         raise SystemExit(130) from None
-    _print_result(result, as_json=json)
+    print_report(result, as_json=json)
 
 
 def score(
@@ -143,8 +139,4 @@ def score(
     result = score_flight(load_trajectory(flight, pose_topic=pose_topic), loaded, rules=limits, planner=planner)
     if table is not None:
         append_to_table(result, table)
-    print(json_module.dumps(result.to_dict(), allow_nan=False) if json else result.format_table())
-
-
-def _print_result(result: FlightResult, *, as_json: bool) -> None:
-    print(json_module.dumps(result.to_dict(), allow_nan=False) if as_json else result.format_table())
+    print_report(result, as_json=json)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json as json_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,7 +18,7 @@ from aero_viz.cli.flags import (
     WorldFlags,
     WorldName,
 )
-from aero_viz.cli.progress import progress_bar
+from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.errors import UserError
 
 __all__ = ["tune"]
@@ -108,7 +107,7 @@ def tune(
     if json:
         content = {"scene": world, "seed": seed, "device": device, "flights": flights, "rounds": rounds}
         content["simulation"] = {name: value and dataclasses.asdict(value) for name, value in options.items()}
-        print(json_module.dumps({**content, **tuning.to_dict(), "config": tuning.chosen.to_dict()}, allow_nan=False))
+        print_json({**content, **tuning.to_dict(), "config": tuning.chosen.to_dict()})
     else:
         changed = {path: value for path, value in tuning.values(tuning.chosen).items() if value != config.get(path)}
         as_flags = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]

@@ -17,7 +17,7 @@ VERBS: dict[str, Verb] = {
     "demo": _verb("page", "demo", "Fly a synthetic scene live in the browser."),
     "play": _verb("page", "play", "Run the planner on a recording, open loop, live in the browser."),
     "connect": _verb("page", "connect", "Show the live plan of a drone that runs `aero-planner run`."),
-    "inspect": _verb("recordings", "inspect", "Show what a recording contains and which parts can be played."),
+    "inspect": _verb("tools", "inspect", "Show what a recording contains and which parts can be played."),
     "fly": _verb("flights", "fly", "Fly through a scene or a world once, as fast as possible, and print the result."),
     "score": _verb("flights", "score", "Score a flight of any planner with the simulator's own metrics."),
     "bench": _verb("bench", "bench", "Fly a benchmark and write its tables, plots and report."),

@@ -19,9 +19,9 @@ from aero_viz.scenes import World
 __all__ = ["Trajectory", "load_trajectory", "score"]
 
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
-_COARSEST = 0.25  # between samples, median [s]: what happens between sparser ones is not known well enough
-_LONGEST = 1.0  # between two samples [s]
-_LATEST, _FARTHEST = 1e10, 1e6  # [s], [m] or [m/s]: what is beyond is no number of a flight
+_MAX_MEDIAN_STEP = 0.25  # [s] between samples; too little is known about the motion between sparser ones
+_MAX_STEP = 1.0  # [s] between any two samples
+_MAX_TIME, _MAX_VALUE = 1e10, 1e6  # [s], [m] or [m/s]; larger numbers cannot belong to a flight
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +29,10 @@ class Trajectory:
     """A flown path, cubic between its samples.
 
     Args:
-        name: shown to the user.
+        name: name of the file.
         times: [s], increasing, shape [n], n >= 2.
-        positions: [m], shape [n, 3], frame of the world that is scored in.
-        velocities: [m/s], shape [n, 3]; None means central differences of the positions.
+        positions: [m], shape [n, 3], in the frame of the world in which it was flown.
+        velocities: [m/s], shape [n, 3]; None stands for central differences of the positions.
     """
 
     name: str
@@ -42,44 +42,41 @@ class Trajectory:
 
     def at(self, times: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return positions [m] and velocities [m/s] at `times` [s], each shape [m, 3]: cubic Hermite interpolation."""
+        from scipy.interpolate import CubicHermiteSpline  # takes 0.5 s to import
+
         velocities = self.velocities
         if velocities is None:
             velocities = np.gradient(self.positions, self.times, axis=0, edge_order=2 if len(self.times) > 2 else 1)
-        after = np.clip(np.searchsorted(self.times, times, side="right"), 1, len(self.times) - 1)
-        before = after - 1
-        h = (self.times[after] - self.times[before])[:, None]
-        s = (times[:, None] - self.times[before][:, None]) / h
-        p0, p1 = self.positions[before], self.positions[after]
-        m0, m1 = h * velocities[before], h * velocities[after]
-        a, b = 2.0 * (p0 - p1) + m0 + m1, 3.0 * (p1 - p0) - 2.0 * m0 - m1
-        return p0 + s * (m0 + s * (b + s * a)), (m0 + s * (2.0 * b + s * 3.0 * a)) / h
+        curve = CubicHermiteSpline(self.times, self.positions, velocities)
+        return curve(times), curve(times, 1)
 
 
 def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Trajectory:
-    """Read a trajectory: CSV with the columns t,x,y,z and, where known, vx,vy,vz, or a recording with poses.
+    """Return the trajectory in a file.
 
     Args:
-        path: .csv file, or an MCAP file, ROS 2 bag or ROS 1 bag with Odometry or another pose topic.
-        pose_topic: topic of a recording; the busiest Odometry, else the busiest pose topic, when left out.
+        path: CSV file with the columns t,x,y,z and optionally vx,vy,vz, or an MCAP file, ROS 2 bag or ROS 1 bag with
+            Odometry or another pose topic.
+        pose_topic: topic of a recording; None chooses the busiest Odometry, else the busiest other pose topic.
 
     Raises:
-        UserError: the file cannot be read, is no trajectory, or is too sparse; names file, line and column.
+        UserError: the file cannot be read, is not a trajectory, or is too sparse. The text names file, line and column.
     """
     path = Path(path)
     is_table = path.suffix.lower() in (".csv", ".txt")
     trajectory = _read_csv(path) if is_table else _read_recording(path, pose_topic)
     steps = np.diff(trajectory.times)
-    if len(steps) == 0 or np.median(steps) > _COARSEST:
+    if len(steps) == 0 or np.median(steps) > _MAX_MEDIAN_STEP:
         raise UserError(
             f"{path} has {len(steps) + 1} samples over {np.sum(steps):.2f} s, too few to score: "
-            f"record at least one every {_COARSEST:g} s."
+            f"record at least one every {_MAX_MEDIAN_STEP:g} s."
         )
     gap = int(np.argmax(steps))
-    if steps[gap] > _LONGEST:
+    if steps[gap] > _MAX_STEP:
         since, until = trajectory.times[gap : gap + 2] - trajectory.times[0]
         raise UserError(
             f"{path} has no samples between {since:.2f} s and {until:.2f} s, too few to score: "
-            f"leave no gap longer than {_LONGEST:g} s."
+            f"leave no gap longer than {_MAX_STEP:g} s."
         )
     return trajectory
 
@@ -91,15 +88,15 @@ def score(
 
     The trajectory is resampled at the ticks of `rules`, since smoothness depends on the rate, and at the integration
     steps of the simulator for the clearance. Then the simulator's own rules judge it. It ends at the first tick that
-    ends a flight, or with its last sample; `reason` is None then. A CSV file of the simulator yields the metrics of its
-    flight to 1e-4 relative, since the file has six decimals. Without measured velocities the smoothness is too small,
-    because differences of positions smooth them.
+    ends a flight, or with its last sample; then `reason` is None. A CSV file of the simulator gives the metrics of its
+    flight to within 1e-4, because the file has six decimals. Without measured velocities the smoothness is too small,
+    because differences of positions smooth the motion.
 
     Args:
-        trajectory: its first sample is the start of the flight.
+        trajectory: trajectory, whose first sample is the start of the flight.
         world: obstacles, goal and bounds.
         rules: when the flight ends.
-        planner: name of the planner; `config` of the result.
+        planner: name of the planner, which becomes `config` of the result.
     """
     rules = rules or FlightRules()
     start, period = trajectory.times[0], rules.period
@@ -123,7 +120,7 @@ def _read_csv(path: Path) -> Trajectory:
             reader = csv.reader(file)
             lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no CSV text"
+        reason = error.strerror if isinstance(error, OSError) else "it is not CSV text"
         raise UserError(f"Cannot read the trajectory {path}: {reason or error}.") from error
     header = [name.strip().lower() for name in lines[0][1]] if lines else []
     missing = [name for name in ("t", *_POSITION) if name not in header]
@@ -140,7 +137,7 @@ def _read_csv(path: Path) -> Trajectory:
             text = textwrap.shorten(",".join(row), 60)
             raise UserError(f"{path}, line {number}: {text!r} does not hold {len(columns)} numbers.") from None
         for name, value in zip(names, values, strict=True):
-            if not abs(value) <= (_LATEST if name == "t" else _FARTHEST):
+            if not abs(value) <= (_MAX_TIME if name == "t" else _MAX_VALUE):
                 raise UserError(f"{path}, line {number}: {name} is {value:g}; it must be a finite number in SI units.")
         if rows and values[0] <= rows[-1][0]:
             raise UserError(f"{path}, line {number}: t does not increase.")
@@ -167,8 +164,8 @@ def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
     chosen = next((topic for topic in topics if pose_topic in (None, topic.name)), None)
     if chosen is None:
         offered = ", ".join(topic.name for topic in topics) or "none"
-        wanted = "no topic with poses" if pose_topic is None else f"no poses on {pose_topic}"
-        raise UserError(f"{path} has {wanted}; topics with poses: {offered}.")
+        problem = "no topic with poses" if pose_topic is None else f"no poses on {pose_topic}"
+        raise UserError(f"{path} has {problem}; topics with poses: {offered}.")
     times, rows = chosen.poses.times(stamped=True), chosen.poses.rows()
     poses = RecordedPoses((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
     return Trajectory(path.name, poses.times, poses.positions + poses.offset, poses.velocities)

@@ -34,7 +34,7 @@ class CheckReport:
         """True if every required check is ok."""
         return all(check.ok or not check.required for check in self.checks)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return {"passed": bool, "checks": [..]}, each check as a dictionary of its fields."""
         return {"passed": self.passed, "checks": [asdict(check) for check in self.checks]}
 

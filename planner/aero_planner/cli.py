@@ -197,7 +197,7 @@ def _preflight(options: argparse.Namespace) -> int:
             planner, onboard, device=options.device, goal=options.goal, log=options.log, listen=options.listen,
             bundle=bundle,
         )  # fmt: skip
-    print(json.dumps(report.to_json()) if options.json else report.format_table())
+    print(json.dumps(report.to_dict()) if options.json else report.format_table())
     return 0 if report.passed else 2
 
 

@@ -1,4 +1,4 @@
-"""`aero-viz snapshot`, `export`, `parameters` and `doctor`. `aero-viz world` is tested with the evaluation package."""
+"""`aero-viz inspect`, `snapshot`, `export`, `parameters` and `doctor`. The tests of evaluation include `aero-viz world`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,13 @@ import pytest
 from command_line import run, run_json, run_refused
 
 from aero_planner.config import parameters
+
+
+def test_inspect_describes_real_recordings(capsys: pytest.CaptureFixture[str], shared_datasets: Path) -> None:
+    info = run_json(capsys, "inspect", str(shared_datasets / "hilti_os0_A_mcap"))
+    assert info["sweeps"] == 24
+    assert info["duration_s"] == pytest.approx(11.5, abs=0.1)
+    assert {topic["type"] for topic in info["topics"]} == {"nav_msgs/msg/Odometry", "sensor_msgs/msg/PointCloud2"}
 
 
 def test_a_missing_browser_is_reported(

@@ -157,7 +157,7 @@ def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
         met = summary.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
         target = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
         at = "" if reached is None else f" at {_number(reached)} m/s"
-        rows.append([row.label, target, f"{_percent(summary.success_rate)}{at}", _yes(met)])
+        rows.append([row.label, target, f"{_percent(summary.success_rate)}{at}", "yes" if met else "no"])
     return _markdown_table(["row", "target", "reached", "met"], rows) if rows else ""
 
 
@@ -258,7 +258,3 @@ def _percent(value: float | None) -> str:
 
 def _number(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{value:.{digits}f}"
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"

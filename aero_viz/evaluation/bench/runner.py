@@ -8,7 +8,7 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from aero_viz.evaluation.bench.result_folder import append_flights, open_folder,
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.scenes import World, scene
+from aero_viz.scenes.passable import is_passable
 from aero_viz.sensors import LidarModel, lidar_model
 
 __all__ = ["Run", "load_run", "run_benchmark"]
@@ -36,8 +37,11 @@ class Run:
     flights: list[dict[str, Any]]
     """One record per flight: the fields of `FlightResult`, row, index, world_seed, passable, and of its batch batch,
     batch_size, build_s and run_s."""
-    total: int
-    """Number of flights of the whole benchmark."""
+
+    @property
+    def total(self) -> int:
+        """Number of flights of the whole benchmark."""
+        return sum(row.batch or self.header["flights"] for row in self.benchmark.rows)
 
     @property
     def is_complete(self) -> bool:
@@ -133,21 +137,27 @@ def run_benchmark(
     header = json.loads(json.dumps(header))
     planned = list(
         _plan_flights(benchmark, base, flights=flights, seed=first_seed, lidar=lidar, rules=rules, drone=drone or {})
-    )
+    )  # before a folder is created, because a row may not fit the configuration
     names = dict.fromkeys(lidar or row.lidar for row in benchmark.rows)
     models = {name: dataclasses.replace(lidar_model(name), **(sensor or {})) for name in names}
     folder = Path(output)
     header, done = open_folder(folder, header, resume=resume)
-    run = Run(benchmark, header, done, len(planned))
+    run = Run(benchmark, header, done)
     finished = {(flight["row"], flight["index"]) for flight in done}
     pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
-    cache = _WorldCache(rules.radius)
+
+    @cache  # rows share worlds, and a device keeps equal objects once
+    def load_world(name: str, count: int | None, seed: int) -> tuple[World, bool]:
+        world = scene(name, count=count, seed=seed)
+        return world, is_passable(world, radius=rules.radius)
+
     number = 1 + max((flight["batch"] for flight in done), default=-1)
     report = progress or (lambda finished, total, text: None)
     for part in _split_into_batches(pending, size):
         report(len(done), run.total, f"{part[0].row.label}: building {len(part)} worlds")
         started = time.perf_counter()
-        worlds, passable = zip(*(cache.get(flight.row, flight.world_seed) for flight in part), strict=True)
+        found = [load_world(flight.row.scene, flight.row.count, flight.world_seed) for flight in part]
+        worlds, passable = zip(*found, strict=True)
         flight_batch = _build(part, worlds, device=device, lidar=models[lidar or part[0].row.lidar], noise=noise)
         built = time.perf_counter()
         label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
@@ -189,7 +199,7 @@ def load_run(folder: str | Path, benchmark: Benchmark) -> Run:
     header, flights = read_folder(Path(folder))
     if header is None:
         raise UserError(f"{folder} holds no results of a benchmark.")
-    return Run(benchmark, header, flights, sum(row.batch or header["flights"] for row in benchmark.rows))
+    return Run(benchmark, header, flights)
 
 
 def _plan_flights(
@@ -233,28 +243,6 @@ def _split_into_batches(pending: Iterable[_PlannedFlight], size: int) -> Iterato
         limit = group[0].row.batch or size
         for first in range(0, len(group), limit):
             yield group[first : first + limit]
-
-
-class _WorldCache:
-    """Worlds, and whether there is a path through each. Rows share worlds, and a device keeps equal objects once.
-
-    Args:
-        radius: radius of the drone [m].
-    """
-
-    def __init__(self, radius: float) -> None:
-        self._radius = radius
-        self._worlds: dict[tuple[str, int | None, int], tuple[World, bool]] = {}
-
-    def get(self, row: Row, seed: int) -> tuple[World, bool]:
-        """Return a world of a row, and True if there is a path through it."""
-        from aero_viz.scenes.passable import is_passable
-
-        key = (row.scene, row.count, seed)
-        if key not in self._worlds:
-            world = scene(row.scene, count=row.count, seed=seed)
-            self._worlds[key] = (world, is_passable(world, radius=self._radius))
-        return self._worlds[key]
 
 
 def _build(

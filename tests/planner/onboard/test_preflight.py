@@ -106,7 +106,7 @@ def test_the_complete_report(tmp_path: Path):
     assert found["warp-lang"].ok and found["pymavlink"].ok and found["mcap"].ok
     assert "plans 2000 points in" in found["device cpu"].finding
     assert str(tmp_path) in found["disk for the log"].finding and found["hover thrust"].ok
-    content = json.loads(json.dumps(report.to_json()))
+    content = json.loads(json.dumps(report.to_dict()))
     assert content["passed"] is False and len(content["checks"]) == len(report.checks)
     table = report.format_table()
     assert table.count("FAIL") == 2 and "-> Check the cable" in table and table.endswith("see above.")

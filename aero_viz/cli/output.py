@@ -1,11 +1,38 @@
-"""The progress bar of the command line."""
+"""The output of the command line: reports on stdout and a progress bar on stderr."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Callable, Iterator
+from typing import Any, Protocol
 
-__all__ = ["progress_bar"]
+__all__ = ["print_json", "print_report", "progress_bar"]
+
+
+class Report(Protocol):
+    """Anything that a verb reports."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain values for JSON."""
+        ...
+
+    def format_table(self) -> str:
+        """Return the report as text for a terminal."""
+        ...
+
+
+def print_json(content: dict[str, Any]) -> None:
+    """Print one JSON object in one line. Raises ValueError for numbers that JSON does not have."""
+    print(json.dumps(content, allow_nan=False))
+
+
+def print_report(report: Report, *, as_json: bool) -> None:
+    """Print a report as one JSON object or as text."""
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        print(report.format_table())
 
 
 @contextlib.contextmanager
