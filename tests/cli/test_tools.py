@@ -1,4 +1,4 @@
-"""`aero-viz inspect`, `snapshot`, `export`, `parameters` and `doctor`. The tests of evaluation include `aero-viz world`."""
+"""`aero-viz inspect`, `snapshot`, `export`, `parameters` and `doctor`. `aero-viz world` is tested with the benchmarks."""
 
 from __future__ import annotations
 
