@@ -1,4 +1,4 @@
-"""`aero-viz inspect`, `snapshot`, `export`, `parameters` and `doctor`. `aero-viz world` is tested with the benchmarks."""
+"""`aero-viz inspect`, `snapshot`, `export`, `parameters` and `doctor`. The benchmarks test `aero-viz world`."""
 
 from __future__ import annotations
 
