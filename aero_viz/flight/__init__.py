@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from aero_viz.flight.batch import FlightBatch
-from aero_viz.flight.device_memory import memory_per_flight
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.interrupt import FlightInterrupted
 from aero_viz.flight.metrics import FlightResult
@@ -23,5 +22,4 @@ __all__ = [
     "StateNoise",
     "VehicleModel",
     "fly",
-    "memory_per_flight",
 ]

@@ -19,7 +19,7 @@ from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LidarModel, livox_mid360
+from aero_viz.sensors.lidar import LIDARS, LidarModel
 
 __all__ = ["SWEEPS", "BatchProgress", "FlightBatch"]
 
@@ -62,7 +62,7 @@ def observe_kernel(
 class FlightBatch:
     """B flights in lock step. Every tick plans, flies and scans; all data stay on the device.
 
-    A flight takes about 6 MB with the default configuration and LiDAR, see `memory_per_flight`.
+    A flight takes about 6 MB of device memory with the default configuration and LiDAR.
 
     Args:
         worlds: one per flight; repeat a World object to fly it several times.
@@ -124,7 +124,7 @@ class FlightBatch:
             self.planner.configure(configs)
         self.simulator = Simulator(
             worlds,
-            lidar=lidar or livox_mid360(),
+            lidar=lidar or LIDARS["mid360"],
             vehicle=vehicle or VehicleModel.from_config(configs[0]),
             rules=rules,
             seeds=self._seeds,
@@ -147,10 +147,6 @@ class FlightBatch:
         sweep, _, end = self.simulator.advance(self.planner.command, phase=part * self._phase_step)
         if end == self.simulator.lidar.model.points_per_sweep:
             self._store_sweep(sweep)
-
-    def is_done(self) -> bool:
-        """Return True if all flights are over; waits for the device."""
-        return self._count_finished() == len(self._worlds)
 
     def run(self, *, progress: BatchProgress | None = None) -> list[FlightResult]:
         """Fly until all flights are over, or until Ctrl-C; unfinished flights then have the reason None.

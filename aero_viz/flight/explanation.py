@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
+from aero_viz.scenes.primitives import rotate_z
 from aero_viz.scenes.world import World
 
 __all__ = ["explain", "goal_problem", "refuse_impossible"]
@@ -109,12 +110,10 @@ def _outside(world: World, place: NDArray[np.float64]) -> str | None:
 
 def _depth_below_ground(world: World, place: NDArray[np.float64]) -> float:
     """Return how far a place lies below the top of the ground [m]; negative above it, -inf beside it."""
-    depth = -np.inf
-    for x, y, z, length, width, height, yaw in world.boxes[world.ground]:
-        c, s, dx, dy = np.cos(yaw), np.sin(yaw), place[0] - x, place[1] - y
-        if abs(c * dx + s * dy) <= 0.5 * length and abs(c * dy - s * dx) <= 0.5 * width:
-            depth = max(depth, z + 0.5 * height - place[2])
-    return float(depth)
+    boxes = world.boxes[world.ground]
+    half, local = 0.5 * boxes[:, 3:6], rotate_z(place - boxes[:, :3], -boxes[:, 6])
+    is_within = np.all(np.abs(local[:, :2]) <= half[:, :2], axis=1)
+    return float((half[:, 2] - local[:, 2]).max(initial=-np.inf, where=is_within))
 
 
 def _box(corners: NDArray[np.float64]) -> str:

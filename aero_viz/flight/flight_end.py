@@ -10,7 +10,7 @@ import warp as wp
 from aero_viz.scenes.geometry import Geometry, world_distance
 
 __all__ = ["ARRIVED", "FLYING", "STALL", "TIMEOUT", "FlightRecord", "RuleParameters"]
-__all__ += ["clear_kernel", "clearance_kernel", "judge_kernel", "judge_trajectory_kernel"]
+__all__ += ["clearance_kernel", "judge_kernel", "judge_trajectory_kernel"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -176,15 +176,6 @@ def judge_trajectory_kernel(
             outcome = flight_outcome(rules, lower, upper, position, record)
     records[0] = record
     outcomes[0] = outcome
-
-
-@wp.kernel
-def clear_kernel(
-    # out
-    clearance: wp.array2d(dtype=float),  # [B, S]
-):
-    b, s = wp.tid()
-    clearance[b, s] = wp.inf
 
 
 @wp.kernel

@@ -84,41 +84,29 @@ def flight_results(
         configs: names of the configurations, [B].
         plan_ms: field `plan_ms_median` of all results.
     """
+    results = []
     flights = zip(records, outcomes, worlds, np.asarray(positions), seeds, configs, strict=True)
-    return [
-        _flight_result(record, outcome, world, position, rules, seed, config, plan_ms)
-        for record, outcome, world, position, seed, config in flights
-    ]
-
-
-def _flight_result(
-    record: Any,
-    outcome: str | None,
-    world: World,
-    position: ArrayLike,
-    rules: FlightRules,
-    seed: int,
-    config: str,
-    plan_ms: float | None,
-) -> FlightResult:
-    time, length = round(int(record["ticks"]) * rules.period, 9), float(record["length"])
-    clearance = float(record["clearance_min"])
-    return FlightResult(
-        arrived=outcome == "arrived",
-        reason=outcome,
-        flight_time_s=time,
-        mean_speed=length / time if time > 0.0 else 0.0,
-        max_speed=float(record["speed_max"]),
-        smoothness=float(record["smoothness"]),
-        length_m=length,
-        mean_clearance=_finite(record["clearance_sum"] / record["clearance_count"]),
-        min_clearance=_finite(clearance),
-        plan_ms_median=plan_ms,
-        seed=seed,
-        scene=world.name,
-        config=config,
-        explanation=explain(outcome, world, position, time=time, clearance=clearance, goal=record["goal"], rules=rules),
-    )
+    for record, outcome, world, position, seed, config in flights:
+        time, length = round(int(record["ticks"]) * rules.period, 9), float(record["length"])
+        clearance, goal = float(record["clearance_min"]), record["goal"]
+        result = FlightResult(
+            arrived=outcome == "arrived",
+            reason=outcome,
+            flight_time_s=time,
+            mean_speed=length / time if time > 0.0 else 0.0,
+            max_speed=float(record["speed_max"]),
+            smoothness=float(record["smoothness"]),
+            length_m=length,
+            mean_clearance=_finite(record["clearance_sum"] / record["clearance_count"]),
+            min_clearance=_finite(clearance),
+            plan_ms_median=plan_ms,
+            seed=seed,
+            scene=world.name,
+            config=config,
+            explanation=explain(outcome, world, position, time=time, clearance=clearance, goal=goal, rules=rules),
+        )
+        results.append(result)
+    return results
 
 
 def config_name_of(config: PlannerConfig) -> str:

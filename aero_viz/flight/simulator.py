@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,7 +18,6 @@ from aero_viz.flight.flight_end import (
     STALL,
     TIMEOUT,
     FlightRecord,
-    clear_kernel,
     clearance_kernel,
     judge_kernel,
 )
@@ -173,7 +173,7 @@ class Simulator:
         v, worlds = self.vehicle, self._worlds
         count, steps = v.trail.shape
         threads = _GPU_THREADS_PER_QUERY if self.device.is_cuda else 1
-        wp.launch(clear_kernel, (count, steps), outputs=[self._clearance], device=self.device)
+        self._clearance.fill_(math.inf)
         inputs = [worlds.geometry, worlds.index, threads, self.outcome, v.trail]
         size = (count, steps, threads)
         wp.launch(clearance_kernel, size, inputs=inputs, outputs=[self._clearance], device=self.device)

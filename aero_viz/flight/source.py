@@ -21,7 +21,7 @@ from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LidarModel, livox_mid360
+from aero_viz.sensors.lidar import LIDARS, LidarModel
 from aero_viz.session.source import Observation, SourceInfo
 
 __all__ = ["CACHED_BYTES", "FlightSource"]
@@ -83,6 +83,9 @@ class FlightSource:
 
     Raises:
         UserError: the sweep of the LiDAR is not a whole number of ticks.
+
+    Attributes:
+        simulator: simulator of the flight.
     """
 
     def __init__(
@@ -99,9 +102,9 @@ class FlightSource:
     ) -> None:
         rules = rules or FlightRules()
         try:
-            self._simulator = Simulator(
+            self.simulator = Simulator(
                 [world],
-                lidar=lidar or livox_mid360(),
+                lidar=lidar or LIDARS["mid360"],
                 vehicle=vehicle or VehicleModel.from_config(PlannerConfig()),
                 rules=rules,
                 seeds=[seed],
@@ -116,11 +119,11 @@ class FlightSource:
             period=rules.period * rules.ticks_per_plan,
             start=world.start,
             world=world,
-            settings=_settings(self._simulator),
+            settings=_settings(self.simulator),
         )
         self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
         self._world, self._seed, self._goal = world, seed, world.goal
-        with wp.ScopedDevice(self._simulator.device):
+        with wp.ScopedDevice(self.simulator.device):
             self._never_finished = wp.zeros(1, dtype=int)
             self._poses = [(wp.zeros(1, dtype=wp.vec3), wp.zeros(1, dtype=wp.vec4)) for _ in range(4)]
         self._cache: deque[_Sweep] = deque()
@@ -129,15 +132,10 @@ class FlightSource:
         self._scans: tuple[_Scan, ...] = ()
         self._parts: list[Cloud] = []
         self._read_state()
-        size = self._simulator.lidar.model.points_per_sweep
+        size = self.simulator.lidar.model.points_per_sweep
         # Before the start, the drone has hovered for as long as the cloud of the planner reaches back.
         scans = [_Scan(sweep, 0, size, self._pose, self._pose) for sweep in range(-SWEEPS, 0)]
         self._set_sweeps(tuple(_Sweep((scan,), None) for scan in scans))
-
-    @property
-    def simulator(self) -> Simulator:
-        """Simulator of the flight."""
-        return self._simulator
 
     @property
     def explanation(self) -> str | None:
@@ -148,7 +146,7 @@ class FlightSource:
         """Return the estimated state, the last 10 complete sweeps, the goal, and the true state."""
         if self._observation is None:
             self._observation = Observation(
-                time=self._simulator.time,
+                time=self.simulator.time,
                 state=self._state,
                 goal=Goal(self._goal),
                 points=self._points,
@@ -160,17 +158,17 @@ class FlightSource:
 
     def advance(self, plan: Plan) -> None:
         """Fly the first controls of `plan` for the time of one plan; does nothing if the flight is over."""
-        commands = wp.array(plan.command[None], dtype=wp.vec4, device=self._simulator.device)
+        commands = wp.array(plan.command[None], dtype=wp.vec4, device=self.simulator.device)
         for phase in self._phases:
             if self.outcome is not None:
                 return
             before = self._pose
-            sweep, first, end = self._simulator.advance(commands, phase=phase)
+            sweep, first, end = self.simulator.advance(commands, phase=phase)
             self._read_state()
             if self.outcome is None:  # the LiDAR of a finished flight measures nothing
                 self._scans = (*self._scans, _Scan(sweep, first, end, before, self._pose))
                 self._parts.append(self._new_points(first, end))
-            if end == self._simulator.lidar.model.points_per_sweep and self._scans:
+            if end == self.simulator.lidar.model.points_per_sweep and self._scans:
                 complete = _Sweep(self._scans, _join_returns(self._parts))
                 self._scans, self._parts = (), []
                 self._add_to_cache(complete)
@@ -178,7 +176,7 @@ class FlightSource:
 
     def checkpoint(self) -> object:
         """Return the state that `restore` needs: about a kilobyte, whatever the size of the cloud."""
-        tick, arrays = self._simulator.checkpoint()
+        tick, arrays = self.simulator.checkpoint()
         state = b"".join([array.tobytes() for array in arrays])
         return _Checkpoint(tick, state, self._sweeps, self._scans, self._goal)
 
@@ -194,10 +192,10 @@ class FlightSource:
         if not isinstance(checkpoint, _Checkpoint):
             raise TypeError(f"{type(checkpoint).__name__} is not a checkpoint of a flight.")
         values, offset = [], 0
-        for array in self._simulator.checkpoint()[1]:
+        for array in self.simulator.checkpoint()[1]:
             values.append(np.frombuffer(checkpoint.state, array.dtype, array.size, offset).reshape(array.shape))
             offset += array.nbytes
-        self._simulator.restore((checkpoint.tick, values))
+        self.simulator.restore((checkpoint.tick, values))
         self._goal, self._scans = checkpoint.goal, checkpoint.scans
         self._parts = [self._measure(scan) for scan in self._scans]
         self._set_sweeps(checkpoint.sweeps)
@@ -227,12 +225,12 @@ class FlightSource:
             raise UserError(f"{problem}. The goal stays where it was; give a free position.")
         goal.flags.writeable = False
         self._goal = goal
-        self._simulator.set_goal(goal[None])
+        self.simulator.set_goal(goal[None])
         self._read_state()
 
     def result(self) -> FlightResult:
         """Return the metrics of the flight so far."""
-        simulator = self._simulator
+        simulator = self.simulator
         return flight_results(
             simulator.records(),
             [self.outcome],
@@ -249,8 +247,8 @@ class FlightSource:
 
     def _read_state(self) -> None:
         """Copy the true and the estimated state of the vehicle from the device."""
-        vehicle, estimate = self._simulator.vehicle, self._simulator.estimate
-        acceleration, time = vehicle.acceleration.numpy()[0].astype(np.float64), self._simulator.time
+        vehicle, estimate = self.simulator.vehicle, self.simulator.estimate
+        acceleration, time = vehicle.acceleration.numpy()[0].astype(np.float64), self.simulator.time
 
         def read(state: Any) -> tuple[VehicleState, Pose]:
             arrays = [array.numpy()[0] for array in (state.position, state.velocity, state.quaternion)]
@@ -261,11 +259,11 @@ class FlightSource:
         is_exact = estimate.position is vehicle.position
         self._state, estimated_pose = (self._true_state, true_pose) if is_exact else read(estimate)
         self._pose: Pose = np.stack((true_pose, estimated_pose))
-        self.outcome: str | None = self._simulator.outcomes()[0]
+        self.outcome: str | None = self.simulator.outcomes()[0]
         self._observation: Observation | None = None
 
     def _new_points(self, first: int, end: int) -> Cloud:
-        points: Any = self._simulator.lidar.points.numpy()
+        points: Any = self.simulator.lidar.points.numpy()
         return points[0, first:end].copy()
 
     def _measure(self, scan: _Scan) -> Cloud:
@@ -274,7 +272,7 @@ class FlightSource:
             position.assign(pose[None, :3])
             quaternion.assign(pose[None, 3:])
         before, estimated_before, after, estimated_after = self._poses
-        self._simulator.lidar.scan(
+        self.simulator.lidar.scan(
             scan.sweep,
             scan.first,
             scan.end,

@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
-from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages
+from aero_planner.onboard.ros_messages import (
+    DEFINITIONS,
+    Encoded,
+    goal_message,
+    plan_messages,
+    pose_messages,
+    sweep,
+)
+from aero_planner.quaternions import conjugate, multiply, rotation_matrix
 from aero_viz.errors import UserError
-from aero_viz.logs.messages import body_rates, encode_goal, encode_plan, encode_sweep
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -103,8 +110,9 @@ class FlightLog:
             self._write_pose(frame.time, frame.observation.actual_state, stamp, epoch=frame.epoch)
             self._write_sweeps(frame, stamp)
         if last is None or not np.array_equal(last.observation.goal.position, frame.observation.goal.position):
-            self._add(encode_goal(frame, stamp), stamp)
-        for message in encode_plan(frame, stamp):
+            self._add(goal_message(frame.observation.goal, stamp), stamp)
+        plan_ms = float(frame.timings_ms.get("plan", 0.0))
+        for message in plan_messages(frame.plan, stamp, plan_ms=plan_ms, config_version=frame.config_version):
             self._add(message, stamp)
         self._last = frame
         self.frames += 1
@@ -117,7 +125,7 @@ class FlightLog:
         if self._pose is not None and self._pose[0] == epoch:
             if self._pose[1] >= time:
                 return
-            rates = body_rates(self._pose[2], state, time - self._pose[1])
+            rates = _body_rates(self._pose[2], state, time - self._pose[1])
         self._pose = (epoch, time, state)
         for message in pose_messages(state, stamp, rates=rates):
             self._add(message, stamp)
@@ -153,7 +161,7 @@ class FlightLog:
         parts = np.array_split(added, max(frame.observation.sweep_count, 1)) if is_whole else [added]
         for i, part in enumerate(parts):
             if len(part):
-                self._add(encode_sweep(frame, part, stamp + i * _SWEEP_STEP), stamp + i * _SWEEP_STEP)
+                self._add(_sweep_message(frame, part, stamp + i * _SWEEP_STEP), stamp + i * _SWEEP_STEP)
 
     def _add(self, message: Encoded, stamp: int) -> None:
         if message.topic not in self._channels:
@@ -176,6 +184,25 @@ class FlightLog:
         self._writer.flush()
         self._file.flush()
         self._flushed = time.monotonic()
+
+
+def _body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArray[np.float64]:
+    """Return the constant body rates [rad/s], [3], that rotate one attitude into the other within `time` [s]."""
+    w, *axis = multiply(conjugate(before.quaternion), after.quaternion)
+    v = np.array(axis) * (1.0 if w >= 0.0 else -1.0)
+    sine = float(np.linalg.norm(v))
+    return v * (2.0 * np.arctan2(sine, abs(w)) / (sine * time)) if sine > 0.0 else v
+
+
+def _sweep_message(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encoded:
+    """Return the message with points [m], [P, 3], world frame, moved to the body frame at the time of the frame.
+
+    It has no per-point times: motion within the sweep is already compensated, and a reader that deskewed the points
+    again would smear them.
+    """
+    state = frame.observation.actual_state
+    in_body = (points - np.asarray(state.position, float)) @ rotation_matrix(state.quaternion)
+    return sweep(in_body.astype(np.float32), stamp)
 
 
 def new_points(before: NDArray[np.float32] | None, cloud: NDArray[np.float32]) -> tuple[NDArray[np.float32], bool]:

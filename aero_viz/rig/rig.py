@@ -29,7 +29,7 @@ from aero_viz.rig.process import NodeProcess
 from aero_viz.rig.result import RigResult
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
-from aero_viz.sensors.lidar import LidarModel, livox_mid360
+from aero_viz.sensors.lidar import LIDARS, LidarModel
 
 __all__ = ["fly_rig"]
 
@@ -82,7 +82,7 @@ def fly_rig(
     config = config or PlannerConfig()
     if speed is not None:
         config = config.replace({"vehicle.speed_limit": speed})
-    lidar = lidar or livox_mid360()
+    lidar = lidar or LIDARS["mid360"]
     lidar_port, mavlink_port = _free_ports(2)
     onboard = (onboard or OnboardConfig()).replace(_rig_settings(lidar, lidar_port, mavlink_port))
     direction = world.goal - world.start

@@ -38,9 +38,7 @@ class ClearanceGrid:
     cell: float
     """Spacing h [m]."""
     distance: NDArray[np.float32]
-    """Distance to the nearest surface [m], [X, Y, Z], `distance_max` where it is farther."""
-    distance_max: float
-    """[m]"""
+    """Distance to the nearest surface [m], [X, Y, Z], capped as `measure` says."""
     interior: tuple[slice, slice, slice]
     """Slices of the points that lie within band and region."""
 
@@ -59,7 +57,7 @@ class ClearanceGrid:
         Args:
             world: obstacles.
             cell: spacing h [m].
-            distance_max: distances are exact up to this value [m].
+            distance_max: distances are exact up to this value and capped at it [m].
             band: lowest and highest z of the drone's centre [m], widened to start and goal. None is 1.5 m below the
                 lower and 1.5 m above the higher of them: a path over all obstacles says nothing about how dense a
                 field is.
@@ -90,15 +88,14 @@ class ClearanceGrid:
         begin = np.ceil((lower - corner) / cell - 1e-6).astype(int)
         end = np.floor((upper - corner) / cell + 1e-6).astype(int) + 1
         x, y, z = (slice(int(a), int(b)) for a, b in zip(begin, end, strict=True))
-        return cls(corner, cell, np.asarray(distance.numpy(), dtype=np.float32), distance_max, (x, y, z))
+        return cls(corner, cell, np.asarray(distance.numpy(), dtype=np.float32), (x, y, z))
 
     def cropped(self) -> ClearanceGrid:
         """Return the grid without the points outside band and region."""
-        begin = [part.start for part in self.interior]
         distance = np.ascontiguousarray(self.distance[self.interior])
         x, y, z = (slice(0, n) for n in distance.shape)
-        corner = self.corner + self.cell * np.array(begin)
-        return ClearanceGrid(corner, self.cell, distance, self.distance_max, (x, y, z))
+        corner = self.corner + self.cell * np.array([part.start for part in self.interior])
+        return ClearanceGrid(corner, self.cell, distance, (x, y, z))
 
     def index(self, point: ArrayLike) -> tuple[int, int, int]:
         """Return the index of the grid point nearest to `point` [m], [3]."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.config.parameter import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.scenes import rooms
 from aero_viz.scenes.primitives import DISTANCES
@@ -29,6 +29,7 @@ GROUND = (22.5, 0.0, -0.5, 85.0, 80.0, 1.0, 0.0)
 """Box of the ground: its top is z = 0, and it extends 20 m or more beyond start, goal and area."""
 
 Rows = NDArray[np.float64]
+_NO_SPHERES = np.zeros((0, 4))
 
 
 def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool = True) -> World:
@@ -45,9 +46,8 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
         ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
-    canopies: list[Rows] = []
 
-    def tree() -> Rows:
+    def draw() -> tuple[Rows, Rows]:
         scale = rng.uniform(0.7, 1.3)
         axis = _axis(rng, tilt_max)
         height = scale * rng.uniform(5.0, 8.0)
@@ -56,18 +56,10 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
         spread = rng.uniform(-1.0, 1.0, size=(4, 3)) * scale * np.array([0.8, 0.8, 0.6])
         centre = base + height * axis + spread
         centre[:, 2] = np.maximum(centre[:, 2], 3.0 + radius)
-        canopies.append(np.column_stack([centre, radius]))
-        return np.concatenate([base, axis, [scale * rng.uniform(0.12, 0.3), height]])
+        trunk = np.concatenate([base, axis, [scale * rng.uniform(0.12, 0.3), height]])
+        return trunk, np.column_stack([centre, radius])
 
-    trunks = []
-    while len(trunks) < count:
-        trunk = tree()
-        if _is_clear(trunk[None], canopies[-1]):
-            trunks.append(trunk)
-        else:
-            canopies.pop()
-    spheres = np.concatenate(canopies) if canopies else np.zeros((0, 4))
-    return _world(f"forest-{count}-{seed}", np.reshape(trunks, (-1, 8)), spheres, ground)
+    return _field(f"forest-{count}-{seed}", draw, count, ground)
 
 
 def verticals(
@@ -84,10 +76,10 @@ def verticals(
     """
     rng = np.random.default_rng(seed)
 
-    def draw() -> Rows:
-        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(*width), height]])
+    def draw() -> tuple[Rows, Rows]:
+        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(*width), height]]), _NO_SPHERES
 
-    return _world(f"verticals-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
+    return _field(f"verticals-{count}-{seed}", draw, count, ground)
 
 
 def inclines(
@@ -111,10 +103,10 @@ def inclines(
     """
     rng = np.random.default_rng(seed)
 
-    def draw() -> Rows:
-        return np.concatenate([_position(rng), _axis(rng, tilt_max), [rng.uniform(*radius), height]])
+    def draw() -> tuple[Rows, Rows]:
+        return np.concatenate([_position(rng), _axis(rng, tilt_max), [rng.uniform(*radius), height]]), _NO_SPHERES
 
-    return _world(f"inclines-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
+    return _field(f"inclines-{count}-{seed}", draw, count, ground)
 
 
 def density(
@@ -138,12 +130,12 @@ def density(
     """
     rng = np.random.default_rng(seed)
 
-    def draw() -> Rows:
+    def draw() -> tuple[Rows, Rows]:
         radius = 0.5 * rng.uniform(*width)
-        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [radius, rng.uniform(*height)]])
+        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [radius, rng.uniform(*height)]]), _NO_SPHERES
 
     kind = f"density-{height[0]:g}m" if height[0] == height[1] else "density"
-    return _world(f"{kind}-{count}-{seed}", _clear_cylinders(draw, count), np.zeros((0, 4)), ground)
+    return _field(f"{kind}-{count}-{seed}", draw, count, ground)
 
 
 @dataclass(frozen=True)
@@ -191,9 +183,8 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
         UserError: there is no such scene, the seed is negative, or the count is out of range or cannot be chosen.
     """
     if name not in SCENES:
-        close = difflib.get_close_matches(name, SCENES, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise UserError(f"Unknown scene {name!r}.{hint} Give one of {', '.join(SCENES)}, or a world's JSON file.")
+        hint = did_you_mean(name, SCENES)
+        raise UserError(f"Unknown scene {name!r}{hint}; give one of {', '.join(SCENES)}, or a world's JSON file.")
     if seed < 0:
         raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
     if count is not None and count < 0:
@@ -216,22 +207,17 @@ def _axis(rng: np.random.Generator, tilt_max: float) -> Rows:
     return np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
 
 
-def _is_clear(cylinders: Rows, spheres: Rows) -> bool:
-    # Without a `World` for each candidate, whose checks would take most of the time of making a scene.
+def _field(name: str, draw: Callable[[], tuple[Rows, Rows]], count: int, ground: bool) -> World:
+    """Return the world of the first `count` draws (cylinder [8], spheres [n, 4]) that are clear of start and goal."""
+    cylinders, spheres = [], [_NO_SPHERES]
+    # Not a `World` for each candidate: its checks would take most of the time of making a scene.
     ends = np.array([[START], [GOAL]])
-    tables = {"cylinders": cylinders, "spheres": spheres}
-    return all(np.all(DISTANCES[name](ends, table) >= CLEAR_RADIUS) for name, table in tables.items())
-
-
-def _clear_cylinders(draw: Callable[[], Rows], count: int) -> Rows:
-    rows: list[Rows] = []
-    while len(rows) < count:
-        row = draw()
-        if _is_clear(row[None], np.zeros((0, 4))):
-            rows.append(row)
-    return np.reshape(rows, (-1, 8))
-
-
-def _world(name: str, cylinders: Rows, spheres: Rows, ground: bool) -> World:
+    while len(cylinders) < count:
+        cylinder, balls = draw()
+        tables = {"cylinders": cylinder[None], "spheres": balls}
+        if all(np.all(DISTANCES[key](ends, table) >= CLEAR_RADIUS) for key, table in tables.items()):
+            cylinders.append(cylinder)
+            spheres.append(balls)
+    tables = {"cylinders": np.reshape(cylinders, (-1, 8)), "spheres": np.concatenate(spheres)}
     boxes = np.array([GROUND]) if ground else np.zeros((0, 7))
-    return World(name, np.array(START), np.array(GOAL), cylinders=cylinders, boxes=boxes, spheres=spheres)
+    return World(name, np.array(START), np.array(GOAL), boxes=boxes, **tables)

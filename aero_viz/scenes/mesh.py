@@ -29,48 +29,39 @@ def world_meshes(world: World) -> dict[str, Mesh]:
 
     Keys are "cylinders", "boxes" (without the ground), "ground", "spheres" and "triangles"; absent kinds are left out.
     """
-    ground = world.ground
+    ground, corners = world.ground, world.triangles.reshape(-1, 3).astype(np.float32)
     parts = {
-        "cylinders": _instances(_unit_cylinder(), *_cylinder_frames(world.cylinders)),
-        "boxes": _instances(_unit_box(), *_box_frames(world.boxes[~ground])),
-        "ground": _instances(_unit_box(), *_box_frames(world.boxes[ground])),
-        "spheres": _instances(_unit_sphere(), *_sphere_frames(world.spheres)),
-        "triangles": _soup(world.triangles),
+        "cylinders": _instances(_unit_cylinder(), world.cylinders, _cylinder_axes(world.cylinders)),
+        "boxes": _instances(_unit_box(), world.boxes[~ground], _box_axes(world.boxes[~ground])),
+        "ground": _instances(_unit_box(), world.boxes[ground], _box_axes(world.boxes[ground])),
+        "spheres": _instances(_unit_sphere(), world.spheres, np.eye(3) * world.spheres[:, 3, None, None]),
+        "triangles": Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3)),
     }
     return {kind: mesh for kind, mesh in parts.items() if len(mesh.faces)}
 
 
-def _instances(shape: Mesh, linear: NDArray[np.float64], offset: NDArray[np.float64]) -> Mesh:
-    """Merge n copies of `shape`, transformed by x -> linear x + offset, with linear [n, 3, 3] and offset [n, 3]."""
-    vertices = np.einsum("nij,vj->nvi", linear, shape.vertices) + offset[:, None, :]
-    first = np.arange(len(offset)) * len(shape.vertices)
+def _instances(shape: Mesh, table: NDArray[np.float64], axes: NDArray[np.float64]) -> Mesh:
+    """Merge n copies of `shape`, transformed by x -> axes x + the first three columns of the table; axes [n, 3, 3]."""
+    vertices = np.einsum("nij,vj->nvi", axes, shape.vertices) + table[:, None, :3]
+    first = np.arange(len(table)) * len(shape.vertices)
     faces = shape.faces[None] + first[:, None, None]
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.int32))
 
 
-def _soup(triangles: NDArray[np.float64]) -> Mesh:
-    corners = triangles.reshape(-1, 3).astype(np.float32)
-    return Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
-
-
-def _cylinder_frames(table: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def _cylinder_axes(table: NDArray[np.float64]) -> NDArray[Any]:
     axis = table[:, 3:6]
     helper = np.where(np.abs(axis[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     u = np.cross(helper, axis)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     v = np.cross(axis, u)
     radius, height = table[:, 6:7], table[:, 7:8]
-    return np.stack([radius * u, radius * v, height * axis], axis=-1), table[:, :3]
+    return np.stack([radius * u, radius * v, height * axis], axis=-1)
 
 
-def _box_frames(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _box_axes(table: NDArray[np.float64]) -> NDArray[np.float64]:
     c, s, zeros, ones = np.cos(table[:, 6]), np.sin(table[:, 6]), np.zeros(len(table)), np.ones(len(table))
     rotation = np.stack([c, -s, zeros, s, c, zeros, zeros, zeros, ones], axis=1).reshape(-1, 3, 3)
-    return rotation * table[:, None, 3:6], table[:, :3]
-
-
-def _sphere_frames(table: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return np.eye(3)[None] * table[:, 3, None, None], table[:, :3]
+    return rotation * table[:, None, 3:6]
 
 
 def _unit_box() -> Mesh:

@@ -20,9 +20,7 @@ from numpy.typing import ArrayLike
 from aero_viz.scenes.clearance_grid import ClearanceGrid
 from aero_viz.scenes.world import World
 
-__all__ = ["is_passable", "widest_radius"]
-
-_BISECTIONS = 10
+__all__ = ["is_passable"]
 
 
 def is_passable(
@@ -61,34 +59,3 @@ def is_passable(
         if not grid.connects(world.start, world.goal, threshold=necessary):
             return False
     return False
-
-
-def widest_radius(
-    world: World,
-    *,
-    cell: float = 0.1,
-    limit: float = 1.5,
-    band: tuple[float, float] | None = None,
-    region: ArrayLike | None = None,
-) -> float:
-    """Return the radius of the largest ball proven to move from start to goal [m]; 0 if there is none.
-
-    It is never larger than the true radius and smaller by at most about 0.9 `cell`. It is capped at `limit` [m]. The
-    arguments are those of `is_passable`.
-    """
-    limit = min(limit, float(world.distance([world.start, world.goal]).min()))
-    distance_max = 1.01 * math.hypot(max(limit, 0.0), 0.5 * cell)
-    grid = ClearanceGrid.measure(world, cell=cell, distance_max=distance_max, band=band, region=region).cropped()
-
-    def is_proven(radius: float) -> bool:
-        return grid.connects(world.start, world.goal, threshold=math.hypot(radius, 0.5 * cell))
-
-    if limit <= 0.0 or not is_proven(0.0):
-        return 0.0
-    if is_proven(limit):
-        return limit
-    low, high = 0.0, limit
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_proven(middle) else (low, middle)
-    return low

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.coverage import coverage
-from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, full_sphere, lidar_model, livox_mid360, spinning64
+from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, lidar_model
 from aero_viz.sensors.raycast import cast
 
 __all__ = [
@@ -14,8 +14,5 @@ __all__ = [
     "LidarModel",
     "cast",
     "coverage",
-    "full_sphere",
     "lidar_model",
-    "livox_mid360",
-    "spinning64",
 ]

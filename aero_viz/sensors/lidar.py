@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +11,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.config.parameter import ParameterSection, choice, live, structural
+from aero_planner.config.parameter import ParameterSection, choice, did_you_mean, live, structural
+from aero_planner.quaternions import quaternion_from_angles
 from aero_viz.errors import UserError
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.lidar_kernels import Beams, scan_kernel
 
-__all__ = ["LIDARS", "Lidar", "LidarModel", "full_sphere", "lidar_model", "livox_mid360", "pack_beams", "spinning64"]
+__all__ = ["LIDARS", "Lidar", "LidarModel", "lidar_model", "pack_beams"]
 
 # The Mid-360, after the scan table that its maker publishes for simulation (livox_laser_simulation, mid360.csv).
 _BEAMS = 4
@@ -80,29 +80,16 @@ class LidarModel(ParameterSection, section="lidar"):
         return (np.arange(self.points_per_sweep) + 0.5) / (self.points_per_sweep * self.sweep_rate)
 
 
-def livox_mid360() -> LidarModel:
-    """Return the Livox Mid-360: 200 000 points/s, non-repetitive pattern, -7 to 52 degrees."""
-    return LidarModel("mid360", pattern="livox")
-
-
-def full_sphere() -> LidarModel:
-    """Return a sensor without blind zones, with the rate of the Mid-360."""
-    return LidarModel("full-sphere", elevation_min=-90.0, elevation_max=90.0)
-
-
-def spinning64() -> LidarModel:
-    """Return a spinning sensor with 64 rings of 512 points, -22.5 to 22.5 degrees, at 10 Hz."""
-    return LidarModel(
+_MODELS = (
+    LidarModel("mid360", pattern="livox"),
+    LidarModel("full-sphere", elevation_min=-90.0, elevation_max=90.0),
+    LidarModel(
         "spinning64", elevation_min=-22.5, elevation_max=22.5, points_per_sweep=64 * 512, range_max=90.0,
         pattern="rings",
-    )  # fmt: skip
-
-
-LIDARS: dict[str, Callable[[], LidarModel]] = {
-    "mid360": livox_mid360,
-    "full-sphere": full_sphere,
-    "spinning64": spinning64,
-}
+    ),
+)  # fmt: skip
+LIDARS = {model.name: model for model in _MODELS}
+"""By name: the Livox Mid-360, a sensor of its rate without blind zones, and a spinning sensor with 64 rings."""
 
 
 def lidar_model(name: str) -> LidarModel:
@@ -112,10 +99,8 @@ def lidar_model(name: str) -> LidarModel:
         UserError: there is no such model; the message lists all.
     """
     if name not in LIDARS:
-        close = difflib.get_close_matches(name, LIDARS, n=1)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise UserError(f"Unknown LiDAR {name!r}.{hint} LiDARs: {', '.join(LIDARS)}.")
-    return LIDARS[name]()
+        raise UserError(f"Unknown LiDAR {name!r}{did_you_mean(name, LIDARS)}; LiDARs: {', '.join(LIDARS)}.")
+    return LIDARS[name]
 
 
 def pack_beams(model: LidarModel) -> Any:
@@ -133,14 +118,8 @@ def pack_beams(model: LidarModel) -> Any:
     shots = model.points_per_sweep * model.sweep_rate / _BEAMS
     beams.turn_step, beams.swing_step = (wp.uint32(_step(rate / shots)) for rate in (_TURN_RATE, _SWING_RATE))
     beams.mount_position = wp.vec3(*model.mount_position)
-    half = [0.5 * math.radians(angle) for angle in model.mount_angles]
-    (cr, cp, cy), (sr, sp, sy) = [math.cos(a) for a in half], [math.sin(a) for a in half]
-    beams.mount_attitude = wp.quat(
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
+    w, x, y, z = quaternion_from_angles(*model.mount_angles)
+    beams.mount_attitude = wp.quat(x, y, z, w)
     return beams
 
 

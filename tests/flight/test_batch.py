@@ -6,14 +6,15 @@ import csv
 import dataclasses
 import json
 import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel, fly, memory_per_flight
-from aero_viz.flight.device_memory import device_bytes
+from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel, fly
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 
@@ -165,14 +166,35 @@ def test_ctrl_c_keeps_what_is_finished(sparse):
     assert batch.simulator.time == pytest.approx(0.12)
 
 
-def test_memory_per_flight_is_the_growth_of_a_batch(sparse):
-    config, lidar = CONFIG, LIDAR
-    share = memory_per_flight(config=config, lidar=lidar)
-    two, five = (device_bytes(FlightBatch([sparse] * n, config=config, lidar=lidar, threads=1)) for n in (2, 5))
-    assert five - two == pytest.approx(3 * share, rel=1e-3)
+def arrays_of(owner, seen):
+    """Yield the Warp arrays that `owner` refers to through lists, dicts and objects of this project."""
+    if id(owner) in seen:
+        return
+    seen.add(id(owner))
+    if isinstance(owner, wp.array):
+        yield owner
+    elif isinstance(owner, (list, tuple, dict, SimpleNamespace)) or type(owner).__module__.startswith("aero_"):
+        content = owner if isinstance(owner, (list, tuple, dict)) else getattr(owner, "__dict__", {})
+        for item in list(content.values() if isinstance(content, dict) else content):
+            yield from arrays_of(item, seen)
+
+
+def device_bytes(count: int, world: World, config: PlannerConfig | None, lidar: LidarModel | None) -> int:
+    """Return the size of the arrays of a batch; with one thread, the CPU has the memory layout of a GPU."""
+    batch = FlightBatch([world] * count, config=config, lidar=lidar, threads=1)
+    total = end = 0
+    for first, last in sorted({(a.ptr, a.ptr + a.capacity) for a in arrays_of(batch, set()) if a.ptr}):
+        total, end = total + max(0, last - max(first, end)), max(end, last)  # shared memory counts once
+    return total
+
+
+def test_memory_grows_linearly_with_the_batch(sparse):
+    one, two, five = (device_bytes(count, sparse, CONFIG, LIDAR) for count in (1, 2, 5))
+    assert five - two == pytest.approx(3 * (two - one), rel=1e-3)
     # Ten sweeps for the planner and the one in progress, 12 bytes a point, are part of it.
-    larger = dataclasses.replace(lidar, points_per_sweep=lidar.points_per_sweep + 1000)
-    assert memory_per_flight(config=config, lidar=larger) - share == pytest.approx(11 * 1000 * 12, abs=64)
+    larger = dataclasses.replace(LIDAR, points_per_sweep=LIDAR.points_per_sweep + 1000)
+    growth = device_bytes(2, sparse, CONFIG, larger) - device_bytes(1, sparse, CONFIG, larger)
+    assert growth - (two - one) == pytest.approx(11 * 1000 * 12, abs=64)
 
 
 def test_one_configuration_per_flight(sparse):

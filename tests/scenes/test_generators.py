@@ -104,7 +104,7 @@ def test_scenes_of_fixed_count_refuse_a_count(name):
 
 
 def test_unknown_scene_suggests_the_closest_name():
-    with pytest.raises(UserError, match="Did you mean 'forest'"):
+    with pytest.raises(UserError, match=r"did you mean 'forest'\?\); give one of"):
         scene("forrest", seed=0)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from aero_viz.scenes import World, forest, inclines, verticals
 from aero_viz.scenes.clearance_grid import ClearanceGrid
-from aero_viz.scenes.passable import is_passable, widest_radius
+from aero_viz.scenes.passable import is_passable
 
 START, GOAL = np.array([0.0, 0.0, 2.0]), np.array([10.0, 0.0, 2.0])
 REGION = [[-1.0, -4.0], [11.0, 4.0]]
@@ -28,9 +28,7 @@ def test_wall_with_a_gap_of_known_width(radius, centre):
 
 
 def test_closed_wall():
-    world = walled(0.0)
-    assert not is_passable(world, radius=0.02, region=REGION)
-    assert widest_radius(world, region=REGION) == 0.0
+    assert not is_passable(walled(0.0), radius=0.02, region=REGION)
 
 
 def test_gap_above_the_band_counts_only_where_the_band_allows():
@@ -42,19 +40,19 @@ def test_gap_above_the_band_counts_only_where_the_band_allows():
 
 @pytest.mark.parametrize("half", [0.3, 0.55, 0.9])
 def test_widest_radius_is_just_below_half_the_gap(half):
-    found = widest_radius(walled(2.0 * half), region=REGION)
-    assert half - 0.09 <= found <= half
+    world = walled(2.0 * half)
+    assert is_passable(world, radius=half - 0.09, region=REGION)
+    assert not is_passable(world, radius=half + 1e-3, region=REGION)
 
 
-def test_widest_radius_stops_at_the_limit_and_at_start_and_goal():
+def test_start_limits_the_radius():
     world = World("free", START, GOAL, spheres=np.array([[0.0, 2.0, 2.0, 1.0], [5.0, 3.5, 2.0, 0.1]]))
-    assert widest_radius(world, limit=0.5) == 0.5
-    assert 0.91 <= widest_radius(world) <= 1.0
+    assert is_passable(world, radius=0.91) and not is_passable(world, radius=1.001)
 
 
 def test_start_or_goal_inside_an_obstacle():
     world = World("inside", START, GOAL, spheres=np.array([[10.1, 0.0, 2.0, 0.3]]))
-    assert not is_passable(world) and widest_radius(world) == 0.0
+    assert not is_passable(world) and not is_passable(world, radius=0.001)
 
 
 def test_empty_world_is_passable():

@@ -7,15 +7,17 @@ import pytest
 import warp as wp
 
 from aero_viz.scenes import World
-from aero_viz.sensors import DeviceWorlds, Lidar, LidarModel, coverage, full_sphere, livox_mid360, spinning64
+from aero_viz.sensors import LIDARS, DeviceWorlds, Lidar, LidarModel, coverage
+
+MID360, FULL_SPHERE, SPINNING64 = LIDARS.values()
 
 
 def test_coverage_of_the_mid360_grows_from_sweep_to_sweep():
     # 72 rings of points in a sweep, not evenly spread over 19 rows of 3 deg: some cells wait for the next sweeps.
     for seed in range(5):
-        first, half, second = coverage(livox_mid360(), seed=seed)
+        first, half, second = coverage(MID360, seed=seed)
         assert 0.9 < first < 0.99 and first < half and 0.999 <= half <= second
-    fine = coverage(livox_mid360(), cell=1.0, times=(0.1, 0.2, 0.5, 1.0))
+    fine = coverage(MID360, cell=1.0, times=(0.1, 0.2, 0.5, 1.0))
     assert 0.55 < fine[0] < 0.7 and np.all(np.diff(fine) > 0.0) and 0.95 < fine[-1] < 1.0
 
 
@@ -33,18 +35,18 @@ def test_coverage_of_even_rays():
 
 def test_a_spinning_lidar_never_covers_the_space_between_its_rings():
     # 64 rings over 45 degrees in 90 rows of half a degree: no more rows than rings, however long it turns.
-    shares = coverage(spinning64(), cell=0.5)
+    shares = coverage(SPINNING64, cell=0.5)
     assert shares[0] == shares[-1] <= 64 / 90 + 1e-9
 
 
 def test_the_poles_of_the_full_sphere_are_covered_slowly():
     # 2.4e-6 of the sphere is in a cell at the pole: half a hit expected there after a second.
-    first, half, second = coverage(full_sphere())
+    first, half, second = coverage(FULL_SPHERE)
     assert 0.85 < first < half < second < 1.0
 
 
 def test_agrees_with_the_points_of_the_sensor():
-    model = dataclasses.replace(livox_mid360(), points_per_sweep=3000, range_noise=0.0, dropout=0.0)
+    model = dataclasses.replace(MID360, points_per_sweep=3000, range_noise=0.0, dropout=0.0)
     walls = [[s * 15.0 * (k == i) for k in range(3)] for i in range(3) for s in (-1, 1)]
     shell = World(
         "", np.zeros(3), np.ones(3), boxes=np.array([[*c, *[10.0 if v else 60.0 for v in c], 0.0] for c in walls])
@@ -64,4 +66,4 @@ def test_agrees_with_the_points_of_the_sensor():
 @pytest.mark.parametrize("options", [{"cell": 0.0}, {"cell": 7.0}, {"cell": 60.0}, {"times": (0.5, 0.1)}])
 def test_invalid_arguments_are_refused(options):
     with pytest.raises(ValueError, match="cell"):
-        coverage(livox_mid360(), **options)
+        coverage(MID360, **options)

@@ -9,8 +9,9 @@ import warp as wp
 
 from aero_viz.errors import UserError
 from aero_viz.scenes import World
-from aero_viz.sensors import LIDARS, DeviceWorlds, Lidar, LidarModel, full_sphere, lidar_model, livox_mid360, spinning64
+from aero_viz.sensors import LIDARS, DeviceWorlds, Lidar, LidarModel, lidar_model
 
+MID360, FULL_SPHERE, SPINNING64 = LIDARS.values()
 RADIUS = 10.0
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -53,7 +54,7 @@ def coverage(points):
 
 
 def test_mid360_field_of_view_and_rate(shell):
-    model = livox_mid360()
+    model = MID360
     assert model.points_per_sweep * model.sweep_rate == 200_000
     elevation = np.degrees(np.arcsin(directions(sweep(exact(model), shell)[0])[:, 2]))
     assert elevation.min() >= -7.01 and elevation.max() <= 52.01
@@ -62,7 +63,7 @@ def test_mid360_field_of_view_and_rate(shell):
 
 def test_mid360_draws_tilted_rings_that_swing(shell):
     """Compare the pattern with its equation in float64, from the phase that the seed selects."""
-    model = exact(livox_mid360())
+    model = exact(MID360)
     d = directions(sweep(model, shell, number=3)[0].astype(float))
     azimuth, elevation = np.unwrap(np.arctan2(d[:, 1], d[:, 0])), np.degrees(np.arcsin(d[:, 2]))
     beams = [(azimuth[i::4], elevation[i::4]) for i in range(4)]
@@ -86,7 +87,7 @@ def test_mid360_draws_tilted_rings_that_swing(shell):
 
 
 def test_a_pattern_continues_from_sweep_to_sweep(shell):
-    for model in (livox_mid360(), LidarModel("even", pattern="even")):
+    for model in (MID360, LidarModel("even", pattern="even")):
         long = sweep(exact(model, points_per_sweep=40_000, sweep_rate=5.0), shell, number=1)[0]
         short = [sweep(exact(model), shell, number=number)[0] for number in (2, 3)]
         np.testing.assert_allclose(long, np.concatenate(short), atol=2e-5)
@@ -95,29 +96,29 @@ def test_a_pattern_continues_from_sweep_to_sweep(shell):
 
 
 def test_full_sphere_is_uniform(shell):
-    d = directions(sweep(exact(full_sphere()), shell)[0])
+    d = directions(sweep(exact(FULL_SPHERE), shell)[0])
     np.testing.assert_allclose(d.mean(axis=0), 0.0, atol=2e-3)
     np.testing.assert_allclose(d.T @ d / len(d), np.eye(3) / 3.0, atol=2e-3)
 
 
 def test_spinning64_has_64_rings(shell):
-    d = directions(sweep(exact(spinning64()), shell)[0]).astype(float)
+    d = directions(sweep(exact(SPINNING64), shell)[0]).astype(float)
     rings = np.unique(np.round(np.degrees(np.arcsin(d[:, 2])), 2))
     assert len(rings) == 64 and rings[0] == -22.5 and rings[-1] == 22.5
 
 
 def test_coverage_grows_from_sweep_to_sweep(shell):
-    for model, least, most in ((livox_mid360(), 0.97, 0.99), (LidarModel("sparse", points_per_sweep=1000), 0.5, 0.99)):
+    for model, least, most in ((MID360, 0.97, 0.99), (LidarModel("sparse", points_per_sweep=1000), 0.5, 0.99)):
         clouds = [sweep(exact(model), shell, number=number)[0] for number in range(10)]
         shares = [coverage(np.concatenate(clouds[:n])) for n in (1, 2, 5, 10)]
         assert shares[0] < least and shares[-1] > most
         assert shares[0] < shares[1] and all(b >= a for a, b in pairwise(shares))
-    repeated = exact(spinning64(), points_per_sweep=1024)
+    repeated = exact(SPINNING64, points_per_sweep=1024)
     np.testing.assert_allclose(sweep(repeated, shell, number=0), sweep(repeated, shell, number=7), atol=1e-5)
 
 
 def test_range_noise_statistics():
-    model = dataclasses.replace(full_sphere(), range_noise=0.05, dropout=0.0)
+    model = dataclasses.replace(FULL_SPHERE, range_noise=0.05, dropout=0.0)
     # The sensor is in a corner of nothing but one sphere, straight above: all rays that hit it come back radially.
     ball = World("", np.zeros(3), np.ones(3), spheres=np.array([[0.0, 0.0, 30.0, 25.0]]))
     noisy, clean = sweep(model, ball)[0], sweep(exact(model), ball)[0]
@@ -132,20 +133,20 @@ def test_range_noise_statistics():
 
 
 def test_dropout_loses_its_fraction_of_the_returns(shell):
-    lost = np.isnan(sweep(dataclasses.replace(full_sphere(), dropout=0.25), shell)[0, :, 0]).mean()
+    lost = np.isnan(sweep(dataclasses.replace(FULL_SPHERE, dropout=0.25), shell)[0, :, 0]).mean()
     assert lost == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 20_000))
 
 
 def test_range_limits_leave_nan():
     world = World("", np.zeros(3), np.ones(3), spheres=np.array([[3.0, 0, 0, 1.0]]))
-    assert np.isfinite(sweep(exact(full_sphere()), world)).any()
-    assert np.isnan(sweep(exact(full_sphere(), range_max=1.9), world)).all()
-    assert np.isnan(sweep(exact(full_sphere(), range_min=3.0, range_max=9.0), world)).all()
+    assert np.isfinite(sweep(exact(FULL_SPHERE), world)).any()
+    assert np.isnan(sweep(exact(FULL_SPHERE, range_max=1.9), world)).all()
+    assert np.isnan(sweep(exact(FULL_SPHERE, range_min=3.0, range_max=9.0), world)).all()
 
 
 def test_motion_within_a_sweep(shell):
     # The points lie on the walls, seen from a sensor that moves 1 m while it measures: no skew in the world frame.
-    model = exact(full_sphere())
+    model = exact(FULL_SPHERE)
     points = sweep(model, shell, position=(1.0, 0.0, 0.0), before=(0.0, 0.0, 0.0))[0].astype(float)
     np.testing.assert_allclose(np.abs(points).max(axis=1), RADIUS, atol=1e-4)
     origin = (np.arange(model.points_per_sweep)[:, None] + 0.5) / model.points_per_sweep * [1.0, 0.0, 0.0]
@@ -156,7 +157,7 @@ def test_motion_within_a_sweep(shell):
 def test_attitude_rotates_the_pattern(shell):
     # Yaw of 90 degrees: body x looks along world y.
     half = np.sqrt(0.5)
-    model = exact(livox_mid360())
+    model = exact(MID360)
     level = directions(sweep(model, shell)[0])
     turned = directions(sweep(model, shell, quaternion=(half, 0.0, 0.0, half))[0])
     np.testing.assert_allclose(turned, np.column_stack([-level[:, 1], level[:, 0], level[:, 2]]), atol=1e-5)
@@ -164,28 +165,28 @@ def test_attitude_rotates_the_pattern(shell):
 
 def test_mounting_angles_rotate_the_field_of_view(shell):
     # Upside down: what looked up to 52 degrees now looks down to -52.
-    model = exact(livox_mid360())
+    model = exact(MID360)
     upright, turned = (sweep(exact(model, mount_angles=angles), shell)[0] for angles in ((0, 0, 0), (180, 0, 0)))
     np.testing.assert_allclose(directions(turned), directions(upright) * [1, -1, -1], atol=1e-5)
     # Yaw after pitch: the sensor's x axis, pitched down by 30 degrees, then toward the left.
-    ring = exact(spinning64(), mount_angles=(0.0, 30.0, 90.0))
+    ring = exact(SPINNING64, mount_angles=(0.0, 30.0, 90.0))
     first = directions(sweep(ring, shell)[0])[32::64][0]  # ring 32 of 64, near the horizon, at azimuth 0
     elevation = np.radians(-30.0 + (-22.5 + 32 * 45 / 63))
     np.testing.assert_allclose(first, [0.0, np.cos(elevation), np.sin(elevation)], atol=2e-3)
 
 
 def test_mounting_position_moves_with_the_body(shell):
-    model = exact(full_sphere(), mount_position=(0.5, 0.0, 0.2))
+    model = exact(FULL_SPHERE, mount_position=(0.5, 0.0, 0.2))
     half = np.sqrt(0.5)
     mounted = sweep(model, shell, position=(1.0, 0.0, 0.0), quaternion=(half, 0.0, 0.0, half))
     # Yaw of 90 degrees: 0.5 m ahead is 0.5 m to the left.
-    expected = sweep(exact(full_sphere()), shell, position=(1.0, 0.5, 0.2), quaternion=(half, 0.0, 0.0, half))
+    expected = sweep(exact(FULL_SPHERE), shell, position=(1.0, 0.5, 0.2), quaternion=(half, 0.0, 0.0, half))
     np.testing.assert_allclose(mounted, expected, atol=1e-4)
 
 
 def test_points_are_placed_by_the_estimated_pose(shell):
     # The estimate is 1 m off and rotated by 90 degrees: the cloud is the true one, moved and rotated.
-    model, half = exact(full_sphere()), np.sqrt(0.5)
+    model, half = exact(FULL_SPHERE), np.sqrt(0.5)
     worlds = DeviceWorlds([shell])
     lidar = Lidar(model, worlds, seeds=[0])
     true = wp.array([(0.0, 0.0, 0.0)], dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
@@ -198,7 +199,7 @@ def test_points_are_placed_by_the_estimated_pose(shell):
 
 
 def test_points_depend_on_the_seed_and_not_on_the_batch(shell):
-    model = livox_mid360()
+    model = MID360
     together = sweep(model, shell, seeds=(5, 6))
     np.testing.assert_array_equal(together[0], sweep(model, shell, seeds=(5,))[0])
     np.testing.assert_array_equal(together[1], sweep(model, shell, seeds=(6,))[0])
@@ -206,14 +207,14 @@ def test_points_depend_on_the_seed_and_not_on_the_batch(shell):
 
 
 def test_finished_sensors_measure_nothing(shell):
-    lidar = Lidar(livox_mid360(), DeviceWorlds([shell]), seeds=[0])
+    lidar = Lidar(MID360, DeviceWorlds([shell]), seeds=[0])
     poses = wp.zeros(1, dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
     lidar.scan(0, 0, 100, poses=poses, poses_before=poses, finished=wp.ones(1, dtype=int))
     assert np.isnan(lidar.points.numpy()).all()
 
 
 def test_point_times_span_the_sweep():
-    times = livox_mid360().point_times()
+    times = MID360.point_times()
     assert times.shape == (20_000,) and times[0] > 0.0 and times[-1] < 0.1
     np.testing.assert_allclose(np.diff(times), 5e-6)
 
@@ -238,5 +239,5 @@ def test_invalid_models_are_refused(changes):
 
 def test_models_by_name():
     assert all(lidar_model(name).name == name for name in LIDARS)
-    with pytest.raises(UserError, match="Did you mean 'mid360'"):
+    with pytest.raises(UserError, match=r"did you mean 'mid360'\?\); LiDARs"):
         lidar_model("mid36")

@@ -12,7 +12,7 @@ from aero_viz.evaluation.bench.runner import load_run
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight import fly as fly_once
 from aero_viz.scenes import scene
-from aero_viz.sensors import livox_mid360
+from aero_viz.sensors import LIDARS
 
 TIMING = ("plan_ms_median", "build_s", "run_s", "batch", "batch_size")
 
@@ -48,7 +48,7 @@ def test_flight_equals_that_of_fly(fly):
         scene("verticals", count=5, seed=flight["world_seed"]),
         config=PlannerConfig.from_dict(run.header["config"]),
         seed=flight["seed"],
-        lidar=dataclasses.replace(livox_mid360(), points_per_sweep=500),
+        lidar=dataclasses.replace(LIDARS["mid360"], points_per_sweep=500),
         rules=FlightRules(time_limit=0.2),
         speed=7.0,
     )
@@ -68,7 +68,7 @@ def test_disturbances_reach_the_flights(fly):
         scene("verticals", count=5, seed=flight["world_seed"]),
         config=config,
         seed=flight["seed"],
-        lidar=dataclasses.replace(livox_mid360(), points_per_sweep=500),
+        lidar=dataclasses.replace(LIDARS["mid360"], points_per_sweep=500),
         vehicle=VehicleModel.from_config(config, **options["drone"]),
         noise=options["noise"],
         rules=options["rules"],
