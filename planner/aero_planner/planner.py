@@ -23,6 +23,7 @@ from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
+from aero_planner.plan_inputs import check_inputs
 from aero_planner.warp_init import find_device
 
 __all__ = ["History", "Planner"]
@@ -82,16 +83,13 @@ class Planner:
         self._seed = int(seed)
         self._workers = 1 if self._device.is_cuda else (threads or os.cpu_count() or 1)
         self._config = config or PlannerConfig()
-        self._sizes = self._make_sizes()
+        self._allocate()
         self._inputs = PackedArrays(PlannerInputs, self._sizes, self._device)
         self._set_input_defaults()
         self._cloud = Cloud(batch, self._device)
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
-        self._pipeline: Pipeline | None = None
-        self._build()
-
-    def _make_sizes(self) -> Sizes:
-        return Sizes.from_config(self._config, batch=self._batch, workers=self._workers, tuning=self._tuning)
+        self._write_params([self._config])
+        self._pipeline = self._make_pipeline()
 
     def _set_input_defaults(self) -> None:
         host = self._inputs.host()
@@ -101,12 +99,13 @@ class Planner:
         host["ground_height"][:] = -np.inf
         self._inputs.upload()
 
-    def _build(self) -> None:
-        """Allocate everything that depends on the structure of the configuration, and record the launches."""
-        self._sizes = sizes = self._make_sizes()
+    def _allocate(self) -> None:
+        """Allocate the arrays whose sizes depend on the structure of the configuration."""
+        self._sizes = sizes = Sizes.from_config(
+            self._config, batch=self._batch, workers=self._workers, tuning=self._tuning
+        )
         self._outputs = PackedArrays(PlannerOutputs, sizes, self._device)
-        self._work = allocate(Workspace, sizes, self._device)
-        work = self._work
+        self._work = work = allocate(Workspace, sizes, self._device)
         work.cell_keys.fill_(EMPTY.value)
         with wp.ScopedDevice(self._device):
             wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
@@ -114,13 +113,9 @@ class Planner:
         # Seeds may be of any size.
         work.seed.assign((self._seed % 2**32 + np.arange(self._batch, dtype=np.int64)).astype(np.int32))
         self.reset()
-        self._write_params()
-        self._record()
 
-    def _record(self) -> None:
-        if self._pipeline is not None:
-            self._pipeline.close()
-        self._pipeline = Pipeline(
+    def _make_pipeline(self) -> Pipeline:
+        return Pipeline(
             self._config,
             self._sizes,
             self._tuning,
@@ -131,10 +126,15 @@ class Planner:
             params=self._params,
         )
 
-    def _write_params(self, records: NDArray[Any] | None = None) -> None:
-        if records is None:
-            records = np.repeat(pack(self._config)[None], self._batch)
-        self._params.assign(records)
+    def _replace_pipeline(self) -> None:
+        """Record the launches again, after arrays were replaced."""
+        self._pipeline.close()
+        self._pipeline = self._make_pipeline()
+
+    def _write_params(self, configs: Sequence[PlannerConfig]) -> None:
+        """Write the live parameters of one configuration for all drones, or of one for each."""
+        records = np.array([pack(config) for config in configs])
+        self._params.assign(np.repeat(records, self._batch // len(records)))
 
     @property
     def config(self) -> PlannerConfig:
@@ -197,27 +197,25 @@ class Planner:
             raise ValueError(
                 "the configurations of one batch differ in structure; give them equal samples, steps and grids."
             )
-        rebuild = structure != self._config.structure()
         before, self._config = self._config, configs[0]
-        if rebuild:
+        if structure != before.structure():
             try:
-                self._build()
+                self._allocate()
+                self._replace_pipeline()
             except Exception:
                 self._config = before
-                self._build()
+                self._allocate()
+                self._replace_pipeline()
                 raise
-        if not isinstance(config, PlannerConfig):
-            self._write_params(np.array([pack(drone_config) for drone_config in configs]))
-        elif not rebuild:
-            self._write_params()
+        self._write_params(configs)
 
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone. The cloud is then all NaN, which means no points."""
         if self._cloud.reserve(count):
-            self._record()
+            self._replace_pipeline()
         self._inputs.host()["point_count"][:] = count
         self._inputs.upload()
-        self._active_pipeline.limit_points(count)
+        self._pipeline.limit_points(count)
 
     def reset(self) -> None:
         """Discard the previous plan and restart the noise sequence."""
@@ -247,7 +245,7 @@ class Planner:
 
         Nothing is copied to or from the host, and on CUDA the call returns before the plan is finished.
         """
-        self._active_pipeline.run()
+        self._pipeline.run()
 
     def plan(
         self,
@@ -278,7 +276,10 @@ class Planner:
             ValueError: an input has the wrong shape or is not finite; nothing was launched.
         """
         started = time.perf_counter()
-        self._write_inputs(state, goal, cloud_age, ground_height)
+        checked = check_inputs(state, goal, cloud_age, ground_height, (self._batch,) if self._batched else ())
+        host = self._inputs.host()
+        for name, value in checked.items():
+            host[name][:] = value
         self._write_points(points)
         self._inputs.upload()
         uploaded = time.perf_counter()
@@ -286,30 +287,9 @@ class Planner:
         values = self._outputs.download()
         done = time.perf_counter()
         stage_ms = {"inputs": 1e3 * (uploaded - started)}
-        stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._active_pipeline.stage_ms
+        stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
         return self._to_plan(values, stage_ms, samples)
-
-    def _write_inputs(self, state: VehicleState, goal: Goal, cloud_age: float, ground_height: ArrayLike | None) -> None:
-        batch = (self._batch,) if self._batched else ()
-        values = {
-            "position": _checked("state.position", state.position, (*batch, 3)),
-            "velocity": _checked("state.velocity", state.velocity, (*batch, 3)),
-            "quaternion": _checked("state.quaternion", state.quaternion, (*batch, 4)),
-            "acceleration": _checked("state.acceleration", state.acceleration, (*batch, 3), missing=0.0),
-            "time": _checked("state.time", state.time, batch, missing=np.nan),
-            "goal_position": _checked("goal.position", goal.position, (*batch, 3)),
-            "goal_velocity": _checked("goal.velocity", goal.velocity, (*batch, 3), missing=np.nan),
-            "goal_quaternion": _checked("goal.quaternion", goal.quaternion, (*batch, 4), missing=np.nan),
-            "cloud_age": _checked("cloud_age", cloud_age, (), limit=np.inf),
-            "ground_height": _checked_ground(ground_height, batch),
-        }
-        for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
-            if (np.linalg.norm(values[name], axis=-1) < 1e-6).any():
-                raise ValueError(f"{field} is zero; give a unit quaternion in the order w, x, y, z.")
-        host = self._inputs.host()
-        for name, value in values.items():
-            host[name][:] = value
 
     def _write_points(self, points: Points) -> None:
         if self._cloud.is_current(points):
@@ -321,7 +301,7 @@ class Planner:
             self.reserve(max(counts) * 5 // 4)
         self._cloud.write(points, clouds)
         self._inputs.host()["point_count"][:] = counts
-        self._active_pipeline.limit_points(max(counts))
+        self._pipeline.limit_points(max(counts))
 
     def _to_plan(self, values: dict[str, NDArray[Any]], stage_ms: dict[str, float], samples: bool) -> Plan:
         """Return the plan of the output arrays, without the rows of the braking candidates."""
@@ -375,7 +355,7 @@ class Planner:
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans on CUDA [ms], one stage after another."""
-        return self._active_pipeline.time_stages(repeat)
+        return self._pipeline.time_stages(repeat)
 
     def save_graph(self, path: str | os.PathLike[str]) -> Path:
         """Save the launches of a plan for the C++ host; kernels are written to a folder beside the file.
@@ -390,59 +370,16 @@ class Planner:
         state = ("seed", "tick", "previous_controls", "previous_end", "previous_waypoint", "previous_time")
         inputs = as_dict(self.inputs) | {"points": self.points, "params": self.params}
         inputs |= {name: getattr(self._work, name) for name in state}
-        graph = self._active_pipeline.capture_graph()
+        graph = self._pipeline.capture_graph()
         wp.capture_save(graph, os.fspath(path), inputs=inputs, outputs=as_dict(self.outputs))
         return Path(path).with_suffix(".wrp")
 
     def close(self) -> None:
         """Stop the worker threads; the planner can't be used afterwards."""
-        self._active_pipeline.close()
-
-    @property
-    def _active_pipeline(self) -> Pipeline:
-        assert self._pipeline is not None
-        return self._pipeline
+        self._pipeline.close()
 
 
 def _to_numpy(array: wp.array) -> NDArray[Any]:
     """Return `array.numpy()`, whose declared type lacks dtype and shape."""
     values: Any = array.numpy()
     return values
-
-
-def _checked_ground(height: ArrayLike | None, batch: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return ground heights [m] as float64 of shape [] or [B], -inf where they are unknown."""
-    if height is None:
-        return np.full(batch, -np.inf)
-    array = np.asarray(height)
-    shape = batch if array.ndim else ()
-    if array.dtype.kind != "f":
-        return _checked("ground_height", height, shape)
-    unknown = array == -np.inf
-    return np.where(unknown, -np.inf, _checked("ground_height", np.where(unknown, 0.0, array), shape))
-
-
-def _checked(
-    name: str, value: Any, shape: tuple[int, ...], *, missing: float | None = None, limit: float = 1e6
-) -> NDArray[np.float64]:
-    """Return `value` as float64 of `shape`, full of `missing` if it is None.
-
-    Raises:
-        ValueError: it has another shape, is not finite, or exceeds `limit`.
-    """
-    if value is None and missing is not None:
-        return np.full(shape, missing)
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} is {value!r}; it must be numbers of shape {shape}.") from error
-    if array.shape != shape:
-        raise ValueError(f"{name} has shape {array.shape}; it must have shape {shape}.")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} is {array.tolist()}; every value must be finite.")
-    if name != "state.time" and (np.abs(array) > limit).any():
-        raise ValueError(
-            f"{name} is {array.tolist()}; values beyond {limit:g} have no precision left in float32: "
-            "move the origin of the world nearer."
-        )
-    return array

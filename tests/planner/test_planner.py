@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
+from aero_planner.array_memory import allocate
+from aero_planner.arrays import Sizes
 from tests.planner import reference
 from tests.planner.cases import PLAN_ARRAYS, Case, assert_same, config_of, kept_points, random_case, shell
 
@@ -183,6 +187,24 @@ def test_each_drone_of_a_batch_may_have_its_own_configuration(device: str):
         planner.configure(configs[:1])
     with pytest.raises(ValueError, match="differ in structure"):
         planner.configure([configs[0], config_of("paper", sampling__samples=8)])
+
+
+def test_a_rebuild_that_fails_keeps_the_configuration_of_each_drone(monkeypatch: pytest.MonkeyPatch):
+    case, planner = random_case(0, count=0), Planner(config_of("paper"), batch=2)
+    planner.configure([config_of("paper", anchors__lookahead=length) for length in (2.0, 4.0)])
+
+    def fail(kind: type[Any], sizes: Sizes, device: wp.Device) -> Any:
+        if sizes.N == 10:
+            raise MemoryError("no room")
+        return allocate(kind, sizes, device)
+
+    monkeypatch.setattr("aero_planner.planner.allocate", fail)
+    with pytest.raises(MemoryError, match="no room"):
+        planner.configure(config_of("paper", sampling__steps=10))
+    state = VehicleState(*(np.stack([x] * 2) for x in (case.position, case.velocity, case.quaternion)))
+    plan = planner.plan(state, Goal(np.stack([case.goal] * 2)), np.stack([case.points] * 2))
+    reach = np.linalg.norm(plan.initial_endpoints - case.position, axis=-1)
+    np.testing.assert_allclose(reach, np.repeat([[2.0], [4.0]], 15, 1), atol=1e-4)
 
 
 def test_live_changes_keep_the_buffers(device: str):

@@ -1,0 +1,78 @@
+"""Checks of what a caller passes to `Planner.plan`, before anything is launched."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner.plan import Goal, VehicleState
+
+__all__ = ["check_inputs"]
+
+_FARTHEST = 1e6
+"""Largest coordinate, beyond which float32 no longer resolves a decimetre [m]."""
+
+
+def check_inputs(
+    state: VehicleState, goal: Goal, cloud_age: float, ground_height: ArrayLike | None, batch: tuple[int, ...]
+) -> dict[str, NDArray[np.float64]]:
+    """Return the values of `PlannerInputs` by name, without the cloud's; arguments are those of `Planner.plan`.
+
+    Args:
+        batch: leading axes of the values: (B,), or () for a single drone.
+
+    Raises:
+        ValueError: an input has the wrong shape, is not finite, or is too large for float32.
+    """
+    values = {
+        "position": _check("state.position", state.position, (*batch, 3)),
+        "velocity": _check("state.velocity", state.velocity, (*batch, 3)),
+        "quaternion": _check("state.quaternion", state.quaternion, (*batch, 4)),
+        "acceleration": _check("state.acceleration", state.acceleration, (*batch, 3), missing=0.0),
+        "time": _check("state.time", state.time, batch, missing=np.nan, limit=np.inf),
+        "goal_position": _check("goal.position", goal.position, (*batch, 3)),
+        "goal_velocity": _check("goal.velocity", goal.velocity, (*batch, 3), missing=np.nan),
+        "goal_quaternion": _check("goal.quaternion", goal.quaternion, (*batch, 4), missing=np.nan),
+        "cloud_age": _check("cloud_age", cloud_age, (), limit=np.inf),
+        "ground_height": _check_ground_height(ground_height, batch),
+    }
+    for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
+        if (np.linalg.norm(values[name], axis=-1) < 1e-6).any():
+            raise ValueError(f"{field} is zero; give a unit quaternion in the order w, x, y, z.")
+    return values
+
+
+def _check_ground_height(height: ArrayLike | None, batch: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return ground heights [m] of shape [] or [B], -inf where they are unknown."""
+    if height is None:
+        return np.full(batch, -np.inf)
+    array = np.asarray(height)
+    shape = batch if array.ndim else ()
+    if array.dtype.kind != "f":
+        return _check("ground_height", height, shape)
+    unknown = array == -np.inf
+    return np.where(unknown, -np.inf, _check("ground_height", np.where(unknown, 0.0, array), shape))
+
+
+def _check(
+    name: str, value: Any, shape: tuple[int, ...], *, missing: float | None = None, limit: float = _FARTHEST
+) -> NDArray[np.float64]:
+    """Return `value` as an array of `shape`, full of `missing` if it is None and may be omitted."""
+    if value is None and missing is not None:
+        return np.full(shape, missing)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} is {value!r}; it must be numbers of shape {shape}.") from error
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; it must have shape {shape}.")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} is {array.tolist()}; every value must be finite.")
+    if (np.abs(array) > limit).any():
+        raise ValueError(
+            f"{name} is {array.tolist()}; values beyond {limit:g} have no precision left in float32: "
+            "move the origin of the world nearer."
+        )
+    return array
