@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aero_planner.config import find_parameter
+from aero_planner.config import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.session.source import Source
 
@@ -84,7 +84,7 @@ def open_source(
 
         world = load_world(spec, seed=seed, count=count)
         # The configuration is not known yet: refuse only what no configuration can reach.
-        refuse_impossible(world, rules=FlightRules(), speed_limit=find_parameter("vehicle.speed_limit").high)
+        refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
         return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
     from aero_viz.recordings import RecordingSource, open_recording
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -13,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from aero_planner.cli_util import run_command
-from benchmarks.common import machine, positive
+from benchmarks.common import machine, make_parser
 
 __all__ = ["first_plan", "main"]
 
@@ -26,10 +25,10 @@ planner = Planner(device=sys.argv[1])
 built = time.perf_counter()
 from aero_planner.forest_cloud import forest_cloud
 cloud = forest_cloud(int(sys.argv[2]))
-made = time.perf_counter()
+generated = time.perf_counter()
 planner.plan(VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0]), Goal([30, 0, 2]), cloud)
 planned = time.perf_counter()
-print(json.dumps({"import_s": imported - started, "planner_s": built - imported, "plan_s": planned - made}))
+print(json.dumps({"import_s": imported - started, "planner_s": built - imported, "plan_s": planned - generated}))
 """
 
 
@@ -38,10 +37,10 @@ def first_plan(cache: str, *, device: str = "cpu", points: int = 200_000) -> dic
 
     Returns:
         "import_s", "planner_s" (in which kernels are compiled and loaded), "plan_s" and their sum, "total_s"; "cpu_s",
-        the processor time of the whole process, which others on the machine hardly change.
+        the processor time of the whole process, on which other processes have little influence.
 
     Raises:
-        ValueError: the program failed; says why.
+        ValueError: the process failed; the message is its last line.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
@@ -62,9 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: as for `first_plan`.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.cold_start", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
+    parser = make_parser("cold_start", __doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
     rows: dict[str, dict[str, Any]] = {}

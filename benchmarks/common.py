@@ -1,46 +1,38 @@
-"""Parts shared by the benchmarks: the planning problem, the timer and the name of the machine."""
+"""Parts shared by the benchmarks: the options of their command lines and the name of the machine."""
 
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Callable
-from typing import Any
 
-import numpy as np
-import warp as wp
-from numpy.typing import NDArray
-
-from aero_planner import Goal, VehicleState
-from aero_planner.forest_cloud import forest_cloud
+from aero_planner import PlannerConfig
+from aero_planner.config.file import config_from_name
 from aero_planner.warp_init import find_device
 
-__all__ = ["elapsed_ms", "machine", "positive", "situation"]
+__all__ = ["config_of", "machine", "make_parser", "positive"]
 
 
-def situation(points: int, batch: int | None = None) -> tuple[VehicleState, Goal, Any]:
-    """Return state, goal and cloud of a drone at 4 m/s in a forest; with a batch, B copies of them."""
-    values = ([0.0, 0.0, 2.0], [4.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [30.0, 0.0, 2.0])
-    position, velocity, quaternion, goal = (
-        np.array(value) if batch is None else np.tile(value, (batch, 1)) for value in values
-    )
-    cloud: NDArray[np.float32] = forest_cloud(points)
-    return VehicleState(position, velocity, quaternion), Goal(goal), cloud if batch is None else [cloud] * batch
+def make_parser(name: str, description: str | None, *, points: int = 200_000) -> argparse.ArgumentParser:
+    """Return the parser of `python -m benchmarks.NAME` with the options that all benchmarks have.
+
+    Args:
+        name: module of the benchmark.
+        description: its docstring.
+        points: default of --points.
+    """
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
+    parser.add_argument("--points", type=positive, default=points, help="points of each cloud")
+    return parser
 
 
-def elapsed_ms(work: Callable[[], Any], device: str) -> float:
-    """Return the time of `work` [ms], on CUDA between two events of the device's stream."""
-    warp_device = wp.get_device(device)
-    if not warp_device.is_cuda:
-        started = time.perf_counter()
-        work()
-        return 1e3 * (time.perf_counter() - started)
-    with wp.ScopedDevice(warp_device):
-        begin, end = wp.Event(warp_device, enable_timing=True), wp.Event(warp_device, enable_timing=True)
-        wp.record_event(begin)
-        work()
-        wp.record_event(end)
-        return float(wp.get_event_elapsed_time(begin, end))
+def config_of(preset: str, **sampling: int | None) -> PlannerConfig:
+    """Return a preset or configuration file with changed sampling parameters; None leaves one as it is.
+
+    Raises:
+        ValueError: there is no such preset or file, or a value is out of bounds.
+    """
+    changes = {f"sampling.{name}": value for name, value in sampling.items() if value is not None}
+    return config_from_name(preset).replace(changes)
 
 
 def machine(device: str) -> str:

@@ -6,9 +6,7 @@ from 200 000 points. The time of a library is that of sampling, rollouts, costs 
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import importlib.metadata
 import json
 import sys
 import time
@@ -18,8 +16,9 @@ from typing import Any
 import warp as wp
 
 from aero_planner import Planner
-from aero_planner.cli_util import run_command
-from benchmarks.common import machine, positive, situation
+from aero_planner.cli_util import installed_version, run_command
+from aero_planner.forest_cloud import forest_flight
+from benchmarks.common import machine, make_parser, positive
 from benchmarks.comparison.problem import Problem, make_problem, problem_config
 
 __all__ = ["LIBRARIES", "compare", "main", "planner_runner"]
@@ -31,7 +30,7 @@ LIBRARIES = {"pytorch-mppi": "benchmarks.comparison.with_torch", "jax-mppi": "be
 def planner_runner(problem: Problem, device: str, points: int) -> Callable[[], None]:
     """Return a function that plans once from the cloud on the device."""
     planner = Planner(problem.config, device=device)
-    state, goal, cloud = situation(points)
+    state, goal, cloud = forest_flight(points)
     planner.plan(state, goal, cloud)
 
     def run() -> None:
@@ -47,11 +46,11 @@ def compare(
     """Time every library in turn, with 15 instances of `samples` and with one of 15 times as many.
 
     Args:
-        missing: called with a sentence for each library that is not there.
+        missing: called with a sentence for each library that can't be compared.
 
     Returns:
-        {"cases": {case: {library: {"ms", "ratio"}}}, "versions": .., and the arguments}; the least of `repeat` times,
-        to which others on the machine can only add, and its ratio to the planner's.
+        {"cases": {case: {library: {"ms", "ratio"}}}, "versions": .., and the arguments}. "ms" is the minimum of
+        `repeat` times, since other processes can only add to it; "ratio" is its ratio to the planner's.
     """
     modules: dict[str, Any] = {}
     for name, module in LIBRARIES.items():
@@ -87,16 +86,9 @@ def compare(
         "machine": machine(device),
         "points": points,
         "repeat": repeat,
-        "versions": {name: _version(name) for name in ("aero-planner", "warp-lang", *modules)},
+        "versions": {name: installed_version(name) for name in ("aero-planner", "warp-lang", *modules)},
         "cases": cases,
     }
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:  # not installed, run from the sources
-        return "not installed"
 
 
 def _report(result: Any) -> str:
@@ -116,9 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: the device does not exist.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.compare", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
+    parser = make_parser("compare", __doc__)
     parser.add_argument("--samples", type=positive, default=128, help="rollouts of each of the 15 instances")
     parser.add_argument("--repeat", type=positive, default=5, help="number of runs to time")
     parser.add_argument("--json", action="store_true", help="print one JSON object")

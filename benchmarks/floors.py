@@ -7,7 +7,6 @@ The clearance counts one look-up and one distance per position. Kernel launches 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,11 +16,12 @@ import numpy as np
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.arrays import fine_shape
+from aero_planner.benchmark import elapsed_ms
 from aero_planner.cli_util import run_command
-from aero_planner.config.file import config_from_name
+from aero_planner.forest_cloud import forest_flight
 from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.mppi import PROBES
-from benchmarks.common import elapsed_ms, machine, positive, situation
+from benchmarks.common import config_of, machine, make_parser, positive
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
 
 __all__ = ["MACHINES", "Floor", "Machine", "floors", "main"]
@@ -123,7 +123,7 @@ def _measure(
 ) -> tuple[dict[str, float], float, int]:
     """Return the minimum time of each stage and of `launch` [us], and the size of the filtered cloud."""
     planner = Planner(config, device=device, batch=batch, threads=threads)
-    state, goal, cloud = situation(points, batch)
+    state, goal, cloud = forest_flight(points, batch)
     stages: dict[str, list[float]] = {}
     launches = []
     kept = 0
@@ -169,10 +169,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: device or configuration does not exist.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.floors", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu or cuda:0: where stages are measured")
+    parser = make_parser("floors", __doc__)
     parser.add_argument("--floor-of", choices=sorted(MACHINES), help="processor; otherwise by the device")
-    parser.add_argument("--points", type=positive, default=200_000, help="points of each cloud")
     parser.add_argument("--samples", type=positive, help="rollouts of each instance")
     parser.add_argument("--steps", type=positive, help="steps of the horizon")
     parser.add_argument("--batch", type=positive, default=1, help="drones planned at once")
@@ -181,31 +179,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--repeat", type=positive, default=20, help="plans to time")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
-    changes = {"sampling.samples": options.samples, "sampling.steps": options.steps}
-    config = config_from_name(options.preset).replace({path: v for path, v in changes.items() if v is not None})
+    config = config_of(options.preset, samples=options.samples, steps=options.steps)
     measured, launch, kept = _measure(
         config, options.device, options.points, options.batch, options.threads, options.repeat
     )
     name = machine(options.device)
     floor_of = options.floor_of or ("cpu" if options.device == "cpu" else "h200" if "H200" in name else "h100")
-    on = MACHINES[floor_of]
-    here = floor_of == ("cpu" if options.device == "cpu" else floor_of)
+    processor = MACHINES[floor_of]
+    is_measured = floor_of == ("cpu" if options.device == "cpu" else floor_of)
     rows: dict[str, Any] = {}
     total = 0.0
-    for stage, floor in floors(config, on, points=options.points, kept=kept, batch=options.batch).items():
-        parts = floor.parts_us(on, options.threads)
+    for stage, floor in floors(config, processor, points=options.points, kept=kept, batch=options.batch).items():
+        parts = floor.parts_us(processor, options.threads)
         total += max(parts)
-        time_us = measured.pop(stage, None) if here else None
+        time_us = measured.pop(stage, None) if is_measured else None
         rows[stage] = {
             "Mop": floor.operations / 1e6, "KiB": floor.bytes / 1024, "cycles": floor.cycles, "op us": parts[0],
             "bytes us": parts[1], "latency us": parts[2], "floor us": max(parts), "measured us": time_us,
             "times": time_us / max(parts) if time_us else None,
         }  # fmt: skip
     empty = dict.fromkeys(rows["stage2"])
-    if here:  # stages under other names
+    if is_measured:  # stages under other names
         rows |= {stage: empty | {"measured us": time_us} for stage, time_us in measured.items()}
     rows["plan"] = empty | {"floor us": total}
-    if here:
+    if is_measured:
         rows["plan"] |= {"measured us": launch, "times": launch / total}
     result = {
         "device": options.device, "machine": name, "floor_of": floor_of, "points": options.points, "kept": kept,

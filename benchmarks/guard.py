@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -11,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.benchmark import elapsed_ms
 from aero_planner.cli_util import run_command
-from aero_planner.config.file import config_from_name
-from benchmarks.common import elapsed_ms, machine, positive, situation
+from aero_planner.forest_cloud import forest_flight
+from benchmarks.common import config_of, machine, make_parser, positive
 from benchmarks.naive import NaivePlanner
 
 __all__ = ["BOUNDS", "PlansDifferError", "compare_with_naive", "main"]
@@ -48,7 +48,7 @@ def compare_with_naive(
     """
     planner = Planner(config, device=device, threads=threads)
     naive = NaivePlanner(planner)
-    state, goal, cloud = situation(points)
+    state, goal, cloud = forest_flight(points)
     stages: dict[str, tuple[list[float], list[float]]] = {}
     naive_ms, current_ms = [], []
     for i in range(_WARM_UP + repeat):
@@ -118,9 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: the device or the configuration does not exist.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.guard", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--points", type=positive, default=200_000, help="points of the cloud")
+    parser = make_parser("guard", __doc__)
     parser.add_argument("--samples", type=positive, help="rollouts of each instance")
     parser.add_argument("--preset", default="default", help="preset or configuration file")
     parser.add_argument(
@@ -130,9 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--bound", type=float, help=f"minimum ratio of the whole plan; by default {BOUNDS}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
-    config = config_from_name(options.preset)
-    if options.samples:
-        config = config.replace({"sampling.samples": options.samples})
+    config = config_of(options.preset, samples=options.samples)
     try:
         result = compare_with_naive(
             config, device=options.device, points=options.points, threads=options.threads, repeat=options.repeat

@@ -1,4 +1,4 @@
-"""Operations and dependent latency of the planner's equations, from an evaluation with numbers that count.
+"""Operations and latency of the planner's equations, counted by evaluating them with numbers that have no value.
 
 Every result knows the earliest cycle at which it can be available if independent operations run at the same time. A
 product that is added to a number is one fused instruction.
@@ -33,7 +33,7 @@ class Count:
     """Latest result."""
     numbers: list[Real] = field(default_factory=list, repr=False)
 
-    def given(self, size: int) -> list[Real]:
+    def inputs(self, size: int) -> list[Real]:
         """Return numbers that are available from the start."""
         return [Real(self, 0) for _ in range(size)]
 
@@ -134,9 +134,9 @@ def _axis(q: Vector) -> Vector:
 def _step_attitude(q: Vector, omega: Vector) -> Vector:
     """Return q after a time step: q and its rate times polynomials in |omega|^2, normalised."""
     s = _dot(omega, omega)
-    own, of_rate = s * (s * 1.0 + 1.0) + 1.0, s * 1.0 + 1.0
+    attitude_factor, rate_factor = s * (s * 1.0 + 1.0) + 1.0, s * 1.0 + 1.0
     rate = _q_rate(q, omega)
-    q = [of_rate * r + own * x for x, r in zip(q, rate, strict=True)]
+    q = [rate_factor * r + attitude_factor * x for x, r in zip(q, rate, strict=True)]
     inverse = _dot(q, q).special()
     return [x * inverse for x in q]
 
@@ -148,7 +148,7 @@ def _step(p: Vector, v: Vector, q: Vector, u: Vector) -> tuple[Vector, Vector, V
     for _ in range(3):
         stage = [x + r * 1.0 for x, r in zip(q, _q_rate(stage, omega), strict=True)]
         accelerations.append(_axis(stage))
-    a = [[x * thrust + 0.0 for x in one] for one in accelerations]
+    a = [[x * thrust + 0.0 for x in axis] for axis in accelerations]
     p = [p[i] + v[i] * 1.0 + ((a[0][i] + a[1][i]) + a[2][i]) * 1.0 for i in range(3)]
     v = [v[i] + ((a[0][i] + a[3][i]) + (a[1][i] + a[2][i]) * 1.0) * 1.0 for i in range(3)]
     return p, v, _step_attitude(q, omega)
@@ -157,13 +157,13 @@ def _step(p: Vector, v: Vector, q: Vector, u: Vector) -> tuple[Vector, Vector, V
 def rollout(latency: Latency, steps: int, *, noisy: bool = True) -> Count:
     """Count one rollout of N time steps with all costs except the clearance; without noise it is one of Stage II."""
     n = Count(latency)
-    p, v, q, p_goal, v_goal, q_goal = (n.given(size) for size in (3, 3, 4, 3, 3, 4))
-    noise, before = n.given(4), n.given(4)
+    p, v, q, p_goal, v_goal, q_goal = (n.inputs(size) for size in (3, 3, 4, 3, 3, 4))
+    noise, before = n.inputs(4), n.inputs(4)
     costs: list[Real] = []
     for t in range(steps):
-        u = n.given(4)
+        u = n.inputs(4)
         if noisy:
-            noise = [x * 1.0 + fresh * 1.0 for x, fresh in zip(noise, n.given(4), strict=True)]
+            noise = [x * 1.0 + fresh * 1.0 for x, fresh in zip(noise, n.inputs(4), strict=True)]
             u = [(x + e * 1.0).clamp() for x, e in zip(u, noise, strict=True)]
             change = _difference(u, before)
             costs += [_dot(u, u) * 1.0, _dot(change, change) * 1.0] if 0 < t < steps - 1 else []
@@ -174,7 +174,7 @@ def rollout(latency: Latency, steps: int, *, noisy: bool = True) -> Count:
         excess = _length(v) + 0.0
         terms.append(excess * excess)
         if noisy:
-            terms += [_length(_difference(p, n.given(3))), _dot(v, v)]
+            terms += [_length(_difference(p, n.inputs(3))), _dot(v, v)]
         costs += [term * 1.0 for term in terms]
     _sum(costs)
     return n
@@ -183,8 +183,8 @@ def rollout(latency: Latency, steps: int, *, noisy: bool = True) -> Count:
 def nominal_controls(latency: Latency, steps: int) -> Count:
     """Count one guide and its nominal controls; the attitude of each time step depends on the previous one."""
     n = Count(latency)
-    coefficients = [n.given(3) for _ in range(6)]
-    q = n.given(4)
+    coefficients = [n.inputs(3) for _ in range(6)]
+    q = n.inputs(4)
     for _ in range(steps):
         axis = []
         for i in range(3):
@@ -201,7 +201,7 @@ def nominal_controls(latency: Latency, steps: int) -> Count:
         for _ in range(_ARC_TERMS):  # polynomial of the arctangent
             angle = angle * 1.0 + 1.0
         gain = angle * sine.special()
-        u = [_dot(axis, _axis(q)).clamp(), (gain * z[1]).clamp(), (gain * z[0]).clamp(), n.given(1)[0]]
+        u = [_dot(axis, _axis(q)).clamp(), (gain * z[1]).clamp(), (gain * z[0]).clamp(), n.inputs(1)[0]]
         q = _step_attitude(q, u[1:])
     return n
 
@@ -209,9 +209,9 @@ def nominal_controls(latency: Latency, steps: int) -> Count:
 def partition_point(latency: Latency) -> Count:
     """Count range and cell of one point, with two arctangents."""
     n = Count(latency)
-    d = _difference(n.given(3), n.given(3))
+    d = _difference(n.inputs(3), n.inputs(3))
     _length(d)
-    body = [_dot(row, d) for row in (n.given(3), n.given(3), n.given(3))]
+    body = [_dot(row, d) for row in (n.inputs(3), n.inputs(3), n.inputs(3))]
     for y, x in ((body[1], body[0]), (body[2], _length(body[:2]))):
         angle = y * x.special()
         square = angle * angle

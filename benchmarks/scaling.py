@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import dataclasses
 import json
@@ -17,8 +16,10 @@ import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.benchmark import elapsed_ms
 from aero_planner.cli_util import run_command
-from benchmarks.common import elapsed_ms, machine, positive, situation
+from aero_planner.forest_cloud import forest_flight
+from benchmarks.common import machine, make_parser, positive
 
 __all__ = ["Row", "main", "superlinear", "sweep", "time_plan"]
 
@@ -68,7 +69,7 @@ def time_plan(
 ) -> tuple[float, float, float, float | None]:
     """Return minimum, median and 99th percentile of `Planner.launch` [ms], and the device's memory [MiB]."""
     planner = Planner(config, device=device, batch=batch, threads=threads)
-    planner.plan(*situation(points, batch))
+    planner.plan(*forest_flight(points, batch))
     times = [elapsed_ms(planner.launch, device) for _ in range(repeat + 2)][2:]
     planner.close()
     warp_device = wp.get_device(device)
@@ -114,11 +115,9 @@ def _verdict(rows: Sequence[Row], name: str) -> str:
         return f"{name}: too few sizes to tell."
     faster = superlinear(rows, name)
     slope = float(np.polyfit(np.log([row.work for row in own]), np.log([row.least_ms for row in own]), 1)[0])
-    told = "grows no faster than linearly in" if not faster else "grows FASTER than linearly in"
-    worst = "" if not faster else ": " + ", ".join(
-        f"M {row.instances} K {row.samples} N {row.steps} B {row.batch}" for row in faster
-    )  # fmt: skip
-    return f"{name}: the time {told} M K N B (exponent {slope:.2f}){worst}."
+    growth = "grows FASTER than linearly" if faster else "grows no faster than linearly"
+    sizes = ", ".join(f"M {row.instances} K {row.samples} N {row.steps} B {row.batch}" for row in faster)
+    return f"{name}: the time {growth} in M K N B (exponent {slope:.2f}){': ' if faster else ''}{sizes}."
 
 
 def _write(rows: Sequence[Row], folder: Path, about: dict[str, Any]) -> list[Path]:
@@ -170,9 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ValueError: the device does not exist.
         OSError: the folder can't be written.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.scaling", description=__doc__)
-    parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--points", type=positive, default=20_000, help="points of each cloud")
+    parser = make_parser("scaling", __doc__, points=20_000)
     parser.add_argument("--repeat", type=positive, default=10, help="number of plans to time per size")
     parser.add_argument("--largest", type=positive, default=45 * 1024 * 50, help="largest M K N to measure")
     parser.add_argument("--batch", type=positive, nargs="*", default=[1, 4, 16], help="drones planned at once")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import tyro
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo, parameters
+from aero_planner.config import ParameterInfo
 from aero_planner.config.file import config_from_name
 from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
@@ -79,7 +79,7 @@ def _flags_type(name: str, infos: Iterable[ParameterInfo], description: str) -> 
 
 def _planner_flags_type() -> Any:
     infos_by_section: dict[str, list[ParameterInfo]] = {}
-    for info in parameters():
+    for info in PlannerConfig.parameters():
         infos_by_section.setdefault(info.section, []).append(info)
     fields: list[tuple[str, Any, Any]] = []
     for name, infos in infos_by_section.items():

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Planner, PlannerConfig
-from benchmarks.common import situation
+from aero_planner.forest_cloud import forest_flight
 
 __all__ = ["Problem", "make_problem", "problem_config"]
 
@@ -60,7 +60,7 @@ def make_problem(config: PlannerConfig, points: int, device: str = "cpu") -> Pro
     """Return the problem whose filtered cloud and guides come from the planner on a device."""
     quiet: dict[str, Any] = {"sampling.samples": 1, "candidates.safe_clearance": 0.0}
     quiet |= {f"sampling.variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
-    state, goal, cloud = situation(points)
+    state, goal, cloud = forest_flight(points)
     planner = Planner(config.replace(quiet), device=device)
     plan = planner.plan(state, goal, cloud)
     planner.close()

@@ -7,7 +7,7 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,10 @@ import warp as wp
 from aero_planner.cli_util import run_command
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import config_from_name
-from aero_planner.forest_cloud import forest_cloud
-from aero_planner.plan import Goal, VehicleState
+from aero_planner.forest_cloud import forest_flight
 from aero_planner.planner import Planner
 
-__all__ = ["main", "measure"]
+__all__ = ["elapsed_ms", "main", "measure"]
 
 _WARM_UP = 3
 _MIB = 2.0**20
@@ -61,25 +60,20 @@ def measure(
     for name, value, minimum in (("points", points, 0), ("repeat", repeat, 1)):
         if value < minimum:
             raise ValueError(f"{name} is {value}; it must be at least {minimum}.")
-    cloud = forest_cloud(points, seed=seed)
+    state, goal, cloud = forest_flight(points, batch, seed=seed)
     resident_before = _resident_bytes()
     planner = Planner(config, device=device, seed=seed, batch=batch, threads=threads)
     warp_device = wp.get_device(device)
     free_before = warp_device.free_memory if warp_device.is_cuda else 0
-    state = VehicleState(
-        np.tile([0.0, 0.0, 2.0], (batch, 1)), np.tile([4.0, 0.0, 0.0], (batch, 1)), np.tile([1.0, 0, 0, 0], (batch, 1))
-    )
-    goal = Goal(np.tile([30.0, 0.0, 2.0], (batch, 1)))
-
     stages: dict[str, list[float]] = {}
     kept = 0.0
     for i in range(repeat + _WARM_UP):
-        plan = planner.plan(state, goal, [cloud] * batch)
+        plan = planner.plan(state, goal, cloud)
         if i >= _WARM_UP:
             for name, milliseconds in plan.stage_ms.items():
                 stages.setdefault(name, []).append(milliseconds)
         kept = sum(len(filtered) for filtered in plan.filtered_points) / batch
-    launches = [_time_launch(planner, warp_device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
+    launches = [elapsed_ms(planner.launch, device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
     if warp_device.is_cuda:
         stages |= planner.time_stages(repeat)
     planner.close()
@@ -111,16 +105,17 @@ def measure(
     }
 
 
-def _time_launch(planner: Planner, device: wp.Device) -> float:
-    """Return the time of one `launch` [ms], on CUDA between two events of its stream."""
-    if not device.is_cuda:
+def elapsed_ms(work: Callable[[], Any], device: str) -> float:
+    """Return the time of `work` [ms], on CUDA between two events of the device's stream."""
+    warp_device = wp.get_device(device)
+    if not warp_device.is_cuda:
         started = time.perf_counter()
-        planner.launch()
+        work()
         return 1e3 * (time.perf_counter() - started)
-    with wp.ScopedDevice(device):
-        begin, end = wp.Event(device, enable_timing=True), wp.Event(device, enable_timing=True)
+    with wp.ScopedDevice(warp_device):
+        begin, end = wp.Event(warp_device, enable_timing=True), wp.Event(warp_device, enable_timing=True)
         wp.record_event(begin)
-        planner.launch()
+        work()
         wp.record_event(end)
         return float(wp.get_event_elapsed_time(begin, end))
 
@@ -175,10 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    report = (
-        json.dumps({"preset": options.preset, **result}) if options.json else _format_report(result, options.preset)
-    )
-    print(report)
+    print(json.dumps({"preset": options.preset, **result}) if options.json else _format_report(result, options.preset))
     return 0
 
 

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aero_planner.cli_util import INTERRUPTED, abandon_output
+from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version
 
 if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
     epilog = f"Verbs of other packages: {', '.join(added_verbs)}." if added_verbs else None
     parser = argparse.ArgumentParser(prog="aero-planner", description="Fly with the AERO-MPPI planner.", epilog=epilog)
-    parser.add_argument("--version", action="version", version=f"aero-planner {_version()}")
+    parser.add_argument("--version", action="version", version=f"aero-planner {installed_version('aero-planner')}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB")
 
     files = argparse.ArgumentParser(add_help=False)
@@ -133,15 +133,6 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
     validate.add_argument("file", help="YAML file with planner parameters, settings of the node, or both")
     validate.set_defaults(call=_validate)
     return parser
-
-
-def _version() -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("aero-planner")
-    except PackageNotFoundError:
-        return "(not installed)"
 
 
 def _open_bundle(options: argparse.Namespace, stack: contextlib.ExitStack) -> Bundle | None:

@@ -1,4 +1,4 @@
-"""Exit codes and ends of command-line programs. This module imports nothing heavy."""
+"""Helpers of command-line programs: exit codes, versions, errors. This module imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
-__all__ = ["INTERRUPTED", "abandon_output", "run_command"]
+__all__ = ["INTERRUPTED", "abandon_output", "installed_version", "run_command"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -17,6 +17,16 @@ def abandon_output() -> int:
     # Python would report the error again when it flushes stdout at exit.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 141
+
+
+def installed_version(distribution: str) -> str:
+    """Return the version of a distribution, or "(not installed)", as when it runs from its sources."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "(not installed)"
 
 
 def run_command(command: Callable[[Sequence[str] | None], int]) -> None:

@@ -1,7 +1,8 @@
 """A simulated cloud of a Livox Mid-360 in a forest, for benchmarks and the preflight check.
 
-The rays are cast in NumPy. The cloud has what random points lack: half of the rays have no return, and their points are
-NaN; most of the others hit nearby trunks; the ground is seen only at some distance, as the sensor does not look down.
+The rays are cast in NumPy. The cloud is realistic where random points are not: half of the rays have no return, and
+their points are NaN; most of the others hit nearby trunks; the ground is seen only at some distance, because the sensor
+does not look down.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["forest_cloud"]
+from aero_planner.plan import Goal, VehicleState
+
+__all__ = ["forest_cloud", "forest_flight"]
 
 _SWEEPS = 10
 _SWEEP_PERIOD = 0.1  # [s]
@@ -35,7 +38,7 @@ def forest_cloud(count: int, *, seed: int = 0) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
     distance, angle = rng.uniform(1.5, 30.0, _TREES), rng.uniform(-np.pi, np.pi, _TREES)
     trees = np.stack((distance * np.cos(angle), distance * np.sin(angle), rng.uniform(0.1, 0.4, _TREES)), axis=1)
-    # A tree in the drone's way would surround the sensor.
+    # A tree in the drone's path would surround the sensor.
     blocking = (np.abs(trees[:, 1]) < 0.8) & (trees[:, 0] < 0.8)
     trees[blocking, 1] += 2.0
     sweeps = np.array_split(np.arange(count), _SWEEPS)
@@ -43,6 +46,23 @@ def forest_cloud(count: int, *, seed: int = 0) -> NDArray[np.float32]:
         _sweep(len(rays), -_SPEED * _SWEEP_PERIOD * (_SWEEPS - 1 - i), trees, rng) for i, rays in enumerate(sweeps)
     ]
     return np.concatenate(clouds).astype(np.float32)
+
+
+def forest_flight(
+    points: int, batch: int | None = None, *, seed: int = 0
+) -> tuple[VehicleState, Goal, NDArray[np.float32] | list[NDArray[np.float32]]]:
+    """Return state, goal and cloud of a drone at 4 m/s in that forest; with a batch, B copies of each.
+
+    Args:
+        points, seed: as for `forest_cloud`.
+        batch: number of drones, B; None for arrays without a batch axis.
+    """
+    values = ((0.0, 0.0, 2.0), (_SPEED, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (30.0, 0.0, 2.0))
+    position, velocity, quaternion, goal = (
+        np.array(value) if batch is None else np.tile(value, (batch, 1)) for value in values
+    )
+    cloud = forest_cloud(points, seed=seed)
+    return VehicleState(position, velocity, quaternion), Goal(goal), cloud if batch is None else [cloud] * batch
 
 
 def _sweep(count: int, x: float, trees: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -62,7 +82,7 @@ def _sweep(count: int, x: float, trees: NDArray[np.float64], rng: np.random.Gene
     planar = rays[:, :2]
     a = np.sum(planar**2, axis=1)
     for tree_x, tree_y, radius in trees:
-        # |o + t d|^2 = r^2 in the plane, of which the smaller root is the near side.
+        # |o + t d|^2 = r^2 in the plane; the smaller root is the near side.
         offset = origin[:2] - (tree_x, tree_y)
         b = planar @ offset
         discriminant = b * b - a * (offset @ offset - radius**2)

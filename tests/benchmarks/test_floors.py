@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_a_product_is_fused_with_its_sum():
     n = Count(LATENCY)
-    a, b, c = n.given(3)
+    a, b, c = n.inputs(3)
     assert (a * b + c).ready == 4 and n.operations == 2
     # The other product has to be available first.
     assert (a * b + b * c).ready == 8 and n.operations == 5
@@ -29,7 +29,7 @@ def test_a_product_is_fused_with_its_sum():
 
 def test_the_latency_is_that_of_the_longest_chain():
     n = Count(LATENCY)
-    x, y = n.given(2)
+    x, y = n.inputs(2)
     for _ in range(10):
         x = x + 1.0
     assert (x + y).ready == 44 and n.operations == 11

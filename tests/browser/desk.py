@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from playwright.sync_api import Browser, Locator, Page
 
 from aero_planner import PlannerConfig
-from aero_planner.config import find_parameter
 from aero_viz.catalog import open_source, source_choices
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
@@ -60,7 +59,7 @@ class Desk:
 
     def parameter(self, path: str) -> Locator:
         """The row of the panel with a parameter's number field, checkbox or dropdown."""
-        return self.control(find_parameter(path).title)
+        return self.control(PlannerConfig.find(path).title)
 
     def slider(self, path: str) -> Locator:
         """The slider below a parameter's number field."""

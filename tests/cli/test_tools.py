@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from command_line import run, run_json, run_refused
 
-from aero_planner.config import parameters
+from aero_planner.config import PlannerConfig
 
 
 def test_inspect_describes_real_recordings(capsys: pytest.CaptureFixture[str], shared_datasets: Path) -> None:
@@ -32,7 +32,7 @@ def test_doctor_finds_this_machine_healthy(capsys: pytest.CaptureFixture[str]) -
 
 def test_the_table_contains_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
     _, table, _ = run(capsys, "parameters")
-    for info in parameters():
+    for info in PlannerConfig.parameters():
         assert f"| `{info.path}` |" in table
 
 

@@ -10,7 +10,6 @@ import pytest
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config import find_parameter, parameters
 from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import apply
@@ -32,7 +31,7 @@ def server():
 @pytest.mark.parametrize("preset", PlannerConfig.presets())
 def test_every_parameter_has_a_control_that_shows_its_value(server, preset):
     config = PlannerConfig.preset(preset)
-    for info in parameters():
+    for info in PlannerConfig.parameters():
         control = add_control(server.gui, info, info.default)
         apply(control.show(config.get(info.path)))
         value, shown = config.get(info.path), control.value
@@ -44,7 +43,7 @@ def test_every_parameter_has_a_control_that_shows_its_value(server, preset):
 
 
 def slider(server: LocalServer, path: str) -> SliderControl:
-    info = find_parameter(path)
+    info = PlannerConfig.find(path)
     control = add_control(server.gui, info, info.default)
     assert isinstance(control, SliderControl)
     return control

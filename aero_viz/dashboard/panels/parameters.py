@@ -5,7 +5,7 @@ from __future__ import annotations
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo, parameters
+from aero_planner.config import ParameterInfo
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
@@ -42,7 +42,7 @@ class LiveParameterPanel(_ParameterPanel):
     """Controls that act at once, in a folder per group of parameters."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        live = [info for info in parameters() if info.live]
+        live = [info for info in PlannerConfig.parameters() if info.live]
         for group in dict.fromkeys(info.group for info in live):
             infos = [info for info in live if info.group == group]
             with gui.add_folder(group, expand_by_default=infos[0].section == "costs"):
@@ -68,7 +68,7 @@ class StructureParameterPanel(_ParameterPanel):
 
     def create(self, gui: viser.GuiApi) -> None:
         with gui.add_form("Structure", expand_by_default=False) as form:
-            infos = [info for info in parameters() if not info.live]
+            infos = [info for info in PlannerConfig.parameters() if not info.live]
             self._controls = [add_control(gui, info, self.session.config.get(info.path)) for info in infos]
             hint = "Rebuild the planner with these values; this takes a moment."
             apply = gui.add_button("Apply", hint=hint, icon=viser.Icon.CHECK)
@@ -91,5 +91,5 @@ class ParameterTablePanel(Panel):
         if config is self._shown:
             return []
         self._shown = config
-        rows = [(info.title, f"{config.get(info.path)}", info.path) for info in parameters()]
+        rows = [(info.title, f"{config.get(info.path)}", info.path) for info in PlannerConfig.parameters()]
         return [(self._table, "content", markup.block(markup.table(rows)))]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from aero_planner import PlannerConfig
-from aero_planner.config import find_parameter
 from aero_viz.errors import UserError
 
 __all__ = ["ParameterRange", "draw_candidates", "parse_ranges"]
@@ -55,7 +54,7 @@ def parse_ranges(texts: Sequence[str], config: PlannerConfig) -> tuple[Parameter
     ranges: list[ParameterRange] = []
     for text in texts:
         name, has_limits, limits = text.partition("=")
-        info = find_parameter(name.strip().replace("-", "_"))
+        info = PlannerConfig.find(name.strip().replace("-", "_"))
         value = config.get(info.path)
         if info.path in (parameter.path for parameter in ranges):
             raise ValueError(f"{info.path} is named twice; remove one.")

@@ -11,8 +11,6 @@ from aero_planner.config.planner_config import (
     PlannerConfig,
     SamplingConfig,
     VehicleConfig,
-    find_parameter,
-    parameters,
 )
 
 __all__ = [
@@ -28,6 +26,4 @@ __all__ = [
     "Value",
     "VehicleConfig",
     "did_you_mean",
-    "find_parameter",
-    "parameters",
 ]

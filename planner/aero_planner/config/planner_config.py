@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from aero_planner.config.parameter import (
-    ParameterInfo,
     ParameterSection,
     SectionedConfig,
     Value,
@@ -30,12 +29,10 @@ __all__ = [
     "AnchorConfig",
     "CandidateConfig",
     "CostConfig",
-    "ParameterInfo",
     "PartitionConfig",
     "PlannerConfig",
     "SamplingConfig",
     "VehicleConfig",
-    "parameters",
 ]
 
 
@@ -351,9 +348,9 @@ class PlannerConfig(SectionedConfig):
         """Length of the horizon, T = N dt [s]."""
         return self.sampling.steps * self.sampling.dt
 
-    def structure(self) -> tuple[Value, ...]:
-        """Return the values of the structural parameters; configurations with equal structure can share buffers."""
-        return tuple(self.get(info.path) for info in parameters() if not info.live)
+    def structure(self) -> tuple[tuple[str, Value], ...]:
+        """Return path and value of each structural parameter; configurations of equal structure can share buffers."""
+        return tuple((info.path, self.get(info.path)) for info in self.parameters() if not info.live)
 
     @classmethod
     def presets(cls) -> dict[str, str]:
@@ -370,17 +367,3 @@ class PlannerConfig(SectionedConfig):
         if name not in PRESETS:
             raise ValueError(f"unknown preset {name!r}{did_you_mean(name, PRESETS)}; known: {', '.join(PRESETS)}.")
         return cls().replace(PRESETS[name][1])
-
-
-def parameters() -> tuple[ParameterInfo, ...]:
-    """Return every parameter of the planner, in the order of the configuration."""
-    return PlannerConfig.parameters()
-
-
-def find_parameter(path: str) -> ParameterInfo:
-    """Return the parameter at `path`, such as "costs.q_track".
-
-    Raises:
-        ValueError: there is no such parameter; the message suggests the nearest one.
-    """
-    return PlannerConfig.find(path)

@@ -30,7 +30,7 @@ from typing import IO, Any
 
 import warp as wp
 
-from aero_planner.config import PlannerConfig, parameters
+from aero_planner.config import PlannerConfig
 from aero_planner.warp_init import find_device
 
 __all__ = [
@@ -43,7 +43,6 @@ __all__ = [
     "cpu_target",
     "open_bundle",
     "planner_digest",
-    "structure_of",
 ]
 
 FORMAT = 1
@@ -110,7 +109,7 @@ class Bundle:
                     f"the bundle {self.source} is for another {name} ({exported[:12]}; here is {local[:12]}): "
                     f"{_EXPORT_AGAIN} with the versions of this machine."
                 )
-        structure = structure_of(config)
+        structure = dict(config.structure())  # buffers, graph and kernels depend on it
         for path in sorted(structure.keys() | self.structure.keys()):
             if structure.get(path) != self.structure.get(path):
                 raise ValueError(
@@ -187,17 +186,12 @@ def open_bundle(path: str | os.PathLike[str]) -> Bundle:
 @functools.cache
 def planner_digest() -> str:
     """Return a digest of the names of all parameters and of every source file with Warp kernels."""
-    digest = hashlib.sha256("\n".join(info.path for info in parameters()).encode())
+    digest = hashlib.sha256("\n".join(info.path for info in PlannerConfig.parameters()).encode())
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         content = path.read_bytes()
         if re.search(rb"^\s*@wp\.|wp\.struct\(", content, re.MULTILINE):
             digest.update(content)
     return digest.hexdigest()
-
-
-def structure_of(config: PlannerConfig) -> dict[str, Any]:
-    """Return the values of the structural parameters, on which buffers, graph and kernels depend, by path."""
-    return {info.path: config.get(info.path) for info in parameters() if not info.live}
 
 
 def cpu_target() -> str:

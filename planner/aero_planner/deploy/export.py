@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import importlib.metadata
 import json
 import os
 import platform
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from aero_planner.cli_util import installed_version
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_planner.deploy.aot import compile_ahead, kernels_in
@@ -36,7 +36,6 @@ from aero_planner.deploy.bundle import (
     MANIFEST,
     cpu_target,
     planner_digest,
-    structure_of,
 )
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
@@ -212,21 +211,17 @@ def write_manifest(folder: Path, architectures: list[int], cpu: bool) -> dict[st
         content = path.read_bytes()
         name = path.relative_to(folder).as_posix()
         files[name] = {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    try:
-        version = importlib.metadata.version("aero-planner")
-    except importlib.metadata.PackageNotFoundError:
-        version = "(not installed)"
     manifest = {
         "format": FORMAT,
         "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "aero_planner": version,
+        "aero_planner": installed_version("aero-planner"),
         "planner": planner_digest(),
         "warp": wp.config.version,
         "python": platform.python_version(),
         "architectures": architectures,
         "cpu": cpu_target() if cpu else None,
         "graphs": sorted(path.parent.name for path in folder.glob(f"{GRAPH}/*/{_GRAPH_FILE}")),
-        "structure": structure_of(load_config(folder / CONFIG)),
+        "structure": dict(load_config(folder / CONFIG).structure()),
         "files": files,
     }
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")

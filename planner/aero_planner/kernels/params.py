@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from aero_planner.config import ParameterInfo, PlannerConfig, parameters
+from aero_planner.config import ParameterInfo, PlannerConfig
 
 __all__ = ["Params", "pack"]
 
-_LIVE: tuple[ParameterInfo, ...] = tuple(info for info in parameters() if info.live)
+_LIVE: tuple[ParameterInfo, ...] = tuple(info for info in PlannerConfig.parameters() if info.live)
 
 
 def _warp_type(info: ParameterInfo) -> Any:

@@ -97,13 +97,11 @@ def _check_versions(log: bool) -> Iterator[Check]:
 def _check_device(planner_config: PlannerConfig, onboard: OnboardConfig, device: str) -> Check:
     """Time plans with as many points as the node's cloud may have."""
     # Imported here because the planner loads Warp, which takes longer than all other checks.
-    from aero_planner.forest_cloud import forest_cloud
-    from aero_planner.plan import Goal, VehicleState
+    from aero_planner.forest_cloud import forest_flight
     from aero_planner.planner import Planner
 
     name, period = f"device {device}", 1e3 / onboard.rates.replan
-    cloud = forest_cloud(onboard.lidar.points_max)
-    state, goal = VehicleState((0.0, 0.0, 2.0), (4.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), Goal((30.0, 0.0, 2.0))
+    state, goal, cloud = forest_flight(onboard.lidar.points_max)
     try:
         with contextlib.closing(Planner(planner_config, device=device)) as planner:
             times = [planner.plan(state, goal, cloud).stage_ms["total"] for _ in range(_WARM_UP_PLANS + _TIMED_PLANS)][

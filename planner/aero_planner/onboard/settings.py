@@ -1,4 +1,4 @@
-"""Settings of the node that flies: default, unit, bounds, label and help of each, and their configuration files."""
+"""Settings of the node: default, unit, bounds, label and help of each, and their configuration files."""
 
 from __future__ import annotations
 
@@ -114,11 +114,7 @@ class ThrustSettings(ParameterSection, section="thrust"):
     """Conversion of the thrust from newton to the 0 to 1 of the autopilot."""
 
     hover_thrust: float = live(
-        0.5,
-        "",
-        0.05,
-        0.95,
-        "Thrust from 0 to 1 at which the drone hovers: the measured MPC_THR_HOVER of the autopilot.",
+        0.5, "", 0.05, 0.95, "Thrust from 0 to 1 at which the drone hovers: the autopilot's measured MPC_THR_HOVER."
     )
     curve: float = live(
         0.0, "", 0.0, 1.0, "Quadratic share of the thrust as a function of the command: 0 if the autopilot linearizes "
@@ -129,7 +125,7 @@ class ThrustSettings(ParameterSection, section="thrust"):
 
 @dataclass(frozen=True)
 class LimitSettings(ParameterSection, section="limits"):
-    """Limits for flying on: ages of the data, times and the geofence."""
+    """Limits within which the drone flies on: ages of the data, times and the geofence."""
 
     state_age: float = live(
         0.2, "s", 0.02, 2.0, "Age of the vehicle state above which the drone brakes.", label="Maximum state age"

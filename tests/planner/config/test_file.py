@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo, parameters
+from aero_planner.config import ParameterInfo
 from aero_planner.config.file import config_from_name, format_config, load_config, save_config
 
 
@@ -27,7 +27,7 @@ def values_of(info: ParameterInfo) -> st.SearchStrategy:
 
 @st.composite
 def configs(draw: st.DrawFn) -> PlannerConfig:
-    chosen = draw(st.lists(st.sampled_from(parameters()), unique=True, max_size=12))
+    chosen = draw(st.lists(st.sampled_from(PlannerConfig.parameters()), unique=True, max_size=12))
     try:
         return PlannerConfig().replace({info.path: draw(values_of(info)) for info in chosen})
     except ValueError:  # a minimum above its maximum
@@ -59,7 +59,7 @@ def test_floats_round_trip_exactly(tmp_path: Path, value: float):
 
 def test_saved_files_explain_every_parameter():
     text = " ".join(format_config(PlannerConfig()).replace("#", " ").split())
-    for info in parameters():
+    for info in PlannerConfig.parameters():
         assert info.help in text and f"{info.name}: " in text
     assert "[0 to 1000 1/m]" in text
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo, find_parameter, parameters
+from aero_planner.config import ParameterInfo
 
-NUMBERS = [info for info in parameters() if not info.choices and not isinstance(info.default, bool)]
+NUMBERS = [info for info in PlannerConfig.parameters() if not info.choices and not isinstance(info.default, bool)]
 
-every_parameter = pytest.mark.parametrize("info", parameters(), ids=lambda info: info.path)
+every_parameter = pytest.mark.parametrize("info", PlannerConfig.parameters(), ids=lambda info: info.path)
 every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
 
 
@@ -33,15 +33,17 @@ def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterIn
 
 
 def test_labels_are_unique_within_a_section():
-    names = [(info.section, info.label) for info in parameters()]
+    infos = PlannerConfig.parameters()
+    infos = PlannerConfig.parameters()
+    names = [(info.section, info.label) for info in infos]
     assert len(names) == len(set(names))
-    assert all(info.label[0].isupper() and not info.label.endswith(".") and info.group for info in parameters())
-    assert find_parameter("costs.q_position").title == "Goal position weight Q_p [1/m]"
-    assert find_parameter("sampling.samples").title == "Samples K"
+    assert all(info.label[0].isupper() and not info.label.endswith(".") and info.group for info in infos)
+    assert PlannerConfig.find("costs.q_position").title == "Goal position weight Q_p [1/m]"
+    assert PlannerConfig.find("sampling.samples").title == "Samples K"
 
 
 def test_groups_are_contiguous():
-    groups = [(info.section, info.group) for info in parameters() if info.live]
+    groups = [(info.section, info.group) for info in PlannerConfig.parameters() if info.live]
     changes = sum(before != after for before, after in itertools.pairwise(groups))
     assert changes + 1 == len(set(groups))
 
@@ -55,12 +57,12 @@ def test_physical_parameters_have_a_unit():
 
 
 def test_live_names_are_unique_because_they_share_one_struct():
-    names = [info.name for info in parameters() if info.live]
+    names = [info.name for info in PlannerConfig.parameters() if info.live]
     assert len(names) == len(set(names))
 
 
 def test_parameters_cover_every_section_in_order():
-    assert list(dict.fromkeys(info.section for info in parameters())) == list(PlannerConfig.sections())
+    assert list(dict.fromkeys(info.section for info in PlannerConfig.parameters())) == list(PlannerConfig.sections())
     assert list(PlannerConfig().to_dict()) == list(PlannerConfig.sections())
 
 
@@ -132,7 +134,7 @@ def test_minima_must_be_below_maxima(low: str, high: str):
     ],
 )
 def test_misspelt_names_get_a_suggestion(misspelt: str, meant: str):
-    for call in (find_parameter, PlannerConfig().get, lambda path: replace(path, 1.0)):
+    for call in (PlannerConfig.find, PlannerConfig().get, lambda path: replace(path, 1.0)):
         with pytest.raises(ValueError, match=f"unknown parameter '{misspelt}' .did you mean '{meant}'"):
             call(misspelt)
 
@@ -159,7 +161,7 @@ def test_dictionaries_round_trip(name: str):
 
 def test_replace_changes_only_what_it_names():
     config = PlannerConfig().replace({"costs.q_track": 7.0, "sampling.steps": 10})
-    changed = {info.path for info in parameters() if config.get(info.path) != info.default}
+    changed = {info.path for info in PlannerConfig.parameters() if config.get(info.path) != info.default}
     assert changed == {"costs.q_track", "sampling.steps"}
     assert config.structure() != PlannerConfig().structure()
     assert replace("costs.q_track", 7.0).structure() == PlannerConfig().structure()

@@ -15,9 +15,10 @@ import warp as wp
 
 from aero_planner import PlannerConfig
 from aero_planner.cli import main
-from aero_planner.deploy.bundle import cpu_target, open_bundle, structure_of
+from aero_planner.deploy.bundle import cpu_target, open_bundle
 from aero_planner.deploy.export import pack, write_manifest
 
+STRUCTURE = dict(PlannerConfig().structure())
 CUBIN = "kernels/wp_some_1234567/wp_some_1234567.sm87.cubin"
 
 
@@ -97,7 +98,7 @@ def test_another_structure_is_refused_but_live_parameters_may_differ(folder: Pat
     [
         ({"warp": "1.13.0"}, r"is for another Warp \(1.13.0; here is "),
         ({"planner": "0" * 64}, r"is for another state of aero-planner \(000000000000; here is "),
-        ({"structure": structure_of(PlannerConfig()) | {"sampling.new": 1}}, r"is for sampling.new = 1, .* says None"),
+        ({"structure": STRUCTURE | {"sampling.new": 1}}, r"is for sampling.new = 1, .* says None"),
         ({"structure": {}}, r"is for anchors.columns = None, the configuration says 5"),
         ({"cpu": "other"}, r"has kernels for another CPU \(other; here is "),
         ({"cpu": None}, r"has kernels for GPUs only: .* --cpu on this machine"),
