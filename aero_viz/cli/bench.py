@@ -57,7 +57,7 @@ def bench(
     from aero_planner.config.file import config_from_name
     from aero_viz.evaluation.bench.external_results import load_external_results
     from aero_viz.evaluation.bench.report import format_summaries, format_worlds, world_records, write_report
-    from aero_viz.evaluation.bench.runner import load_run, run_benchmark
+    from aero_viz.evaluation.bench.runner import BenchmarkInterrupted, run_benchmark
     from aero_viz.evaluation.bench.suites import BENCHMARKS
 
     benchmark, folder, config = BENCHMARKS[name], output or Path("results") / name, config_flags.load()
@@ -83,8 +83,8 @@ def bench(
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
             )
         summaries = write_report(run, folder, external=external)
-    except KeyboardInterrupt:
-        run = load_run(folder, benchmark)
+    except BenchmarkInterrupted as interrupted:
+        run = interrupted.run
         write_report(run, folder, external=external)
         print(
             f"{len(run.flights)} of {run.total} flights are kept in {folder}; "

@@ -38,6 +38,8 @@ FAULT_KINDS: dict[str, FaultKind] = {
 }
 """Kinds of faults by name."""
 
+_MAX_VALUE = 1e6
+
 NETWORK_FAULTS = ("drop", "delay", "duplicate", "reorder", "corrupt")
 """Kinds of faults that affect a `Channel`."""
 
@@ -68,11 +70,9 @@ class Fault:
         for name in ("duration", "amount"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(kind, name))
-        for name in ("at", "duration", "amount"):
-            if not 0.0 <= getattr(self, name) < 1e6:
-                raise UserError(
-                    f"The {name} of the fault {self.kind} is {getattr(self, name)!r}; it must not be negative."
-                )
+        for name, value in (("time", self.at), ("duration", self.duration), ("amount", self.amount)):
+            if value is None or not 0.0 <= value < _MAX_VALUE:
+                raise UserError(f"The {name} of the fault {self.kind} is {value}; it must be in [0, {_MAX_VALUE:g}).")
         if self.kind in NETWORK_FAULTS and self.kind != "delay" and (self.amount or 0.0) > 1.0:
             raise UserError(f"The amount of the fault {self.kind} is {self.amount:g}; it is a probability, at most 1.")
 

@@ -46,7 +46,6 @@ def fly_rig(
     config: PlannerConfig | None = None,
     onboard: OnboardConfig | None = None,
     lidar: LidarModel | None = None,
-    vehicle: VehicleModel | None = None,
     data_type: int = CARTESIAN_MM,
     state_pair: bool = False,
     loss_time: float = 0.5,
@@ -66,7 +65,6 @@ def fly_rig(
         config: configuration of the planner; None is the default.
         onboard: settings of the node; None is the default. The rig replaces ports and the LiDAR's mount.
         lidar: None is the Mid-360.
-        vehicle: None is the vehicle that the planner assumes.
         data_type: data type of the LiDAR's packets, see `aero_planner.onboard.livox`.
         state_pair: send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY.
         loss_time: time without setpoints after which the autopilot takes over, PX4's COM_OF_LOSS_T [s].
@@ -88,7 +86,7 @@ def fly_rig(
     direction = world.goal - world.start
     with contextlib.ExitStack() as stack:
         autopilot = SimulatedAutopilot(
-            vehicle or VehicleModel.from_config(config),
+            VehicleModel.from_config(config),
             world.start,
             math.atan2(direction[1], direction[0]),
             (_HOST, mavlink_port),

@@ -32,6 +32,7 @@ def test_a_text_describes_a_fault(text, fault):
         ("drop@-1", "write KIND"),
         ("explode@3", "no fault 'explode'"),
         ("drop=1.5@3", "probability"),
+        ("drop@10000000", r"The time of the fault drop is 10000000.0; it must be in \[0, 1e\+06\)"),
     ],
 )
 def test_a_malformed_fault_is_refused(text, error):

@@ -5,6 +5,7 @@ The speed of a flight depends on the machine. Its end, and what the node must ne
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import Any
 
 import numpy as np
@@ -45,14 +46,13 @@ def fly(world: World, *faults: Fault, **options: Any) -> RigResult:
 
 def obeyed_after(result: RigResult, time: float) -> list[float]:
     """Return the times of obeyed setpoints later than `time`, all counted from the engagement [s]."""
-    began = next(c.time for c in result.commands if c.mode is Mode.OFFBOARD)
-    return [c.time - began for c in result.commands if c.mode is Mode.OFFBOARD and c.time - began > time]
+    return setpoints_after(result, time, modes=(Mode.OFFBOARD,))
 
 
-def all_after(result: RigResult, time: float) -> list[float]:
-    """Return the times of all setpoints later than `time`, obeyed or not, counted from the engagement [s]."""
+def setpoints_after(result: RigResult, time: float, modes: Container[Mode] = Mode) -> list[float]:
+    """Return the times of setpoints later than `time` in any of the modes, counted from the engagement [s]."""
     began = next(c.time for c in result.commands if c.mode is Mode.OFFBOARD)
-    return [c.time - began for c in result.commands if c.time - began > time]
+    return [c.time - began for c in result.commands if c.mode in modes and c.time - began > time]
 
 
 def test_the_node_flies_between_posts_to_the_goal(world):
@@ -105,7 +105,7 @@ def test_the_failsafe_brakes_for_a_killed_node_and_the_restarted_node_stays_sile
     assert obeyed[-1].thrust == pytest.approx(CONFIG.vehicle.mass * CONFIG.vehicle.gravity, rel=1e-3)
     # Nothing else is sent for ten seconds, in which the node starts again.
     assert result.flight_time_s > 11.0
-    assert not [time for time in all_after(result, killed) if time > killed + blind_time + 0.2]
+    assert not [time for time in setpoints_after(result, killed) if time > killed + blind_time + 0.2]
     assert any("already armed when the node started" in line for line in result.log)
 
 
@@ -127,5 +127,5 @@ def test_a_node_paused_for_too_long_stays_silent(world):
     assert result.reason == "held", (result, result.log)
     assert longest_gap(result, paused, end) < ONBOARD.limits.deadline, result.log
     assert speed_at(result, end) < 0.4
-    assert not [time for time in all_after(result, end + 0.2)]
+    assert not [time for time in setpoints_after(result, end + 0.2)]
     assert any("HANDED_BACK: the control loop stalled for too long" in line for line in result.log)

@@ -17,14 +17,14 @@ from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.batching import Progress, default_batch
 from aero_viz.evaluation.bench.machine import hardware, versions
-from aero_viz.evaluation.bench.result_folder import append_flights, open_folder, read_folder
+from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.scenes import World, scene
 from aero_viz.scenes.passable import is_passable
 from aero_viz.sensors import LidarModel, lidar_model
 
-__all__ = ["Run", "load_run", "run_benchmark"]
+__all__ = ["BenchmarkInterrupted", "Run", "run_benchmark"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,14 @@ class Run:
     def is_complete(self) -> bool:
         """True if no flight is missing."""
         return len(self.flights) == self.total
+
+
+class BenchmarkInterrupted(KeyboardInterrupt):
+    """Ctrl-C during the flights of a benchmark. The flights that had finished are written and in `run`."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self.run = run
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,7 @@ def run_benchmark(
 
     Raises:
         UserError: the folder holds other results, an option is out of range, or a file cannot be written.
-        KeyboardInterrupt: Ctrl-C was pressed; the results so far are written.
+        BenchmarkInterrupted: Ctrl-C was pressed during the flights; the results so far are written.
     """
     if flights < 1 or (batch is not None and batch < 1):
         raise UserError("The number of flights and the batch size must be at least 1.")
@@ -153,53 +161,44 @@ def run_benchmark(
 
     number = 1 + max((flight["batch"] for flight in done), default=-1)
     report = progress or (lambda finished, total, text: None)
-    for part in _split_into_batches(pending, size):
-        report(len(done), run.total, f"{part[0].row.label}: building {len(part)} worlds")
-        started = time.perf_counter()
-        found = [load_world(flight.row.scene, flight.row.count, flight.world_seed) for flight in part]
-        worlds, passable = zip(*found, strict=True)
-        flight_batch = _build(part, worlds, device=device, lidar=models[lidar or part[0].row.lidar], noise=noise)
-        built = time.perf_counter()
-        label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
-        results = flight_batch.run(progress=partial(_report_batch, report, label, len(done), run.total))
-        about_batch = {
-            "batch": number,
-            "batch_size": len(part),
-            "build_s": built - started,
-            "run_s": time.perf_counter() - built,
-        }
-        records = [
-            {
-                "row": flight.row.label,
-                "index": flight.index,
-                "world_seed": flight.world_seed,
-                **result.to_dict(),
-                "passable": has_path,
-                **about_batch,
+    try:
+        for part in _split_into_batches(pending, size):
+            report(len(done), run.total, f"{part[0].row.label}: building {len(part)} worlds")
+            started = time.perf_counter()
+            found = [load_world(flight.row.scene, flight.row.count, flight.world_seed) for flight in part]
+            worlds, passable = zip(*found, strict=True)
+            flight_batch = _build(part, worlds, device=device, lidar=models[lidar or part[0].row.lidar], noise=noise)
+            built = time.perf_counter()
+            label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
+            results = flight_batch.run(progress=partial(_report_batch, report, label, len(done), run.total))
+            about_batch = {
+                "batch": number,
+                "batch_size": len(part),
+                "build_s": built - started,
+                "run_s": time.perf_counter() - built,
             }
-            for flight, result, has_path in zip(part, results, passable, strict=True)
-            if result.reason is not None  # after Ctrl-C some flights have not ended
-        ]
-        flight_batch.planner.close()
-        append_flights(folder, records)
-        if flight_batch.interrupted:
-            raise KeyboardInterrupt
-        done += records
-        number += 1
-        report(len(done), run.total, part[-1].row.label)
+            records = [
+                {
+                    "row": flight.row.label,
+                    "index": flight.index,
+                    "world_seed": flight.world_seed,
+                    **result.to_dict(),
+                    "passable": has_path,
+                    **about_batch,
+                }
+                for flight, result, has_path in zip(part, results, passable, strict=True)
+                if result.reason is not None  # after Ctrl-C some flights have not ended
+            ]
+            flight_batch.planner.close()
+            append_flights(folder, records)
+            done += records
+            if flight_batch.interrupted:
+                raise KeyboardInterrupt
+            number += 1
+            report(len(done), run.total, part[-1].row.label)
+    except KeyboardInterrupt:
+        raise BenchmarkInterrupted(run) from None
     return run
-
-
-def load_run(folder: str | Path, benchmark: Benchmark) -> Run:
-    """Return the results in a folder, which may be incomplete.
-
-    Raises:
-        UserError: there are none.
-    """
-    header, flights = read_folder(Path(folder))
-    if header is None:
-        raise UserError(f"{folder} holds no results of a benchmark.")
-    return Run(benchmark, header, flights)
 
 
 def _plan_flights(

@@ -76,6 +76,15 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(tmp_path):
     assert untimed(cut) == untimed(whole)
 
 
+def test_ctrl_c_before_the_first_flight_ends_quietly(capsys, tmp_path, monkeypatch):
+    def interrupt(device):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("aero_viz.evaluation.bench.runner.hardware", interrupt)
+    assert run(capsys, "bench", "rooms", "--output", str(tmp_path / "out")) == (130, "", "")
+    assert not (tmp_path / "out").exists()
+
+
 def untimed(folder):
     """Return all flights without what depends on the machine."""
     flights = map(json.loads, (folder / "flights.jsonl").read_text().splitlines())
