@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,8 +11,8 @@ from numpy.typing import NDArray
 from aero_planner import PlannerConfig
 from aero_viz.dashboard.layers import LAYERS, apply
 from aero_viz.dashboard.layers.base import Lines, polylines
-from aero_viz.dashboard.layers.cells import _centers, _direction, _facing
-from aero_viz.dashboard.layers.cloud import CloudLayer, _thinned
+from aero_viz.dashboard.layers.cells import FineCellLayer
+from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import cost_scale
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
 from aero_viz.dashboard.quadrotor import quadrotor
@@ -83,27 +85,29 @@ def test_polylines_join_neighbours_only():
 def test_the_cloud_is_thinned_evenly_and_sent_once(server, frame):
     cloud = np.random.default_rng(0).normal(size=(150_001, 3)).astype(np.float32)
     cloud[::1000] = np.nan
-    points = _thinned(cloud)
+    layer = CloudLayer(server)
+    thick = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, points=cloud))
+    points = {name: value for _, name, value in layer.update(thick)}["points"]
     assert 10_000 < len(np.unique(points, axis=0)) <= 24_000
     assert len(points) % 4096 == 0
     assert np.isfinite(points).all()
-    layer = CloudLayer(server)
     assert layer.update(frame)
     assert layer.update(frame) == [], "the same cloud is not sent again"
     layer.color_by.value = "range"
     assert layer.update(frame)
 
 
-def test_cells_face_their_direction():
-    azimuth, elevation = _centers((6, 12))
-    w, x, y, z = _facing(azimuth, elevation).T
-    turned = np.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), axis=1)
-    np.testing.assert_allclose(turned, _direction(azimuth, elevation), atol=1e-6)
+def test_the_patches_of_fine_cells_face_the_drone(server, frame):
+    changes = {name: value for _, name, value in FineCellLayer(server).update(frame)}
+    w, x, y, z = changes["batched_wxyzs"].T
+    normals = np.stack((1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)), axis=1)
+    centers = changes["batched_positions"]
+    assert len(centers) == frame.plan.fine_range.size
+    np.testing.assert_allclose(normals, centers / np.linalg.norm(centers, axis=1, keepdims=True), atol=1e-6)
 
 
 def test_fine_cells_lie_where_the_filtered_points_are(server, frame):
-    layer = next(kind for kind in LAYERS if kind.name == "fine_cells")(server)
-    changes = {name: value for _, name, value in layer.update(frame)}
+    changes = {name: value for _, name, value in FineCellLayer(server).update(frame)}
     shown = changes["batched_scales"].max(axis=1) > 0.0
     assert shown.sum() == len(frame.plan.filtered_points)
     reach = np.linalg.norm(changes["batched_positions"][shown], axis=1)

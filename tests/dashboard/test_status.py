@@ -1,67 +1,72 @@
-"""Figures and legend, without a browser."""
+"""Figures, charts and legend of the status panel, without a browser."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from small_source import small_config, small_source
 
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.layers.drone import DroneLayer
 from aero_viz.dashboard.panels import status
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.session import Session
-from aero_viz.session.frame import Frame
 
 
 @pytest.fixture
-def dashboard() -> Iterator[Dashboard]:
+def session() -> Iterator[Session]:
     session = Session(small_source(), config=small_config())
     session.tick()
-    dashboard = Dashboard(session, port=0)
-    yield dashboard
-    dashboard.close()
+    yield session
     session.close()
 
 
 @pytest.fixture
-def tell(dashboard: Dashboard) -> Callable[..., str]:
-    """Returns what the panel says of the present frame, some of whose fields are others."""
+def dashboard(session: Session) -> Iterator[Dashboard]:
+    dashboard = Dashboard(session, port=0)
+    yield dashboard
+    dashboard.close()
+
+
+def status_of(dashboard: Dashboard, **fields: object) -> str:
+    """Return the panel's HTML for the session's frame, with some of its fields replaced."""
     (panel,) = (panel for panel in dashboard.panels if isinstance(panel, StatusPanel))
-
-    def tell(**fields: object) -> str:
-        frame = panel.session.frame
-        assert isinstance(frame, Frame)
-        ((_, _, content),) = panel.update(dataclasses.replace(frame, **fields))  # type: ignore[arg-type]
-        return str(content)
-
-    return tell
+    frame = panel.session.frame
+    assert frame is not None
+    ((_, _, content),) = panel.update(dataclasses.replace(frame, **fields))  # type: ignore[arg-type]
+    return str(content)
 
 
-def test_a_late_flight_is_reported_as_slow_and_drops_nothing(dashboard, tell, monkeypatch):
+def test_a_late_flight_is_reported_as_slow_and_drops_nothing(session, dashboard, monkeypatch):
     monkeypatch.setattr(status, "_SETTLE_TIME", 0.0)
-    session = dashboard._session
     nominal = 1.0 / session.source.period
-    assert "slower" not in tell(rate=nominal / 1.8), "nothing is late while time stands still"
-    session._set_playing(True)
-    assert "1.8 times slower than real time" in tell(rate=nominal / 1.8)
-    assert "slower" not in tell(rate=0.95 * nominal)
+    assert "slower" not in status_of(dashboard, rate=nominal / 1.8), "nothing is late while time stands still"
+    session.play()
+    assert "1.8 times slower than real time" in status_of(dashboard, rate=nominal / 1.8)
+    assert "slower" not in status_of(dashboard, rate=0.95 * nominal)
     session.set_speed(4.0)
-    assert "2.0 times slower than requested" in tell(rate=2.0 * nominal)
+    assert "2.0 times slower than requested" in status_of(dashboard, rate=2.0 * nominal)
 
 
-def test_a_rate_from_before_a_change_of_speed_is_not_reported_as_slow(dashboard, tell, monkeypatch):
+def test_a_rate_from_before_a_change_of_speed_is_not_reported_as_slow(session, dashboard, monkeypatch):
     monkeypatch.setattr(status, "_SETTLE_TIME", 1e6)
-    session = dashboard._session
-    session._set_playing(True)
+    session.play()
     session.set_speed(4.0)
-    assert "slower" not in tell(rate=1.0 / session.source.period)
+    assert "slower" not in status_of(dashboard, rate=1.0 / session.source.period)
 
 
-def test_dropped_ticks_are_reported(tell):
-    assert "dropped" not in tell()
-    assert "12 ticks dropped" in tell(dropped_ticks=12)
+def test_dropped_ticks_are_reported(dashboard):
+    assert "dropped" not in status_of(dashboard)
+    assert "12 ticks dropped" in status_of(dashboard, dropped_ticks=12)
+
+
+def test_a_page_without_rollouts_has_a_status_without_the_chart_of_their_costs(session, dashboard):
+    assert "cost, rank" in status_of(dashboard)
+    small = Dashboard(session, port=0, layers=[DroneLayer])
+    assert "tick rate" in status_of(small) and "cost, rank" not in status_of(small)
+    small.close()
 
 
 LEGENDS = [
@@ -82,11 +87,11 @@ LEGENDS = [
 
 
 @pytest.mark.parametrize(("layer", "words"), LEGENDS)
-def test_the_legend_has_a_key_for_every_layer_that_is_shown(dashboard, tell, layer, words):
+def test_the_legend_has_a_key_for_every_layer_that_is_shown(session, dashboard, layer, words):
     def show(names: list[str]) -> str:
         dashboard.show_only(names)
-        dashboard.changes(dashboard._session.frame)
-        return tell()
+        dashboard.changes(session.frame)
+        return status_of(dashboard)
 
     assert not any(word in show([]) for word in words)
     assert all(word in show([layer]) for word in words)
@@ -96,6 +101,8 @@ def test_every_layer_has_a_legend_case(dashboard):
     assert set(dashboard.layers) == {layer for layer, _ in LEGENDS} | {"recorded_path"}
 
 
-def test_the_legend_names_the_quantity_that_colours_the_rollouts(dashboard, tell):
+def test_the_legend_names_the_quantity_that_colours_the_rollouts(dashboard):
     dashboard.layers["rollouts"].color_by.value = "log cost"
-    assert "log cost of" not in tell() and "rollouts: logarithm of the Stage II cost" in tell()
+    assert "log cost of" not in status_of(dashboard) and "rollouts: logarithm of the Stage II cost" in status_of(
+        dashboard
+    )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 
 import numpy as np
 import pytest
@@ -71,14 +73,12 @@ def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Se
 
 
 def test_a_tick_comes_after_the_commands_given_before_it(session: Session, source: Gated) -> None:
-    source.go_on.set()
     session.tick()
-    busy, end = threading.Event(), threading.Event()
-    other = threading.Thread(target=lambda: session._post(lambda: (busy.set(), end.wait(20.0))))
+    other = threading.Thread(target=session.step)
     other.start()
-    assert busy.wait(20.0)
+    assert source.inside.wait(20.0)
     session.set_goal(GOAL)
-    threading.Timer(0.2, end.set).start()
+    threading.Timer(0.2, source.go_on.set).start()
     assert goal_of(session.tick()) == GOAL
     other.join()
 
@@ -141,5 +141,25 @@ def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated) 
     assert not source.closed.is_set()
     source.go_on.set()
     ticker.join()
+    closer.join()
+    assert source.closed.is_set()
+
+
+def test_commands_given_while_a_started_session_closes_are_cancelled(session: Session, source: Gated) -> None:
+    session.start(play=False)
+    session.step()
+    assert source.inside.wait(20.0)  # the session's thread is busy
+    queued = session.step()
+    closer = threading.Thread(target=session.close)
+    closer.start()
+    deadline = time.monotonic() + 20.0
+    while not session.step().cancelled():  # until `close` has begun
+        assert time.monotonic() < deadline
+    late = session.step()
+    assert not source.closed.is_set() and closer.is_alive()
+    source.go_on.set()
+    for command in (queued, late):
+        with pytest.raises(CancelledError):
+            command.result(timeout=20.0)
     closer.join()
     assert source.closed.is_set()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
-from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Option, apply
+from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Option, apply
 from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.drone import DroneLayer, TrailLayer
@@ -12,7 +12,7 @@ from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer
 
-__all__ = ["LAYERS", "Change", "ColorKey", "ColorScale", "Layer", "Option", "apply"]
+__all__ = ["LAYERS", "Bar", "BarChart", "Change", "ColorKey", "ColorScale", "Layer", "Option", "apply"]
 
 LAYERS: tuple[type[Layer], ...] = (
     RolloutLayer,

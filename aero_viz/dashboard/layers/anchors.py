@@ -19,6 +19,7 @@ class AnchorLayer(Layer):
     """Initial endpoints, refined anchors, and a line from each endpoint to its anchor."""
 
     name, title = "anchors", "Endpoints and anchors"
+    keys = (ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR))
 
     def create(self, scene: viser.SceneApi) -> None:
         origin = np.zeros((1, 3), np.float32)
@@ -41,20 +42,15 @@ class AnchorLayer(Layer):
             *self._moves.show(np.stack((initial, refined), axis=1), _RAMP),
         ]
 
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR)]
-
 
 class GuideLayer(Layer):
     """Quintic guides to the anchors."""
 
     name, title = "guides", "Guides"
+    keys = (ColorKey("guides", palette.GUIDE),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._lines = Lines(scene, "/guides/lines", thickness=1.2, capacity=512)
 
     def update(self, frame: Frame) -> list[Change]:
         return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), _GUIDE)
-
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("guides", palette.GUIDE)]

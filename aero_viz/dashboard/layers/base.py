@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import viser
@@ -15,7 +15,7 @@ from aero_viz.dashboard import palette
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["Change", "ColorKey", "ColorScale", "Layer", "Lines", "Option", "apply", "polylines"]
+__all__ = ["Bar", "BarChart", "Change", "ColorKey", "ColorScale", "Layer", "Lines", "Option", "apply", "polylines"]
 
 Change = tuple[Any, str, Any]
 """Handle, property, new value. All changes of an update are computed first and then assigned together."""
@@ -48,6 +48,25 @@ class ColorScale:
     """Colours from left to right."""
 
 
+class Bar(NamedTuple):
+    """One column of a bar chart."""
+
+    height: float
+    """From 0 to 1."""
+    tooltip: str
+    color: palette.Rgb
+    is_marked: bool
+
+
+class BarChart(NamedTuple):
+    """Chart for the status panel."""
+
+    label: str
+    summary: str
+    """Text at the right end of the heading."""
+    bars: Sequence[Bar]
+
+
 @dataclass
 class Option:
     """A choice that a layer offers on the page, as a dropdown."""
@@ -67,6 +86,8 @@ class Layer:
     """Name in the scene tree, in `Dashboard.layers` and in `snapshot`."""
     title: ClassVar[str]
     """Name for the user."""
+    keys: ClassVar[Sequence[ColorKey]] = ()
+    """Legend entries that are the same for all frames."""
     on_by_default: ClassVar[bool] = True
     """True if the layer is visible when the page opens."""
     needs_samples: ClassVar[bool] = False
@@ -103,7 +124,11 @@ class Layer:
 
     def legend(self, frame: Frame) -> Sequence[ColorKey | ColorScale]:
         """Return the meaning of the layer's colours in `frame`."""
-        return ()
+        return self.keys
+
+    def chart(self, frame: Frame) -> BarChart | None:
+        """Return a chart of `frame` for the status panel, which shows it even while the layer is hidden."""
+        return None
 
 
 class Lines:

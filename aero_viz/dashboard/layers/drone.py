@@ -20,6 +20,7 @@ class DroneLayer(Layer):
     """Quadrotor at its true pose, or at the recorded one."""
 
     name, title = "drone", "Drone"
+    keys = (ColorKey("drone", palette.DRONE),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self.pose = scene.add_frame("/drone/body", show_axes=False, visible=False)
@@ -42,14 +43,12 @@ class DroneLayer(Layer):
             (self.pose, "visible", True),
         ]
 
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("drone", palette.DRONE)]
-
 
 class TrailLayer(Layer):
     """Path flown so far, thinned to 512 segments."""
 
     name, title = "trail", "Flown trail"
+    keys = (ColorKey("flown trail", palette.TRAIL),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._lines = Lines(scene, "/trail/line", thickness=3.0, capacity=_TRAIL_SEGMENTS)
@@ -62,6 +61,3 @@ class TrailLayer(Layer):
             step *= 2
         vertices = np.concatenate((trail[::step], trail[-1:]))
         return self._lines.show(polylines(vertices), _TRAIL)
-
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("flown trail", palette.TRAIL)]

@@ -16,6 +16,7 @@ class GoalLayer(Layer):
     """Goal of the flight: a ball in a ring."""
 
     name, title = "goal", "Goal"
+    keys = (ColorKey("goal", palette.GOAL),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self.pose = scene.add_frame("/goal/pose", show_axes=False, visible=False)
@@ -28,6 +29,3 @@ class GoalLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         return [(self.pose, "position", goal), (self.pose, "visible", True)]
-
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("goal", palette.GOAL)]

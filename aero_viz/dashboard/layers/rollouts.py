@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Plan
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines, Option, polylines
+from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Lines, Option, polylines
 from aero_viz.session.frame import Frame
 
 __all__ = ["RolloutLayer", "cost_scale"]
@@ -60,3 +60,19 @@ class RolloutLayer(Layer):
             ColorScale(label, f"worst: {cost.max():.4g}", f"best: {cost.min():.4g}", palette.COST),
             ColorKey("chosen rollout", palette.CHOSEN),
         ]
+
+    def chart(self, frame: Frame) -> BarChart:
+        plan, best = frame.plan, int(frame.plan.best)
+        scale = cost_scale(plan, by=self.color_by.value)
+        colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
+        bars = [
+            Bar(
+                height=1.0 - 0.9 * scale[i],
+                tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
+                f"{plan.collision_cost[i]:.4g} + options",
+                color=palette.CHOSEN if i == best else colors[i],
+                is_marked=i == best,
+            )
+            for i, kind in enumerate(plan.kinds)
+        ]
+        return BarChart(f"cost, {self.color_by.value}", f"best is {best} of {len(bars)} ({plan.kinds[best]})", bars)

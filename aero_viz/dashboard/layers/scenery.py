@@ -23,6 +23,7 @@ class ObstacleLayer(Layer):
     """Obstacles of a synthetic world. The planner does not know them."""
 
     name, title = "obstacles", "Obstacles (ground truth)"
+    keys = (ColorKey("obstacles", palette.OBSTACLE),)
 
     def create(self, scene: viser.SceneApi) -> None:
         degenerate, face = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
@@ -51,14 +52,12 @@ class ObstacleLayer(Layer):
             changes.append((node, "visible", mesh is not None))
         return changes
 
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("obstacles", palette.OBSTACLE)]
-
 
 class GroundLayer(Layer):
     """Grid of 1 m and 5 m cells at the height of the ground."""
 
     name, title = "ground", "Ground grid"
+    keys = (ColorKey("ground grid", palette.GRID_SECTION),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._estimated_height: float | None = None
@@ -84,9 +83,6 @@ class GroundLayer(Layer):
         x, y = np.round(np.asarray(frame.observation.state.position)[:2] / 5.0) * 5.0
         return [(self._grid, "position", (float(x), float(y), height))]
 
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("ground grid", palette.GRID_SECTION)]
-
 
 def _height_below(points: NDArray[np.float32]) -> float | None:
     """Return a height just below nearly all points [m], None for an empty cloud."""
@@ -109,6 +105,7 @@ class RecordedPathLayer(Layer):
     """Recorded positions of the drone."""
 
     name, title = "recorded_path", "Recorded path"
+    keys = (ColorKey("recorded path", palette.RECORDED),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._lines = Lines(scene, "/recorded_path/line", thickness=2.5)
@@ -121,6 +118,3 @@ class RecordedPathLayer(Layer):
         step = -(-len(path) // _MOST_PATH_SEGMENTS)
         vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
         return self._lines.show(polylines(vertices), _RECORDED)
-
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("recorded path", palette.RECORDED)]

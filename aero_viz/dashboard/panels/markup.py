@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
 
 from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers import Bar
 from aero_viz.dashboard.palette import Rgb, css
 
 __all__ = [
-    "Bar",
     "bars",
     "block",
     "heading",
@@ -24,16 +23,6 @@ __all__ = [
     "table",
     "text",
 ]
-
-
-class Bar(NamedTuple):
-    """One column of a bar chart."""
-
-    height: float
-    """From 0 to 1."""
-    tooltip: str
-    color: Rgb
-    is_marked: bool
 
 
 _FONT = "font-size:12px;line-height:1.45;font-variant-numeric:tabular-nums"

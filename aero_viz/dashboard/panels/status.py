@@ -10,7 +10,6 @@ import viser
 from aero_planner import PlanStatus
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change, ColorKey, ColorScale
-from aero_viz.dashboard.layers.rollouts import RolloutLayer, cost_scale
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
@@ -30,7 +29,7 @@ _SETTLE_TIME = 1.0
 
 
 class StatusPanel(Panel):
-    """Status, figures, stage times, costs of the instances, and legend."""
+    """Status, figures, stage times, the charts of the layers, and the legend."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self.html = gui.add_html("")
@@ -41,10 +40,8 @@ class StatusPanel(Panel):
         return [(self.html, "content", markup.block(markup.text(self.session.waiting_message)))]
 
     def update(self, frame: Frame) -> list[Change]:
-        return [(self.html, "content", markup.block(*self._parts(frame)))]
-
-    def _parts(self, frame: Frame) -> list[str]:
-        return [self._state(frame), _figures(frame), _stages(frame), self._costs(frame), *self._legend(frame)]
+        parts = [self._state(frame), _figures(frame), _stages(frame), *self._charts(frame), *self._legend(frame)]
+        return [(self.html, "content", markup.block(*parts))]
 
     def _state(self, frame: Frame) -> str:
         status = PlanStatus(int(np.asarray(frame.plan.status)))
@@ -78,23 +75,9 @@ class StatusPanel(Panel):
             return ""
         return f"{slower:.1f} times slower than {'real time' if speed == 1.0 else 'requested'}"
 
-    def _costs(self, frame: Frame) -> str:
-        plan, best = frame.plan, int(frame.plan.best)
-        scaling = self._rollouts.color_by.value
-        place = cost_scale(plan, by=scaling)
-        colors = palette.as_rgb(palette.colorize(place, 0.0, 1.0, palette.COST))
-        columns = [
-            markup.Bar(
-                height=1.0 - 0.9 * place[i],
-                tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
-                f"{plan.collision_cost[i]:.4g} + options",
-                color=palette.CHOSEN if i == best else colors[i],
-                is_marked=i == best,
-            )
-            for i, kind in enumerate(plan.kinds)
-        ]
-        heading = markup.heading(f"cost, {scaling}", f"best is {best} of {len(plan.kinds)} ({plan.kinds[best]})")
-        return heading + markup.bars(columns)
+    def _charts(self, frame: Frame) -> list[str]:
+        charts = [chart for layer in self.page.layers.values() if (chart := layer.chart(frame)) is not None]
+        return [markup.heading(chart.label, chart.summary) + markup.bars(chart.bars) for chart in charts]
 
     def _legend(self, frame: Frame) -> list[str]:
         shown = [layer for layer in self.page.layers.values() if layer.visible and layer.available]
@@ -106,12 +89,6 @@ class StatusPanel(Panel):
         ]
         keys = [(entry.label, entry.color) for entry in entries if isinstance(entry, ColorKey)]
         return [*scales, markup.key(keys)]
-
-    @property
-    def _rollouts(self) -> RolloutLayer:
-        layer = self.page.layers["rollouts"]
-        assert isinstance(layer, RolloutLayer)
-        return layer
 
 
 def _figures(frame: Frame) -> str:
