@@ -18,6 +18,7 @@ class ThrustLayer(Layer):
     """The first planned thrust as a line from the drone."""
 
     name, title = "thrust", "Planned thrust"
+    keys = (ColorKey("planned thrust, 1 m for 10 N", COLOR),)  # in the legend
 
     def create(self, scene: viser.SceneApi) -> None:
         empty = np.zeros((1, 2, 3), dtype=np.float32)
@@ -30,9 +31,6 @@ class ThrustLayer(Layer):
         thrust = rotate(state.quaternion, [0.0, 0.0, frame.plan.command[0, 0]])  # [N], world frame
         segment = np.stack((position, position + SCALE * thrust))[None]
         return [(self.line, "points", segment.astype(np.float32))]
-
-    def legend(self, frame: Frame) -> list[ColorKey]:
-        return [ColorKey("planned thrust, 1 m for 10 N", COLOR)]
 
 
 session = Session(open_source("forest", seed=3))

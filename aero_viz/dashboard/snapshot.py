@@ -94,7 +94,7 @@ def snapshot(
         session = Session(source, config=config, device=device, seed=seed)
         stack.callback(session.close)
         _go_to(session, time)
-        dashboard = Dashboard(session, port=0)
+        dashboard = Dashboard(session, port=0, panels=False)
         stack.callback(dashboard.close)
         dashboard.show_only(layers)
         pose = _camera(session, camera)

@@ -103,6 +103,5 @@ def test_every_layer_has_a_legend_case(dashboard):
 
 def test_the_legend_names_the_quantity_that_colours_the_rollouts(dashboard):
     dashboard.layers["rollouts"].color_by.value = "log cost"
-    assert "log cost of" not in status_of(dashboard) and "rollouts: logarithm of the Stage II cost" in status_of(
-        dashboard
-    )
+    content = status_of(dashboard)
+    assert "log cost of" not in content and "rollouts: logarithm of the Stage II cost" in content
