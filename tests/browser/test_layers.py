@@ -85,7 +85,8 @@ SWITCHED = [
 @pytest.fixture(scope="module")
 def bare(browser):
     """A page whose layers were all switched off with the mouse, and what is left on the screen."""
-    with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper"), size=(1280, 720)) as desk:
+    # The window is small until the layers are off, since it is drawn in software.
+    with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper"), size=(800, 300)) as desk:
         desk.open_tab("Layers")
         switches = [layer for layer in desk.dashboard.layers.values() if layer.available]
         for layer in reversed(switches):  # the obstacles first, which take longest to draw
@@ -94,7 +95,8 @@ def bare(browser):
             if layer.on_by_default:
                 box.click()
         desk.wait_for(lambda: not any(layer.visible for layer in switches), "all layers to be off")
-        desk.wait_for(lambda: desk.screenshot().max() < 100, "an empty scene")
+        desk.page.set_viewport_size({"width": 1280, "height": 720})
+        desk.wait_for(lambda: desk.screenshot().shape[0] == 720 and desk.screenshot().max() < 100, "an empty scene")
         yield desk, desk.settled_screenshot()
         assert desk.console == []
 
