@@ -5,7 +5,7 @@
 - Safety: `failsafe_table` (what happens on which fault), `safety_machine`, `watchdog`, `failsafe_process`,
   `heartbeat_memory`, `safety_docs`.
 - LiDAR: `livox`, `sweep_buffer`, `host_clock`.
-- Autopilot: `mavlink`, `mavlink_sender`, `mavlink_parser`, `transport`, `frames`, `thrust`, `estimator_reset`.
+- Autopilot: `mavlink`, `mavlink_parser`, `transport`, `frames`, `thrust`, `estimator_reset`.
 - Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
 - Programs: `run`, `preflight`, `input_checks`, `bundle_export`, `connections`, `settings`.
 """

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
-from aero_planner.onboard.mavlink import MavlinkLink
-from aero_planner.onboard.mavlink_sender import MavlinkSender
+from aero_planner.onboard.mavlink import MavlinkLink, MavlinkSender
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.thrust import ThrustModel
 

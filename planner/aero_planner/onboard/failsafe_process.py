@@ -25,7 +25,7 @@ from collections.abc import Callable
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.connections import make_sender
 from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
-from aero_planner.onboard.mavlink_sender import MavlinkSender
+from aero_planner.onboard.mavlink import MavlinkSender
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stderr import log_to_stderr
 from aero_planner.onboard.stop_controller import StopController

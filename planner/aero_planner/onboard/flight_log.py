@@ -133,7 +133,7 @@ class FlightLog(Observer):
                 self._write_plan(item)
             elif isinstance(item, StateChange):
                 stamp = self._stamp(item.time)
-                self._add(ros_messages.safety_change(item, stamp), stamp)
+                self._add(stamp, ros_messages.safety_change(item, stamp))
             elif isinstance(item, VehicleSample):
                 self._write_pose(item)
             else:
@@ -160,16 +160,14 @@ class FlightLog(Observer):
         if lines:
             self._lines_time = record.time
         stamp = self._stamp(record.time)
-        for message in ros_messages.plan_messages(record.plan, stamp, plan_ms=record.plan_ms, lines=lines):
-            self._add(message, stamp)
+        self._add(stamp, *ros_messages.plan_messages(record.plan, stamp, plan_ms=record.plan_ms, lines=lines))
 
     def _write_pose(self, sample: VehicleSample) -> None:
         if sample.time - self._pose_time < _POSE_SPACING:
             return
         self._pose_time = sample.time
         stamp = self._stamp(sample.time)
-        for message in ros_messages.pose_messages(sample.state, stamp):
-            self._add(message, stamp)
+        self._add(stamp, *ros_messages.pose_messages(sample.state, stamp))
 
     def _add_packet(self, packet: PointPacket) -> None:
         """Collect points until they fill a sweep."""
@@ -187,14 +185,14 @@ class FlightLog(Observer):
         body = (rotate(self._mount, points) + self._mount_position).astype(np.float32)
         stamp = self._stamp(first)
         offsets = np.rint(1e9 * (times - first)).clip(0, 2**32 - 1).astype(np.uint32)
-        self._add(ros_messages.sweep(body, stamp, times=offsets), stamp)
+        self._add(stamp, ros_messages.sweep(body, stamp, times=offsets))
 
-    def _add(self, message: ros_messages.Encoded, stamp: int) -> None:
-        topic, kind, data = message
-        if topic not in self._channels:
-            schema = self._writer.register_schema(kind, "ros2msg", ros_messages.DEFINITIONS[kind].encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
-        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+    def _add(self, stamp: int, *messages: ros_messages.Encoded) -> None:
+        for topic, kind, data in messages:
+            if topic not in self._channels:
+                schema = self._writer.register_schema(kind, "ros2msg", ros_messages.DEFINITIONS[kind].encode())
+                self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+            self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
     def _stamp(self, host_time: float) -> int:
         return round(1e9 * (self._epoch + host_time))

@@ -31,7 +31,14 @@ class GoalTracker:
     """
 
     def __init__(self, limits: LimitSettings, goal: ArrayLike | None) -> None:
-        self.goal: NDArray[np.float64] | None = None if goal is None else _checked(goal, limits)
+        self.goal = None if goal is None else np.array(goal, dtype=np.float64)
+        if self.goal is not None:
+            if self.goal.shape != (3,) or not np.isfinite(self.goal).all():
+                raise ValueError(f"the goal is {self.goal.tolist()}; it must be three finite numbers [m].")
+            if not is_inside_fence(self.goal, limits):
+                raise ValueError(
+                    f"the goal {self.goal.tolist()} lies outside the geofence; correct it or limits.fence_*."
+                )
         self.count = 0
         self._limits = limits
         self._received: NDArray[np.float64] | None = None
@@ -46,12 +53,3 @@ class GoalTracker:
             _log.info("the goal is %s", np.round(self.goal, 2).tolist())
         else:
             _log.error("the goal %s is refused: it lies outside the geofence", np.round(goal, 2).tolist())
-
-
-def _checked(goal: ArrayLike, limits: LimitSettings) -> NDArray[np.float64]:
-    array = np.array(goal, dtype=np.float64)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise ValueError(f"the goal is {array.tolist()}; it must be three finite numbers [m].")
-    if not is_inside_fence(array, limits):
-        raise ValueError(f"the goal {array.tolist()} lies outside the geofence; correct it or limits.fence_*.")
-    return array

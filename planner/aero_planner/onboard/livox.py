@@ -108,7 +108,6 @@ def encode_packet(
     sequence: int,
     data_type: int = CARTESIAN_MM,
     tags: ArrayLike = 0,
-    time_type: int = 0,
 ) -> bytes:
     """Return the datagram that a sensor would send.
 
@@ -119,7 +118,6 @@ def encode_packet(
         sequence: Counter of the packets, modulo 2^16.
         data_type: CARTESIAN_MM or CARTESIAN_CM.
         tags: One tag per point, or one for all.
-        time_type: 0: time since power-on; 1: PTP; 2: GPS.
     """
     kind, unit = _POINT[data_type]
     scaled = np.rint(np.asarray(points, dtype=np.float64) * (1.0 / float(unit)))
@@ -132,7 +130,7 @@ def encode_packet(
     checked = struct.pack("<Q", stamp_ns) + payload
     length = _HEADER.size + len(payload)
     span = round(interval * 1e7)
-    header = (0, length, span, len(scaled), sequence & 0xFFFF, 0, data_type, time_type, zlib.crc32(checked), stamp_ns)
+    header = (0, length, span, len(scaled), sequence & 0xFFFF, 0, data_type, 0, zlib.crc32(checked), stamp_ns)
     return _HEADER.pack(*header) + payload
 
 

@@ -5,7 +5,7 @@ comes from SET_POSITION_TARGET_LOCAL_NED addressed to this component. The estima
 counter of ODOMETRY changes, when LOCAL_POSITION_NED, which has no counter, moves as no flight does
 (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message.
 
-Besides commands (`aero_planner.onboard.mavlink_sender`), only a heartbeat per second and requests for ODOMETRY are
+Besides commands (`MavlinkSender`), only a heartbeat per second and requests for ODOMETRY are
 sent: nothing here can arm the vehicle or switch its mode.
 """
 
@@ -20,17 +20,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
-from aero_planner.onboard.frames import attitude_from_ned, world_from_ned
+from aero_planner.onboard.frames import attitude_from_ned, frd_from_flu, world_from_ned
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.mavlink_parser import MavlinkParser
-from aero_planner.onboard.mavlink_sender import MavlinkSender, load_dialect
 from aero_planner.onboard.thrust import ThrustModel
-from aero_planner.onboard.transport import open_transport
+from aero_planner.onboard.transport import Transport, open_transport
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
-__all__ = ["MavlinkLink"]
+__all__ = ["MavlinkLink", "MavlinkSender", "load_dialect"]
 
 _ODOMETRY_TIMEOUT = 1.0  # [s] without ODOMETRY after which the other two messages are used
 _PAIR_TIMEOUT = 0.1  # [s] between the stamps of a position and an attitude that are used together
@@ -39,6 +38,88 @@ _REQUEST_PERIOD = 2.0  # [s] between two requests for ODOMETRY
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
 _LIMIT = 1e6  # [m], [m/s]; larger values have no precision left in float32
 _BYTES_PER_POLL = 65_536  # bounds the time of a poll during a flood
+
+
+def load_dialect() -> Any:
+    """Return pymavlink's module of the common messages.
+
+    Raises:
+        ImportError: pymavlink is not installed; names the extra to install.
+    """
+    try:
+        from pymavlink.dialects.v20 import common
+    except ImportError as error:
+        raise ImportError(
+            "MAVLink needs pymavlink, which is not installed; run: pip install 'aero-planner[mavlink]'."
+        ) from error
+    return common
+
+
+class MavlinkSender:
+    """Packs commands and other messages and sends them; implements `aero_planner.onboard.interfaces.CommandSink`.
+
+    Args:
+        transport: Connection to the autopilot; None sends nothing. It may be replaced at any time.
+        system: System id of the autopilot and of this computer.
+        component: Component id of this computer.
+        thrust: Thrust model of the vehicle.
+        clock: Host time [s].
+
+    Raises:
+        ImportError: pymavlink is not installed.
+
+    Attributes:
+        transport: Connection to the autopilot.
+        sent: Number of commands sent.
+    """
+
+    def __init__(
+        self,
+        transport: Transport | None,
+        *,
+        system: int,
+        component: int,
+        thrust: ThrustModel,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.transport = transport
+        self.sent = 0
+        self._dialect = load_dialect()
+        self._system = system
+        self._component = component
+        self._thrust = thrust
+        self._time = clock
+        self._packer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._sending = threading.Lock()
+
+    def send(self, command: ArrayLike) -> None:
+        """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
+
+        Raises:
+            ValueError: The command has another shape or is not finite; nothing was sent.
+        """
+        values = np.asarray(command, dtype=np.float64)
+        if values.shape != (4,) or not np.isfinite(values).all():
+            raise ValueError(f"the command is {values.tolist()}; it must be a thrust and three rates, all finite.")
+        thrust = self._thrust.signal(float(values[0]))
+        rates = frd_from_flu(values[1:])
+        message = self._dialect.MAVLink_set_attitude_target_message(
+            int(1e3 * self._time()) & 0xFFFFFFFF,
+            self._system,
+            self._dialect.MAV_COMP_ID_AUTOPILOT1,
+            self._dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
+            [1.0, 0.0, 0.0, 0.0],
+            *rates.tolist(),
+            thrust,
+        )
+        self.sent += self.send_message(message)
+
+    def send_message(self, message: Any) -> bool:
+        """Send one of the dialect's messages; return False if there is no transport or no room."""
+        with self._sending:
+            data = message.pack(self._packer)
+            self._packer.seq = (self._packer.seq + 1) % 256
+            return self.transport is not None and self.transport.send(bytes(data))
 
 
 class MavlinkLink(MavlinkSender):
@@ -60,6 +141,7 @@ class MavlinkLink(MavlinkSender):
     Attributes:
         state: See `VehicleLink`.
         goal: See `VehicleLink`.
+        parser: Parser of what is received, with its counters.
         received: Number of messages understood, by name.
         dropped: Number of states and goals that could not be used, by message and reason.
     """
@@ -78,7 +160,7 @@ class MavlinkLink(MavlinkSender):
         load_dialect()  # raises before the transport is opened
         self._transport = open_transport(url, baud=baud)
         super().__init__(self._transport, system=system, component=component, thrust=thrust, clock=clock)
-        self._parser = MavlinkParser(self._dialect, datagrams=self._transport.datagrams)
+        self.parser = MavlinkParser(self._dialect, datagrams=self._transport.datagrams)
         self._state_rate = state_rate
         self._polling = threading.Lock()
         self.state: VehicleSample | None = None
@@ -95,16 +177,6 @@ class MavlinkLink(MavlinkSender):
         self._resets = self._detected_resets = 0
 
     @property
-    def bad(self) -> int:
-        """Number of received parts that were no message: wrong checksum, or garbage."""
-        return self._parser.bad
-
-    @property
-    def buffered(self) -> int:
-        """Number of received bytes that wait for the rest of their message."""
-        return self._parser.buffered
-
-    @property
     def peer(self) -> str | None:
         """Where commands go, see `aero_planner.onboard.transport.Transport`; None before the autopilot is heard."""
         return self._transport.peer
@@ -117,7 +189,7 @@ class MavlinkLink(MavlinkSender):
             budget = _BYTES_PER_POLL
             while budget > 0 and (data := self._transport.receive()) is not None:
                 budget -= len(data)
-                for message in self._parser.parse(data):
+                for message in self.parser.parse(data):
                     self._process(message)
             now = self._time()
             if now - self._heartbeat_sent >= 1.0:

@@ -62,8 +62,7 @@ class MavlinkParser:
                 if retries and len(message.data) > 1 and message.data[0] in _MARKERS:
                     # A stray marker in the stream claimed the bytes after it: parse these once more.
                     retries -= 1
-                    at = protocol.buf_index
-                    protocol.buf[at:at] = message.data[1:]
+                    protocol.buf[protocol.buf_index : protocol.buf_index] = message.data[1:]
             message = protocol.parse_char(b"")
 
     def _new_protocol(self) -> Any:

@@ -49,11 +49,6 @@ class PlanSchedule:
     def __len__(self) -> int:
         return len(self._plans)
 
-    @property
-    def newest(self) -> ScheduledPlan | None:
-        """The newest plan."""
-        return self._plans[0] if self._plans else None
-
     def append(self, plan: ScheduledPlan, now: float) -> None:
         """Add a plan and discard those that are not needed at `now` [s] or later."""
         kept = [plan]

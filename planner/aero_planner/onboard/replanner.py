@@ -62,7 +62,7 @@ class Replanner:
     def __init__(
         self, planner: Planner, config: OnboardConfig, schedule: PlanSchedule, clock: Callable[[], float]
     ) -> None:
-        self.planner = planner
+        self._planner = planner
         self.failures = 0
         self.durations: deque[float] = deque(maxlen=10_000)
         self.is_finite = True
@@ -98,11 +98,11 @@ class Replanner:
         """
         state = VehicleState(np.zeros(3), np.zeros(3), (1.0, 0.0, 0.0, 0.0))
         cloud = np.full((64, 3), 5.0, dtype=np.float32)
-        self.planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
+        self._planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
         start = time.perf_counter()
-        self.planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
+        self._planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
         duration = time.perf_counter() - start
-        self.planner.reset()
+        self._planner.reset()
         return duration
 
     def plan_once(self, snapshot: ControlSnapshot | None) -> PlanResult | None:
@@ -117,7 +117,7 @@ class Replanner:
         state = self._predict_state(snapshot, start)
         try:
             # A Mid-360 does not see the ground below it, so the planner keeps out of everything below the geofence.
-            plan = self.planner.plan(
+            plan = self._planner.plan(
                 state,
                 Goal(snapshot.goal),
                 points,
@@ -134,7 +134,7 @@ class Replanner:
         controls = np.asarray(plan.command, dtype=np.float64)
         self.is_finite = bool(np.isfinite(controls).all())
         if not self.is_finite:
-            self.planner.reset()
+            self._planner.reset()
             self._count_failure("the plan contains NaN or infinity")
             return None
         self._number += 1
@@ -142,7 +142,7 @@ class Replanner:
             number=self._number,
             measured=snapshot.sample.time,
             time=float(state.time),  # type: ignore[arg-type]
-            dt=self.planner.config.sampling.dt,
+            dt=self._planner.config.sampling.dt,
             controls=controls,
             status=PlanStatus(int(plan.status)),  # type: ignore[arg-type]
         )
@@ -186,12 +186,12 @@ class Replanner:
         self._resets = sample.resets
         self._next_cloud = sample.time + self._sweep_period
         self._sweeps.clear()
-        self.planner.reset()
+        self._planner.reset()
         _log.warning("the autopilot's estimator was reset: the cloud is discarded")
 
     def _predict_state(self, snapshot: ControlSnapshot, now: float) -> VehicleState:
         """Return the state at the time when the plan will be ready, if the drone obeys its present commands."""
-        vehicle = self.planner.config.vehicle
+        vehicle = self._planner.config.vehicle
         motion = snapshot.motion
         target = now + self._latency if self._compensate else motion.time
         while motion.time < target:

@@ -27,7 +27,7 @@ from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
 from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_planner.plan import VehicleState
 
-__all__ = ["POINT_STEP", "Telemetry", "encode_change", "encode_hello", "encode_plan", "listen"]
+__all__ = ["POINT_STEP", "Telemetry", "encode_plan", "listen"]
 
 _log = logging.getLogger(__name__)
 
@@ -85,7 +85,7 @@ class Telemetry(Observer):
         self.accepted = 0
         self.skipped = 0
         self._settings: TelemetrySettings = onboard.telemetry
-        self._hello = encode_hello(planner, onboard)
+        self._hello = encode(Kind.HELLO, {"planner": planner.to_dict(), "onboard": onboard.to_dict()})
         self._clock = clock
         self._next_plan = -np.inf
         self._viewers: dict[socket.socket, _Viewer] = {}
@@ -179,7 +179,9 @@ class Telemetry(Observer):
         with contextlib.suppress(OSError):
             self._wake_up_end.recv(4096)
         while self._changes:
-            data = encode_change(self._changes.popleft())
+            change = self._changes.popleft()
+            values = {"time": change.time, "source": change.source.name, "target": change.target.name}
+            data = encode(Kind.CHANGE, {**values, "cause": change.cause.value})
             for viewer in list(self._viewers.values()):
                 if len(viewer.unsent) < _BACKLOG:
                     self._push(viewer, data)
@@ -249,17 +251,6 @@ def listen(settings: TelemetrySettings) -> socket.socket:
         server.close()
         raise
     return server
-
-
-def encode_hello(planner: PlannerConfig, onboard: OnboardConfig) -> bytes:
-    """Return the first message to a viewer."""
-    return encode(Kind.HELLO, {"planner": planner.to_dict(), "onboard": onboard.to_dict()})
-
-
-def encode_change(change: StateChange) -> bytes:
-    """Return the message of a transition."""
-    values = {"time": change.time, "source": change.source.name, "target": change.target.name}
-    return encode(Kind.CHANGE, {**values, "cause": change.cause.value})
 
 
 def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:

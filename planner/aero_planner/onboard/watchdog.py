@@ -83,7 +83,7 @@ class Watchdog:
         # Written only by the loop, which replaces it whole.
         self._heartbeat = Heartbeat(math.nan, None, None)
         # The last action in place of the loop, and the heartbeats after which it last acted and last braked.
-        self._own = self._heartbeat
+        self._own_action = self._heartbeat
         self._acted_on: Heartbeat | None = None
         self._braked_on: Heartbeat | None = None
 
@@ -131,12 +131,12 @@ class Watchdog:
         is_first = self._braked_on is not heartbeat
         self._braked_on = heartbeat
         if remaining < 0.0:
-            self._acted_on, self._own = heartbeat, Heartbeat(now, None, None)
+            self._acted_on, self._own_action = heartbeat, Heartbeat(now, None, None)
             if is_first:
                 return None
             self._link.send(self._stop.hover)
             _log.warning("the %s has braked for as long as it may; the autopilot now has control", self._name)
-            return self._own
+            return self._own_action
         action = self._send(heartbeat, now, motion, self._stop.command(motion, remaining=remaining))
         if is_first:
             self.interventions += 1
@@ -152,9 +152,9 @@ class Watchdog:
         upcoming: NDArray[np.float64] | None = None,
     ) -> Heartbeat:
         self._link.send(command)
-        self._acted_on, self._own = heartbeat, Heartbeat(now, motion, command, upcoming)
-        return self._own
+        self._acted_on, self._own_action = heartbeat, Heartbeat(now, motion, command, upcoming)
+        return self._own_action
 
     def _last_action(self, heartbeat: Heartbeat) -> Heartbeat:
         """Return the last command to the drone: by the loop, or in its place since then."""
-        return self._own if self._acted_on is heartbeat else heartbeat
+        return self._own_action if self._acted_on is heartbeat else heartbeat

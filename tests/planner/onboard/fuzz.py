@@ -28,8 +28,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import open_bundle
 from aero_planner.deploy.export import pack, write_manifest
 from aero_planner.onboard.livox import LivoxPacket, LivoxSource, Reject, encode_packet, parse_packet
-from aero_planner.onboard.mavlink import MavlinkLink
-from aero_planner.onboard.mavlink_sender import load_dialect
+from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
 from aero_planner.onboard.sweep_buffer import SweepBuffer
 from aero_planner.onboard.thrust import ThrustModel
 
@@ -209,7 +208,7 @@ class FuzzMavlink:
             assert sample.time <= self.now + 1e-6
         assert self.link.goal is None or np.isfinite(self.link.goal).all()
         assert len(self.link.received) <= len(self.kinds) + 1
-        assert self.link.buffered == 0
+        assert self.link.parser.buffered == 0
 
     def close(self) -> None:
         self.link.close()

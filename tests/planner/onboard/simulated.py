@@ -255,7 +255,3 @@ def in_flight(planner: Planner, **options: Any) -> Simulation:
     assert simulation.run_until(lambda: simulation.motion.position[0] > 3.0, 5.0)
     assert simulation.node.state is State.FLYING and simulation.motion.speed > 2.0
     return simulation
-
-
-def spoiled(plan: Plan, **changes: Any) -> Plan:
-    return dataclasses.replace(plan, **changes)

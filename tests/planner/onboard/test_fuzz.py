@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-import fuzz
+from tests.planner.onboard import fuzz
 
 
 @pytest.mark.parametrize("seed", [1, 2])

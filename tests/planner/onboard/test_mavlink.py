@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from aero_planner.onboard import mavlink as mavlink_module
-from aero_planner.onboard.mavlink import MavlinkLink
-from aero_planner.onboard.mavlink_sender import load_dialect
+from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 
 mavlink = load_dialect()
@@ -367,7 +366,7 @@ def test_garbage_does_not_swallow_later_messages(link, autopilot):
         autopilot.socket.sendto(bad, autopilot.address)
     link.poll()
     assert link.state is None
-    assert link.bad >= 4
+    assert link.parser.bad >= 4
     autopilot.socket.sendto(good, autopilot.address)
     link.poll()
     assert link.state is not None
@@ -419,7 +418,7 @@ def test_serial_devices_are_streams():
                 link.poll()
             os.write(there, b"\x00\xfe")  # noise on the line
         assert link.received["ODOMETRY"] >= 49
-        assert link.buffered < 1000
+        assert link.parser.buffered < 1000
         os.set_blocking(there, False)
         os.read(there, 65536)
         link.send([9.81, 0, 0, 0])

@@ -14,7 +14,7 @@ from aero_planner.onboard.failsafe_table import Reaction, State
 from aero_planner.onboard.plan_schedule import ScheduledPlan
 from aero_planner.quaternions import rotate
 from tests.planner.onboard.conftest import Records
-from tests.planner.onboard.simulated import CORRIDOR, GOAL, PLACES, WORLD, Simulation, in_flight, spoiled
+from tests.planner.onboard.simulated import CORRIDOR, GOAL, PLACES, WORLD, Simulation, in_flight
 
 PERIOD = 0.02
 
@@ -274,7 +274,7 @@ def test_a_planner_that_hangs_makes_it_brake_and_hand_back(flight: Simulation):
 
 
 def test_a_plan_with_nan_is_never_flown(flight: Simulation, caplog: pytest.LogCaptureFixture):
-    flight.planner.spoil = lambda plan: spoiled(plan, controls=np.full_like(plan.controls, np.nan))
+    flight.planner.spoil = lambda plan: dataclasses.replace(plan, controls=np.full_like(plan.controls, np.nan))
     with caplog.at_level(logging.ERROR):
         flight.run(0.3)
     assert "BRAKING" in states(flight) and "the plan contains NaN or infinity" in caplog.text
@@ -315,7 +315,7 @@ def test_with_another_fault_it_does_not_brake_as_planned(flight: Simulation):
         assert flight.node.state is State.BRAKING
         return float(flight.link.sent[-1][1][3])
 
-    flight.planner.spoil = lambda plan: spoiled(
+    flight.planner.spoil = lambda plan: dataclasses.replace(
         plan, status=PlanStatus.NO_SAFE_CANDIDATE, controls=np.full_like(plan.controls, turning)
     )
     flight.plan_time = 0.0  # so that `run` ends exactly on time

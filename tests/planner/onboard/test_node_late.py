@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 
@@ -10,7 +11,7 @@ import pytest
 
 from aero_planner import Planner
 from aero_planner.onboard.failsafe_table import State
-from tests.planner.onboard.simulated import GOAL, WORLD, Simulation, spoiled
+from tests.planner.onboard.simulated import GOAL, WORLD, Simulation
 
 PERIOD = 0.02
 
@@ -52,7 +53,7 @@ def test_a_late_tick_is_bridged_with_planned_commands(flight: Simulation):
 def test_a_late_tick_is_bridged_within_the_vehicles_bounds(flight: Simulation):
     vehicle = flight.planner.config.vehicle
     most = [vehicle.thrust_max, vehicle.rate_xy_max, vehicle.rate_xy_max, vehicle.rate_z_max]
-    flight.planner.spoil = lambda plan: spoiled(plan, controls=np.full_like(plan.controls, 1000.0))
+    flight.planner.spoil = lambda plan: dataclasses.replace(plan, controls=np.full_like(plan.controls, 1000.0))
     flight.run(0.2)
     count = len(flight.link.sent)
     flight.control_alive = False

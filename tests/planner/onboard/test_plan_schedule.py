@@ -24,7 +24,7 @@ def test_the_command_at_a_time_is_that_of_its_step(start: float):
 
 def test_the_previous_plan_is_flown_until_the_newest_begins():
     schedule = PlanSchedule()
-    assert schedule.newest is None and schedule.command(0.0) is None
+    assert schedule.at(0.0) is None and schedule.command(0.0) is None
     schedule.append(scheduled(1, 10.0), 9.95)
     schedule.append(scheduled(2, 10.1), 10.05)
     for now, first in ((10.06, 104.0), (10.1, 200.0), (10.34, 216.0)):
@@ -32,7 +32,8 @@ def test_the_previous_plan_is_flown_until_the_newest_begins():
         assert command is not None and command[0] == first
     assert schedule.command(10.36) is None and schedule.command(9.9) is None
     schedule.append(scheduled(3, 10.5), 10.36)
-    assert schedule.newest is not None and schedule.newest.number == 3
+    newest = schedule.at(10.5)
+    assert newest is not None and newest.number == 3
     assert schedule.command(10.36) is None  # a plan is never flown beyond its end
 
 
