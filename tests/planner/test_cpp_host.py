@@ -53,7 +53,7 @@ def processor(device: str) -> str:
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory, processor: str) -> Path:
     place = tmp_path_factory.mktemp("bundle")
-    (place / "flight.yaml").write_text(f"onboard:\n  lidar:\n    points_max: {POINTS}\n")
+    (place / "flight.yaml").write_text(f"onboard:\n  lidar:\n    points_max: {POINTS}\ncosts:\n  use_ground: false\n")
     architectures = [] if processor == "cpu" else [parse_architecture(processor)]
     manifest = export_bundle(
         place / "bundle", config=place / "flight.yaml", cpu=processor == "cpu", architectures=architectures
@@ -88,13 +88,14 @@ def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> Veh
     return VehicleState(position, velocity, (1.0, 0.1, 0.0, 0.2), (0.5, 0.0, -0.5), time)
 
 
-def test_its_plans_are_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
+def test_its_plans_equal_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
     random = np.random.default_rng(4)
     config, _ = load_flight_config(bundle / "config.yaml")
-    planner = Planner(config, device=device, seed=0)
+    # A graph avoids the ground even if the configuration does not.
+    planner = Planner(config.replace({"costs.use_ground": True}), device=device, seed=0)
     requests, expected, seen = b"", [], set()
     for tick in range(10):
-        # A box around the drone leaves no way; a cloud of two seconds ago is stale.
+        # A box around the drone leaves no way out; a cloud that is two seconds old is stale.
         low, high = ([-1, -1, -1], [1, 1, 1]) if tick == 7 else ([1.5, -8, -3], [10, 8, 4])
         points = random.uniform(low, high, (int(random.integers(0, POINTS + 1)), 3)).astype(np.float32)
         points[::50] = np.nan
@@ -144,72 +145,72 @@ def lose_kernels(graph: Path) -> None:
         path.unlink()
 
 
-ASKED = request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)))
+REQUEST = request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)))
 
 
 @pytest.mark.parametrize(
     ("damage", "problem"),
     [
-        (shutil.rmtree, "target.txt can't be read: give the folder of a bundle that was made by 'aero-planner export'"),
+        (shutil.rmtree, "target.txt can't be read; give the folder of a bundle made by 'aero-planner export'"),
         (edit_target(0, "1.14.0"), "the bundle is for Warp 1.14.0, this program for"),
-        (edit_target(1, "100"), "the graph is none of a planner for one drone"),
-        (edit_target(1, "many"), "the graph is none of a planner for one drone"),
+        (edit_target(1, "100"), "the graph is not that of a planner for one drone"),
+        (edit_target(1, "many"), "the graph is not that of a planner for one drone"),
         (lambda graph: (graph / "planner.wrp").unlink(), "planner.wrp can't be loaded"),
         (cut, "planner.wrp can't be loaded"),
         (lose_kernels, "copy the whole bundle"),
     ],
 )
-def test_what_does_not_fit_is_told(
+def test_a_bundle_that_does_not_fit_is_reported(
     ask: Callable[..., Outcome], bundle: Path, processor: str, tmp_path: Path, damage: Callable[[Path], object],
     problem: str,
 ):  # fmt: skip
     broken = shutil.copytree(bundle, tmp_path / "broken")
     damage(broken / "graph" / processor)
-    done = ask(broken, ASKED)
+    done = ask(broken, REQUEST)
     assert done.returncode == 2 and problem in done.stderr
 
 
 @pytest.mark.parametrize("damage", [edit_target(2, "aarch64-unknown-linux-gnu"), edit_target(3, "sse")])
-def test_another_cpu_is_told(
+def test_a_bundle_for_another_cpu_is_reported(
     ask: Callable[..., Outcome], bundle: Path, processor: str, tmp_path: Path, damage: Callable[[Path], None]
 ):
     if processor != "cpu":
         pytest.skip("about the CPU only")
     broken = shutil.copytree(bundle, tmp_path / "broken")
     damage(broken / "graph/cpu")
-    done = ask(broken, ASKED)
-    assert done.returncode == 2 and "the bundle is for another CPU: export it again" in done.stderr
+    done = ask(broken, REQUEST)
+    assert done.returncode == 2 and "the bundle is for another CPU; export it again" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("device", "problem"),
     [
-        ("gpu", "the device 'gpu' is not understood; give cpu or cuda:0"),
-        ("cuda:0x", "the device 'cuda:0x' is not understood"),
-        ("cuda:99", "cuda:99 is not available: "),
+        ("gpu", "the device is 'gpu'; it must be cpu or a GPU such as cuda:0"),
+        ("cuda:0x", "the device is 'cuda:0x'; it must be cpu"),
+        ("cuda:99", "cuda:99 is not available; this"),
     ],
 )
-def test_a_device_that_is_not_there_is_told(example: Path, tmp_path: Path, device: str, problem: str):
+def test_an_unknown_or_absent_device_is_reported(example: Path, tmp_path: Path, device: str, problem: str):
     command = [str(example), str(tmp_path), device, os.devnull, os.devnull]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and problem in done.stderr
 
 
 @pytest.mark.parametrize(
-    ("asked", "problem"),
+    ("requests", "problem"),
     [
         (request(state_of((0, np.nan, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "the state's position, velocity"),
         (request(state_of((0, 0, 2), (2e6, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "not finite or beyond 1e6"),
         (request(state_of((0, 0, 2), (1, 0, 0)), (np.inf, 0, 2), np.zeros((0, 3))), "the goal's position"),
         (request(state_of((0, 0, 2), (1, 0, 0), np.inf), (20, 0, 2), np.zeros((0, 3))), "the state's time is infinite"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), np.nan), "the cloud's age"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), 0.0, np.nan), "the height of the"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((POINTS + 1, 3))), "than the graph has room for"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), np.nan), "the age of the cloud"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), 0.0, np.nan), "the ground height"),
+        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((POINTS + 1, 3))), "exceeds the graph's"),
         (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((5, 3)))[:-4], "ends within a record"),
         (b"", "holds no request"),
     ],
-    ids=lambda value: value if isinstance(value, str) else "",  # bytes make names of tests that are too long
+    ids=lambda value: value if isinstance(value, str) else "",  # test names made of bytes would be too long
 )  # fmt: skip
-def test_bad_inputs_are_told(ask: Callable[..., Outcome], bundle: Path, asked: bytes, problem: str):
-    done = ask(bundle, asked)
+def test_bad_inputs_are_reported(ask: Callable[..., Outcome], bundle: Path, requests: bytes, problem: str):
+    done = ask(bundle, requests)
     assert done.returncode == 2 and problem in done.stderr

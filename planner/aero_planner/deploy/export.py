@@ -165,7 +165,9 @@ def _compile(work: Path, folder: Path, max_points: int, cpu: bool, architectures
         place = folder / GRAPH / processor
         place.mkdir(parents=True)
         with kernels_in(work / "compiled"):
-            save_graph(config, max_points, place / _GRAPH_FILE, device=device)
+            # A host plans like the node, which always avoids the ground.
+            flown = config.replace({"costs.use_ground": True})
+            save_graph(flown, max_points, place / _GRAPH_FILE, device=device)
         target = [wp.config.version, str(len(config.kinds)), *(_cpu_features() if device == "cpu" else ())]
         (place / "target.txt").write_text("".join(f"{line}\n" for line in target), encoding="ascii")
 

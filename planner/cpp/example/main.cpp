@@ -1,10 +1,12 @@
-// Plans for what stands in a file, and writes what comes out: a host in a hundred lines.
+// Example of a host: plans for each request in a file and writes the answers to another one.
 //
 //     aero_example BUNDLE DEVICE REQUESTS ANSWERS
 //
-// DEVICE is cpu or cuda:0. REQUESTS holds binary records: double time; float position[3], velocity[3], quaternion[4],
-// acceleration[3], goal[3], cloud_age, ground_height; int32 count; float points[count][3]. ANSWERS holds for each: int32 status, best;
-// float command[N][4], controls[R][N][4], positions[R][N+1][3], stage2_cost[R].
+// DEVICE is cpu or cuda:0. REQUESTS holds binary records:
+//     double time; float position[3], velocity[3], quaternion[4], acceleration[3], goal[3], cloud_age, ground_height;
+//     int32 count; float points[count][3].
+// ANSWERS holds for each request:
+//     int32 status, best; float command[N][4], controls[R][N][4], positions[R][N+1][3], stage2_cost[R].
 #include "aero_planner.h"
 
 #include <algorithm>
@@ -66,17 +68,17 @@ int main(int count, char** arguments)
         aero_goal goal;
         float cloud_age = 0.0f, ground_height = -INFINITY;
         int32_t number = 0;
-        const bool whole = read(requests, state.position, 3) && read(requests, state.velocity, 3)
+        const bool is_complete = read(requests, state.position, 3) && read(requests, state.velocity, 3)
             && read(requests, state.quaternion, 4) && read(requests, state.acceleration, 3)
             && read(requests, goal.position, 3) && read(requests, &cloud_age) && read(requests, &ground_height)
             && read(requests, &number);
-        const bool fits = number >= 0 && number <= sizes.points; // aero_plan refuses what doesn't
-        if (!whole || (fits && !read(requests, points.data(), 3 * static_cast<size_t>(number)))) {
+        const bool fits = number >= 0 && number <= sizes.points; // otherwise aero_plan reports it
+        if (!is_complete || (fits && !read(requests, points.data(), 3 * static_cast<size_t>(number)))) {
             std::fprintf(stderr, "%s ends within a record\n", arguments[3]);
             return 2;
         }
         std::fill_n(goal.velocity, 3, NAN);   // arrive and stop
-        std::fill_n(goal.quaternion, 4, NAN); // nose toward the goal
+        std::fill_n(goal.quaternion, 4, NAN); // level, with the nose toward the goal
 
         const auto start = std::chrono::steady_clock::now();
         if (aero_plan(planner.get(), &state, &goal, points.data(), number, cloud_age, ground_height) != 0) {

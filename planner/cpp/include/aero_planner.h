@@ -1,7 +1,7 @@
-/* The AERO-MPPI planner without Python: replays a plan that `aero-planner export` has captured.
+/* The AERO-MPPI planner without Python: replays the kernel launches that `aero-planner export` has captured.
  *
- * World frame: x forward, y left, z up. Quaternions are w, x, y, z and turn the body frame into the world frame. SI units.
- * A planner belongs to one thread at a time; several planners in several threads are fine.
+ * SI units. World frame: x forward, y left, z up. Quaternions are in the order w, x, y, z and rotate vectors from the body
+ * to the world frame. Only one thread at a time may use a planner; different threads may use different planners.
  */
 #ifndef AERO_PLANNER_H
 #define AERO_PLANNER_H
@@ -16,7 +16,7 @@ extern "C" {
 typedef struct aero_planner aero_planner;
 
 typedef struct aero_state {
-    double time;           /* stamp [s]; NaN: one sampling.replan_period after the state before */
+    double time;           /* stamp [s]; NaN: one sampling.replan_period after the previous state */
     float position[3];     /* p [m] */
     float velocity[3];     /* v [m/s] */
     float quaternion[4];   /* q; need not be normalised */
@@ -37,56 +37,57 @@ typedef enum aero_status {
 
 typedef struct aero_sizes {
     int32_t instances; /* M */
-    int32_t rows;      /* R >= M: arrays hold plain brakes behind the instances */
+    int32_t rows;      /* R >= M: in the arrays, the braking candidates follow the instances */
     int32_t steps;     /* N */
-    int32_t points;    /* most points of a cloud */
+    int32_t points;    /* largest number of points of a cloud */
 } aero_sizes;
 
-/* Load the graph of a bundle's folder for a device, "cpu" or "cuda:0". The bundle must be for this Warp, and for this CPU
- * or the architecture of this GPU.
+/* Load a planner from the folder of a bundle, for a device such as "cpu" or "cuda:0". The bundle must be for this
+ * version of Warp, and for this CPU or the architecture of this GPU.
  *
- * Returns NULL where it can't, and then writes one sentence to `problem`, which has room for `room` bytes (or is NULL).
+ * Returns NULL on failure, and writes one sentence about it to `problem`, a buffer of `room` bytes or NULL.
  */
 aero_planner* aero_open(const char* folder, const char* device, char* problem, size_t room);
 
-/* Forget the planner; NULL is allowed. */
+/* Free a planner; NULL is allowed. */
 void aero_close(aero_planner* planner);
 
 aero_sizes aero_get_sizes(const aero_planner* planner);
 
-/* Plan once, and wait for it. `points` are `count` x 3 [m], world frame; those that are not finite are dropped.
- * `cloud_age` is the time since they were measured [s]. Everything below `ground_height` [m], world frame, counts as an
- * obstacle unless costs.use_ground is off; -INFINITY where the ground is unknown. `aero-planner run` gives
- * limits.fence_height_min.
+/* Plan once, and wait for the result. `points` are `count` x 3 [m], world frame; points that are not finite are
+ * dropped. `cloud_age` is the time since they were measured [s]. Everything below `ground_height` [m], world frame,
+ * counts as an obstacle; -INFINITY if the ground is unknown. `aero-planner run` passes limits.fence_height_min.
  *
- * Returns 0, or -1 where an input is not finite, a quaternion is zero, there are more points than there is room for, or
- * the device failed; there is no new plan then, and `aero_problem` says why.
+ * Returns 0, or -1 if an input is not finite or too large, a quaternion is zero, there are too many points, or the
+ * device failed. There is no new plan then, and `aero_problem` returns the reason.
  */
 int aero_plan(aero_planner* planner, const aero_state* state, const aero_goal* goal, const float* points,
               int32_t count, float cloud_age, float ground_height);
 
-/* One sentence about the last call that failed. */
+/* Return one sentence about the last call that failed. */
 const char* aero_problem(const aero_planner* planner);
 
-/* Whether the last plan may be flown; what aero_command returns always may. */
+/* Return the safety of the last plan. The controls of aero_command may be flown in any case. */
 aero_status aero_get_status(const aero_planner* planner);
 
-/* Index of the instance that the last plan flies, a row of the arrays. */
+/* Return the index of the instance that the last plan flies, a row of the arrays. */
 int32_t aero_get_best(const aero_planner* planner);
 
-/* Controls to fly, N x 4: thrust [N], body rates [rad/s]. Ask after each plan; valid until the next one. */
+/* Return the controls to fly, N x 4: thrust [N], body rates [rad/s]. Call it after each plan; the pointer is valid
+ * until the next one. Returns NULL if they can't be copied.
+ */
 const float* aero_command(aero_planner* planner);
 
-/* An array of the graph by its name in Python (`Planner.outputs`): "controls" R x N x 4, "positions" R x (N + 1) x 3,
- * "velocities" R x (N + 1) x 3, "quaternions" R x (N + 1) x 4, "stage2_cost" R, "goal_cost" R, "collision_cost" R,
- * "clearance" R x N, ..
- * Ask after each plan; valid until the next one. From a GPU it is copied when it is asked for.
+/* Return an array of the graph by its name in Python (`Planner.outputs`): "controls" R x N x 4,
+ * "positions" R x (N + 1) x 3, "velocities" R x (N + 1) x 3, "quaternions" R x (N + 1) x 4, "stage2_cost" R,
+ * "goal_cost" R, "collision_cost" R, "clearance" R x N, and so on. Call it after each plan; the pointer is valid until
+ * the next one. From a GPU, the array is copied on this call.
  *
- * Writes the size in bytes where `size` is not NULL; returns NULL where there is no such array, or it can't be copied.
+ * Writes the size in bytes to `size` unless it is NULL. Returns NULL if there is no such array, or it can't be copied.
  */
 const void* aero_array(aero_planner* planner, const char* name, size_t* size);
 
-/* Forget the previous plan and start the noise anew, from a seed. Returns 0, or -1 where the device failed. */
+/* Discard the previous plan and restart the noise sequence from a seed. Returns 0, or -1 if the device failed. */
 int aero_reset(aero_planner* planner, int32_t seed);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-// The C interface of aero_planner.h, on the graphs of graph.h.
+// The C interface of aero_planner.h, implemented with the graphs of graph.h.
 #include "aero_planner.h"
 
 #include "graph.h"
@@ -18,7 +18,7 @@
 
 namespace {
 
-constexpr float farthest = 1e6f; // where float32 still tells decimetres apart, as in Python
+constexpr float farthest = 1e6f; // largest value; float32 resolves a decimetre there, as in Python [m]
 
 void start_warp()
 {
@@ -40,27 +40,26 @@ int find_gpu(const std::string& device)
     int ordinal = -1, end = -1;
     std::sscanf(device.c_str(), "cuda:%d%n", &ordinal, &end);
     if (ordinal < 0 || end != static_cast<int>(device.size()))
-        throw std::runtime_error("the device '" + device + "' is not understood; give cpu or cuda:0");
+        throw std::runtime_error("the device is '" + device + "'; it must be cpu or a GPU such as cuda:0");
     const int count = wp_cuda_device_get_count();
     if (ordinal >= count)
         throw std::runtime_error(
-            device + " is not available: " + (count > 0 ? std::to_string(count) : "no") + " GPU was found with a driver "
-            "that this Warp can use");
+            device + " is not available; this version of Warp can use " + std::to_string(count) + " GPUs here");
     return ordinal;
 }
 
-Target read_target(const std::string& path, const char* how)
+Target read_target(const std::string& path, const char* export_option)
 {
     std::ifstream file(path);
     std::string instances, features;
     Target target;
     if (!std::getline(file, target.warp) || !std::getline(file, instances))
         throw std::runtime_error(
-            path + " can't be read: give the folder of a bundle that was made by 'aero-planner export' " + how);
+            path + " can't be read; give the folder of a bundle made by 'aero-planner export' " + export_option);
     if (target.warp != WP_VERSION_STRING)
         throw std::runtime_error(
             "the bundle is for Warp " + target.warp + ", this program for " WP_VERSION_STRING
-            ": export it again with that version");
+            "; export the bundle again with that version");
     target.instances = static_cast<int32_t>(std::strtol(instances.c_str(), nullptr, 10));
     if (std::getline(file, target.processor) && std::getline(file, features))
         target.processor += "\n" + features;
@@ -85,31 +84,32 @@ struct aero_planner {
         const Target target = read_target(
             place + "target.txt", gpu < 0 ? "--cpu" : "--arch on a machine with this GPU");
         graph = gpu < 0 ? open_cpu_graph(place + "planner", target) : open_cuda_graph(place + "planner", gpu);
-        measure(target.instances);
+        read_sizes(target.instances);
     }
 
-    void measure(int32_t instances)
+    // Checks that the graph has the arrays of a planner for one drone, and derives the sizes from them.
+    void read_sizes(int32_t instances)
     {
         const struct {
             const char* name;
             size_t bytes;
-        } fixed[] = {
+        } expected[] = {
             {"time", 8}, {"position", 12}, {"velocity", 12}, {"quaternion", 16}, {"acceleration", 12},
             {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
-            {"ground_height", 4},
-            {"point_count", 4}, {"best", 4}, {"status", 4}, {"seed", 4}, {"tick", 4}, {"previous_time", 8},
+            {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"seed", 4}, {"tick", 4},
+            {"previous_time", 8},
         };
         bool fits = true;
-        for (const auto& one : fixed)
-            fits &= graph->bytes(one.name) == one.bytes;
-        const size_t row = graph->bytes("previous_controls"), count = graph->bytes("stage2_cost") / sizeof(float);
-        fits &= row > 0 && row % 16 == 0 && graph->bytes("controls") == count * row && graph->bytes("points") >= 12;
-        fits &= instances > 0 && static_cast<size_t>(instances) <= count;
-        fits &= graph->bytes("positions") == count * (row / 16 + 1) * 12;
+        for (const auto& array : expected)
+            fits &= graph->bytes(array.name) == array.bytes;
+        const size_t row = graph->bytes("previous_controls"), rows = graph->bytes("stage2_cost") / sizeof(float);
+        fits &= row > 0 && row % 16 == 0 && graph->bytes("controls") == rows * row && graph->bytes("points") >= 12;
+        fits &= instances > 0 && static_cast<size_t>(instances) <= rows;
+        fits &= graph->bytes("positions") == rows * (row / 16 + 1) * 12;
         if (!fits)
-            throw std::runtime_error("the graph is none of a planner for one drone: export it again");
+            throw std::runtime_error("the graph is not that of a planner for one drone; export it again");
         sizes.instances = instances;
-        sizes.rows = static_cast<int32_t>(count);
+        sizes.rows = static_cast<int32_t>(rows);
         sizes.steps = static_cast<int32_t>(row / 16);
         sizes.points = static_cast<int32_t>(graph->bytes("points") / 12);
     }
@@ -121,11 +121,11 @@ struct aero_planner {
     void plan(const aero_state& state, const aero_goal& goal, const float* points, int32_t count, float cloud_age,
               float ground_height)
     {
-        if (const char* wrong = check(state, goal, cloud_age, ground_height))
-            throw std::runtime_error(wrong);
+        if (const char* mistake = find_mistake(state, goal, cloud_age, ground_height))
+            throw std::runtime_error(mistake);
         if (count < 0 || count > sizes.points)
-            throw std::runtime_error("the number of points is negative or more than the graph has room for; thin them "
-                                     "out, or raise lidar.points_max and export again");
+            throw std::runtime_error("the number of points is negative or exceeds the graph's capacity; pass fewer "
+                                     "points, or raise lidar.points_max and export again");
         put("time", state.time);
         put("position", state.position);
         put("velocity", state.velocity);
@@ -153,7 +153,7 @@ struct aero_planner {
         put("previous_time", std::numeric_limits<double>::quiet_NaN());
     }
 
-    // Runs a task; returns 0, or -1 where it throws, whose reason is then the problem.
+    // Runs a task. Returns 0, or -1 if it throws; `problem` is then the exception's message.
     template <class Task> int attempt(Task task)
     {
         try {
@@ -165,16 +165,16 @@ struct aero_planner {
         }
     }
 
-    // Returns what is wrong with the inputs, or nullptr.
-    static const char* check(const aero_state& state, const aero_goal& goal, float cloud_age, float ground_height)
+    // Returns a sentence about the first input that is invalid, or nullptr.
+    static const char* find_mistake(const aero_state& state, const aero_goal& goal, float cloud_age, float ground_height)
     {
-        const auto within = [](const float* values, int n) {
+        const auto is_in_range = [](const float* values, int n) {
             for (int i = 0; i < n; ++i)
                 if (!(std::fabs(values[i]) <= farthest)) // false for NaN, too
                     return false;
             return true;
         };
-        const auto left_out = [](const float* values, int n) {
+        const auto is_omitted = [](const float* values, int n) {
             for (int i = 0; i < n; ++i)
                 if (!std::isnan(values[i]))
                     return false;
@@ -183,20 +183,20 @@ struct aero_planner {
         const auto length = [](const float* q) {
             return std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
         };
-        if (!within(state.position, 3) || !within(state.velocity, 3) || !within(state.acceleration, 3))
+        if (!is_in_range(state.position, 3) || !is_in_range(state.velocity, 3) || !is_in_range(state.acceleration, 3))
             return "the state's position, velocity or acceleration is not finite or beyond 1e6";
-        if (!within(state.quaternion, 4) || length(state.quaternion) < 1e-6f)
+        if (!is_in_range(state.quaternion, 4) || length(state.quaternion) < 1e-6f)
             return "the state's quaternion is not finite or zero; give a unit quaternion in the order w, x, y, z";
         if (std::isinf(state.time))
-            return "the state's time is infinite; give seconds, or NaN where it is unknown";
-        if (!within(goal.position, 3) || (!left_out(goal.velocity, 3) && !within(goal.velocity, 3)))
+            return "the state's time is infinite; give seconds, or NaN if it is unknown";
+        if (!is_in_range(goal.position, 3) || (!is_omitted(goal.velocity, 3) && !is_in_range(goal.velocity, 3)))
             return "the goal's position or velocity is not finite or beyond 1e6";
-        if (!left_out(goal.quaternion, 4) && (!within(goal.quaternion, 4) || length(goal.quaternion) < 1e-6f))
+        if (!is_omitted(goal.quaternion, 4) && (!is_in_range(goal.quaternion, 4) || length(goal.quaternion) < 1e-6f))
             return "the goal's quaternion is not finite or zero; give a unit quaternion, or NaN to derive it";
         if (!std::isfinite(cloud_age))
-            return "the cloud's age is not finite";
+            return "the age of the cloud is not finite";
         if (!(ground_height <= farthest) || (std::isfinite(ground_height) && ground_height < -farthest))
-            return "the height of the ground is NaN or beyond 1e6; give metres, or -INFINITY where it is unknown";
+            return "the ground height is NaN or beyond 1e6; give metres, or -INFINITY if it is unknown";
         return nullptr;
     }
 };

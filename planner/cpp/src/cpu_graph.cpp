@@ -1,5 +1,5 @@
-// Graphs on the CPU. Their kernels are objects that LLVM's linker loads, which lives in a library of its own,
-// warp-clang.so; it is opened when it is needed, so that a host with a GPU can do without.
+// Graphs on the CPU. Their kernels are object files, which the linker in warp-clang.so loads. That library is opened on
+// first use, so that a host that plans on a GPU does not need it.
 #include "graph.h"
 
 #include "warp.h"
@@ -30,7 +30,7 @@ template <class F> void find(void* library, F& function, const char* name)
 {
     function = reinterpret_cast<F>(dlsym(library, name));
     if (!function)
-        throw std::runtime_error(std::string("warp-clang.so has no ") + name + "; install Warp again");
+        throw std::runtime_error(std::string("warp-clang.so lacks ") + name + "; install Warp again");
 }
 
 Clang load_clang()
@@ -42,11 +42,11 @@ Clang load_clang()
     const std::string path = file.substr(0, file.rfind('/') + 1) + "warp-clang.so";
     void* library = dlopen(path.c_str(), RTLD_NOW);
     if (!library)
-        throw std::runtime_error(std::string("kernels for the CPU need warp-clang.so beside warp.so: ") + dlerror());
+        throw std::runtime_error(std::string("planning on the CPU needs warp-clang.so beside warp.so: ") + dlerror());
     Clang clang {};
     find(library, clang.version, "wp_warp_clang_version");
     if (std::strcmp(clang.version(), WP_VERSION_STRING) != 0)
-        throw std::runtime_error(path + " is of Warp " + clang.version() + ", this program was built for "
+        throw std::runtime_error(path + " belongs to Warp " + clang.version() + "; this program was built for "
                                  WP_VERSION_STRING);
     find(library, clang.set_block_runtime, "wp_llvm_set_cpu_block_runtime");
     find(library, clang.load, "wp_load_obj");
@@ -55,13 +55,13 @@ Clang load_clang()
     find(library, clang.triple, "wp_get_cpu_target_triple");
     find(library, clang.features, "wp_get_host_cpu_features");
     if (!clang.set_block_runtime(wp_cpu_block_runtime_get_api()))
-        throw std::runtime_error("warp.so and warp-clang.so do not fit together; install Warp again");
+        throw std::runtime_error("warp.so and warp-clang.so are of different builds; install Warp again");
     return clang;
 }
 
 const Clang& clang()
 {
-    static const Clang functions = load_clang(); // tried again where it failed
+    static const Clang functions = load_clang(); // if this throws, the next call tries again
     return functions;
 }
 
@@ -87,7 +87,7 @@ public:
     void replay(std::initializer_list<const char*>) override
     {
         if (!wp_apic_cpu_replay_graph(graph_))
-            throw std::runtime_error(std::string("the replay failed: ") + wp_get_error_string());
+            throw std::runtime_error(std::string("the launch of the graph failed: ") + wp_get_error_string());
     }
 
     const void* get(const char* name) override { return wp_apic_get_param_ptr(graph_, name); }
@@ -105,19 +105,21 @@ private:
             const char* file = wp_apic_get_kernel_module_binary_filename(graph_, i);
             const char* forward = wp_apic_get_kernel_forward_name(graph_, i);
             if (!file || !forward || std::strchr(file, '/'))
-                throw std::runtime_error(stem + ".wrp names no object for one of its kernels");
+                throw std::runtime_error(
+                    stem + ".wrp names no object file for one of its kernels; export the bundle again");
             if (!loaded.count(file)) {
                 const std::string path = stem + "_modules/" + file;
-                // Warp's linker ends the process at a file that isn't there.
+                // Warp's linker ends the process if the file does not exist.
                 if (!std::ifstream(path))
                     throw std::runtime_error(path + " is missing: copy the whole bundle");
                 if (clang().load(path.c_str(), (prefix + file).c_str(), false) != 0)
-                    throw std::runtime_error(path + " can't be loaded");
+                    throw std::runtime_error(path + " can't be loaded; export the bundle again");
                 modules_.push_back(loaded[file] = prefix + file);
             }
             void* function = reinterpret_cast<void*>(clang().lookup(loaded[file].c_str(), forward));
             if (!function)
-                throw std::runtime_error(std::string(file) + " lacks the kernel " + forward);
+                throw std::runtime_error(
+                    std::string(file) + " lacks the kernel " + forward + "; export the bundle again");
             wp_apic_register_loaded_cpu_kernel(
                 graph_, wp_apic_get_kernel_key(graph_, i), wp_apic_get_kernel_module_hash(graph_, i), function, nullptr
             );
@@ -139,8 +141,8 @@ private:
 
 std::unique_ptr<Graph> open_cpu_graph(const std::string& stem, const Target& target)
 {
-    // Machine code for another processor would not fail before it runs.
+    // Machine code for another processor would be loaded without an error and crash when it runs.
     if (target.processor != std::string(clang().triple()) + "\n" + clang().features())
-        throw std::runtime_error("the bundle is for another CPU: export it again with --cpu on this machine");
+        throw std::runtime_error("the bundle is for another CPU; export it again with --cpu on this machine");
     return std::make_unique<CpuGraph>(stem);
 }

@@ -1,4 +1,4 @@
-// Graphs on a GPU. The arrays that are asked for have a copy in page-locked memory of the host.
+// Graphs on a GPU. Every array that the host reads or writes has a copy in page-locked host memory.
 #include "graph.h"
 
 #include "warp.h"
@@ -22,12 +22,13 @@ public:
         if (!stream_)
             fail("the GPU can't be used");
         graph_ = wp_apic_load_graph(context_, (stem + ".wrp").c_str(), APIC_DEVICE_CUDA);
-        // The first plan must not wait for what can be done now.
+        // Instantiate the CUDA graph now, so that the first plan does not have to.
         const bool ready = graph_ && wp_apic_get_cuda_graph_exec(graph_) && wp_cuda_context_synchronize(context_);
         if (!ready) {
-            const std::string why = wp_get_error_string();
+            const std::string reason = wp_get_error_string();
             release();
-            throw std::runtime_error(stem + ".wrp can't be loaded: " + why + "; copy the whole bundle, or export again");
+            throw std::runtime_error(
+                stem + ".wrp can't be loaded: " + reason + "; copy the whole bundle, or export again");
         }
     }
 
@@ -37,31 +38,31 @@ public:
     {
         Copy* copy = find(name);
         std::memcpy(copy->host, values, size);
-        copy->fresh = false;
+        copy->is_current = false;
         if (!wp_memcpy_h2d(context_, copy->device, copy->host, size, stream_))
             fail("copying to the GPU failed");
     }
 
-    void replay(std::initializer_list<const char*> wanted) override
+    void replay(std::initializer_list<const char*> results) override
     {
         for (auto& [name, copy] : copies_)
-            copy.fresh = false;
+            copy.is_current = false;
         if (!wp_apic_launch(graph_, stream_))
-            fail("the replay failed");
-        for (const char* name : wanted)
+            fail("the launch of the graph failed");
+        for (const char* name : results)
             fetch(*find(name));
         wait();
-        for (const char* name : wanted)
-            find(name)->fresh = true;
+        for (const char* name : results)
+            find(name)->is_current = true;
     }
 
     const void* get(const char* name) override
     {
         Copy* copy = find(name);
-        if (copy && !copy->fresh) {
+        if (copy && !copy->is_current) {
             fetch(*copy);
             wait();
-            copy->fresh = true;
+            copy->is_current = true;
         }
         return copy ? copy->host : nullptr;
     }
@@ -71,14 +72,15 @@ private:
         void* device = nullptr;
         void* host = nullptr;
         size_t size = 0;
-        bool fresh = false; // whether the host has what the device has
+        bool is_current = false; // the host copy equals the device array
     };
 
+    // Returns the copy of an array, which is made on its first use; nullptr if there is no such array.
     Copy* find(const char* name)
     {
-        const auto known = copies_.find(std::string_view(name)); // allocates nothing
-        if (known != copies_.end())
-            return &known->second;
+        const auto existing = copies_.find(std::string_view(name)); // does not allocate
+        if (existing != copies_.end())
+            return &existing->second;
         Copy copy;
         copy.device = wp_apic_get_param_ptr(graph_, name);
         if (!copy.device)
@@ -86,7 +88,7 @@ private:
         copy.size = wp_apic_get_param_size(graph_, name);
         copy.host = wp_alloc_pinned(copy.size);
         if (!copy.host)
-            fail("there is no page-locked memory left");
+            fail("page-locked memory can't be allocated");
         return &(copies_[name] = copy);
     }
 
@@ -99,7 +101,7 @@ private:
     void wait()
     {
         if (!wp_cuda_stream_synchronize(stream_))
-            fail("the GPU has stopped");
+            fail("the GPU reported an error");
     }
 
     [[noreturn]] static void fail(const char* what)

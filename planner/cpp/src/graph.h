@@ -1,4 +1,4 @@
-// A captured plan on one device: its launches, and the arrays that they read and write, by their names in Python.
+// A captured plan on one device: its kernel launches, and the arrays that they read and write, by their Python names.
 #ifndef AERO_GRAPH_H
 #define AERO_GRAPH_H
 
@@ -10,12 +10,12 @@
 #include <memory>
 #include <string>
 
-// What goes wrong is thrown as std::runtime_error, in one sentence.
+// Errors are thrown as std::runtime_error, with a message of one sentence.
 class Graph {
 public:
     virtual ~Graph() = default;
 
-    // Size of an array; 0 where there is none of that name.
+    // Size of an array; 0 if there is no array of that name.
     size_t bytes(const char* name) const
     {
         return wp_apic_get_param_ptr(graph_, name) ? wp_apic_get_param_size(graph_, name) : 0;
@@ -24,17 +24,17 @@ public:
     // Overwrite the beginning of an array.
     virtual void put(const char* name, const void* values, size_t size) = 0;
 
-    // Run all launches and wait for them. The arrays in `wanted` come back along, which is faster than one by one.
-    virtual void replay(std::initializer_list<const char*> wanted) = 0;
+    // Run all launches and wait for them. The arrays in `results` are fetched at once, which is faster than one by one.
+    virtual void replay(std::initializer_list<const char*> results) = 0;
 
-    // What an array holds, nullptr where there is none of that name; stays where it is until the graph is gone.
+    // Contents of an array, or nullptr if there is none of that name. The pointer is valid as long as the graph.
     virtual const void* get(const char* name) = 0;
 
 protected:
     APICGraph* graph_ = nullptr;
 };
 
-// What a graph was captured for, as `target.txt` beside it says.
+// Versions and processor that a graph was captured for, read from `target.txt` beside it.
 struct Target {
     std::string warp;
     int32_t instances = 0;
