@@ -26,7 +26,7 @@ __all__ = [
     "FAULTS",
     "HARMLESS_AT_REST",
     "REACTIONS",
-    "REACTIONS_TO",
+    "REACTION_OVERRIDES",
     "TRANSITIONS",
     "Cause",
     "Inputs",
@@ -156,7 +156,7 @@ FAULTS = (
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
-REACTIONS_TO: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
+REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
     # The controls of an unsafe plan are the planner's own braking candidate, chosen with regard to obstacles.
     (State.BRAKING, (Cause.PLAN_UNSAFE,)): Reaction.BRAKE_AS_PLANNED,
     # The same is true of a stale cloud that the planner knows about: static obstacles are still where it saw them.
@@ -201,29 +201,29 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.ARMED_AT_START: lambda i, _: i.armed and not i.seen_disarmed,
     Cause.DISARMED: lambda i, _: not i.armed,
     Cause.ENGAGED: lambda i, _: i.armed and i.offboard,
-    Cause.LINK_LOST: lambda i, m: _exceeds(i.heartbeat_age, m.heartbeat_age),
-    Cause.STATE_STALE: lambda i, m: _exceeds(i.state_age, m.state_age),
+    Cause.LINK_LOST: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age),
+    Cause.STATE_STALE: lambda i, lim: _exceeds(i.state_age, lim.state_age),
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
     Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence,
-    Cause.LOOP_STALLED: lambda i, m: _exceeds(i.loop_age, m.deadline),
-    Cause.CLOUD_STALE: lambda i, m: _exceeds(i.cloud_age, m.cloud_age),
+    Cause.LOOP_STALLED: lambda i, lim: _exceeds(i.loop_age, lim.deadline),
+    Cause.CLOUD_STALE: lambda i, lim: _exceeds(i.cloud_age, lim.cloud_age),
     Cause.PLAN_NOT_FINITE: lambda i, _: not i.plan_finite,
-    Cause.PLAN_STALE: lambda i, m: _exceeds(i.plan_age, m.plan_age),
+    Cause.PLAN_STALE: lambda i, lim: _exceeds(i.plan_age, lim.plan_age),
     Cause.PLAN_UNSAFE: lambda i, _: i.plan_status != PlanStatus.OK,
     Cause.STOPPING: lambda i, _: i.stopping,
-    Cause.STATE_TIMEOUT: lambda i, m: _exceeds(i.state_age, m.state_age + m.blind_time),
-    Cause.LINK_TIMEOUT: lambda i, m: _exceeds(i.heartbeat_age, m.heartbeat_age + m.blind_time),
-    Cause.LOOP_TIMEOUT: lambda i, m: _exceeds(i.loop_age, m.deadline + m.blind_time),
-    Cause.BRAKE_TIMEOUT: lambda i, m: i.state_time > m.brake_time,
-    Cause.HOLD_TIMEOUT: lambda i, m: i.fault_time > m.brake_time + m.hold_time,
-    Cause.AT_REST: lambda i, m: not _is_blind(i, m) and i.speed <= m.speed_stopped,
-    Cause.GOAL_REACHED: lambda i, m: i.goal_distance <= m.arrival_radius,
+    Cause.STATE_TIMEOUT: lambda i, lim: _exceeds(i.state_age, lim.state_age + lim.blind_time),
+    Cause.LINK_TIMEOUT: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age + lim.blind_time),
+    Cause.LOOP_TIMEOUT: lambda i, lim: _exceeds(i.loop_age, lim.deadline + lim.blind_time),
+    Cause.BRAKE_TIMEOUT: lambda i, lim: i.state_time > lim.brake_time,
+    Cause.HOLD_TIMEOUT: lambda i, lim: i.fault_time > lim.brake_time + lim.hold_time,
+    Cause.AT_REST: lambda i, lim: not _is_blind(i, lim) and i.speed <= lim.speed_stopped,
+    Cause.GOAL_REACHED: lambda i, lim: i.goal_distance <= lim.arrival_radius,
     # The drone drifts a little while it holds, so a goal that was reached is left at a larger distance.
-    Cause.GOAL_MOVED: lambda i, m: (
-        _is_clear(i, m) and i.goal_distance > (1.0 if i.goal_new else 2.0) * m.arrival_radius
+    Cause.GOAL_MOVED: lambda i, lim: (
+        _is_clear(i, lim) and i.goal_distance > (1.0 if i.goal_new else 2.0) * lim.arrival_radius
     ),
-    Cause.ALL_CLEAR: lambda i, m: _is_clear(i, m),
-    Cause.STANDBY: lambda i, m: _is_clear(i, m) and not (i.armed and i.offboard),
+    Cause.ALL_CLEAR: lambda i, lim: _is_clear(i, lim),
+    Cause.STANDBY: lambda i, lim: _is_clear(i, lim) and not (i.armed and i.offboard),
 }
 
 
@@ -239,7 +239,7 @@ def find_faults(inputs: Inputs, limits: LimitSettings) -> tuple[Cause, ...]:
 
 def reaction_to(state: State, faults: tuple[Cause, ...]) -> Reaction:
     """Return the reaction in `state` while `faults`, in the order of `FAULTS`, are present."""
-    return REACTIONS_TO.get((state, faults), REACTIONS[state])
+    return REACTION_OVERRIDES.get((state, faults), REACTIONS[state])
 
 
 def _is_clear(inputs: Inputs, limits: LimitSettings) -> bool:

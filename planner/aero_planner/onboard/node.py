@@ -62,7 +62,7 @@ class Node:
             always replaces this one.
         clock: Host time [s], the same as that of link and LiDAR.
         observers: The flight log and the telemetry server, for example; closed with the node.
-        failsafe: Process that brakes if this whole process does not; closed with the node. None flies without it.
+        failsafe: Process that brakes if this whole process does not; closed with the node. None: fly without it.
 
     Raises:
         ValueError: The configurations of planner and node contradict each other, or the goal is invalid.

@@ -11,8 +11,8 @@ from aero_planner.onboard.failsafe_table import (
     COMMANDING,
     DETECTION,
     FAULTS,
+    REACTION_OVERRIDES,
     REACTIONS,
-    REACTIONS_TO,
     TRANSITIONS,
     Cause,
     Reaction,
@@ -67,10 +67,10 @@ def format_failsafes(config: OnboardConfig | None = None) -> str:
 def _reactions(state: State) -> str:
     """Return the names of the reactions in `state`, with the faults that select each exception."""
     exceptions: dict[Reaction, list[str]] = {}
-    for (exception_state, causes), reaction in REACTIONS_TO.items():
+    for (exception_state, causes), reaction in REACTION_OVERRIDES.items():
         if exception_state is state:
             exceptions.setdefault(reaction, []).append(" and ".join(_words(cause) for cause in causes))
-    texts = [f"{reaction.name} if the only fault is: {' or '.join(names)}" for reaction, names in exceptions.items()]
+    texts = [f"{reaction.name} if the only faults are {', or '.join(names)}" for reaction, names in exceptions.items()]
     return "; ".join((REACTIONS[state].name, *texts))
 
 

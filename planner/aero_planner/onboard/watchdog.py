@@ -80,7 +80,7 @@ class Watchdog:
         self._deadline = deadline
         self._blind_time = blind_time
         self._name = name
-        # Written only by the loop, which replaces it whole.
+        # Written only by the loop, which replaces it as a whole.
         self._heartbeat = Heartbeat(math.nan, None, None)
         # The last action in place of the loop, and the heartbeats after which it last acted and last braked.
         self._own_action = self._heartbeat

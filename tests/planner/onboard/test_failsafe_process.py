@@ -20,10 +20,9 @@ import pytest
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.dead_reckoning import MotionState
-from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
+from aero_planner.onboard.failsafe_process import FailsafeProcess, HeartbeatMemory, takeover_time
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.frames import flu_from_frd
-from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
