@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalInt, OptionalPath
+from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalInt, OptionalPath, flight_rules
 from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.errors import UserError
 
@@ -76,7 +76,7 @@ def bench(
                 lidar=lidar,
                 batch=batch,
                 resume=resume,
-                rules=flight_flags.flight_rules(),
+                rules=flight_rules(flight_flags.rules),
                 noise=flight_flags.state_noise(),
                 drone=flight_flags.drone_changes,
                 sensor=flight_flags.lidar_changes,

@@ -127,8 +127,11 @@ class ConfigFlags:
     """Preset (default, paper, ..) or YAML file."""
     planner: Inline[PlannerFlags] = dataclasses.field(default_factory=PlannerFlags)
 
-    def load(self) -> PlannerConfig:
+    def load(self, *, speed: float | None = None) -> PlannerConfig:
         """Return the configuration that the flags describe.
+
+        Args:
+            speed: speed limit [m/s], which overrides the other flags; None keeps theirs.
 
         Raises:
             UserError: a name, file or value is wrong.
@@ -138,6 +141,8 @@ class ConfigFlags:
             for section, flags in vars(self.planner).items()
             for name, value in _set_values(flags).items()
         }
+        if speed is not None:
+            changes["vehicle.speed_limit"] = speed
         try:
             return config_from_name(self.config).replace(changes)
         except (ValueError, OSError) as error:
@@ -163,10 +168,6 @@ class FlightFlags:
         """The values of the drone flags that were set, by parameter name."""
         return _set_values(self.drone)
 
-    def flight_rules(self) -> FlightRules:
-        """Return the rules; raises ValueError."""
-        return flight_rules(self.rules)
-
     def state_noise(self) -> StateNoise | None:
         """Return the noise of the state estimate, or None where no noise flag was set; raises ValueError."""
         values = _set_values(self.noise)
@@ -186,7 +187,7 @@ class FlightFlags:
         return {
             "lidar": dataclasses.replace(lidar_model(lidar), **self.lidar_changes),
             "vehicle": VehicleModel.from_config(config, **self.drone_changes),
-            "rules": self.flight_rules(),
+            "rules": flight_rules(self.rules),
             "noise": self.state_noise(),
         }
 

@@ -68,8 +68,7 @@ def fly(
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")
-        config = config_flags.load()
-        config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+        config = config_flags.load(speed=speed)
         opener = flight_opener(world, world_flags, flight_flags, config, lidar=lidar, device=device)
         return serve(world, opener, config, page_flags, seed=seed, device=device, log=log)
     if page_flags != PageFlags():

@@ -82,8 +82,7 @@ def tune(
         raise UserError("--flights and --check must be at least 1.")
     if output is not None:
         _check_output(output, overwrite=overwrite)
-    config = config_flags.load()
-    config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+    config = config_flags.load(speed=speed)
     ranges = parse_ranges(over, config)
     fixed_world = None if world in SCENES else world_flags.load(world, seed=seed)
     worlds = [fixed_world or world_flags.load(world, seed=seed + i) for i in range(flights + check_flights)]

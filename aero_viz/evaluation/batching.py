@@ -9,10 +9,19 @@ import warp as wp
 from aero_planner.warp_init import init_warp
 from aero_viz.errors import UserError
 
-__all__ = ["Progress", "default_batch"]
+__all__ = ["Progress", "batch_progress", "default_batch"]
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of finished flights, the total number, and a description of the current work."""
+
+
+def batch_progress(report: Progress, label: str, *, before: int, total: int) -> Callable[[int, int, float], None]:
+    """Return a progress callback for one batch of `total` flights, of which `before` finished in earlier batches."""
+
+    def update(finished: int, flights: int, seconds: float) -> None:
+        report(before + finished, total, f"{label}: {seconds:.1f} s, {finished} of {flights} finished")
+
+    return update
 
 
 def default_batch(device: str) -> int:

@@ -15,12 +15,9 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
-__all__ = ["NodeProcess", "node_command"]
+__all__ = ["NodeProcess"]
 
-
-def node_command(config_file: Path) -> list[str]:
-    """Return the command line that flies with the configuration in a file, as on the drone."""
-    return [sys.executable, "-m", "aero_planner", "run", "--config", str(config_file)]
+_NODE_COMMAND = (sys.executable, "-m", "aero_planner", "run", "--config", "{config}")  # as on the drone
 
 
 class NodeProcess:
@@ -46,7 +43,7 @@ class NodeProcess:
         config_file = Path(self._folder.name) / "flight.yaml"
         config_file.write_text(format_config(planner) + "\n" + format_onboard(onboard), encoding="utf-8")
         self._log_file = Path(self._folder.name) / "node.log"
-        self._command = [part.replace("{config}", str(config_file)) for part in command or node_command(config_file)]
+        self._command = [part.replace("{config}", str(config_file)) for part in command or _NODE_COMMAND]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:

@@ -120,16 +120,13 @@ def fly_rig(
 
 def _rig_settings(lidar: LidarModel, lidar_port: int, mavlink_port: int) -> dict[str, Any]:
     """Return the node's settings that depend on the rig, by path."""
-    settings: dict[str, Any] = {
+    mount = zip(("x", "y", "z", "roll", "pitch", "yaw"), lidar.mount_position + lidar.mount_angles, strict=True)
+    return {
         "lidar.host": _HOST,
         "lidar.port": lidar_port,
         "mavlink.url": f"udpin:{_HOST}:{mavlink_port}",
+        **{f"lidar.mount_{name}": value for name, value in mount},
     }
-    for name, value in zip(("x", "y", "z"), lidar.mount_position, strict=True):
-        settings[f"lidar.mount_{name}"] = value
-    for name, value in zip(("roll", "pitch", "yaw"), lidar.mount_angles, strict=True):
-        settings[f"lidar.mount_{name}"] = value
-    return settings
 
 
 def _free_ports(count: int) -> list[int]:

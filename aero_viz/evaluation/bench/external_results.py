@@ -96,7 +96,7 @@ def _load_table(path: Path) -> list[Mapping[str, Any]]:
     columns, rows = _read_csv(path)
     _check_columns(path, columns)
     flights = []
-    for number, row in enumerate(rows, start=2):
+    for number, row in rows:
         try:
             flight: dict[str, Any] = {name: row[name] for name in ("scene", "config")}
             flight |= {name: float(row[name]) if row[name] else None for name in _NUMBERS}
@@ -116,12 +116,12 @@ def _check_columns(path: Path, columns: Sequence[str]) -> None:
         raise UserError(f"{path} {problem}; {_FORMATS}.")
 
 
-def _read_csv(path: Path) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the names of the columns and the rows."""
+def _read_csv(path: Path) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
+    """Return the names of the columns and the rows with their line numbers."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            return list(reader.fieldnames or ()), list(reader)
+            return list(reader.fieldnames or ()), [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not CSV text"
         raise UserError(f"Cannot read {path}: {reason or error}; {_FORMATS}.") from error

@@ -8,14 +8,14 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, default_batch
+from aero_viz.evaluation.batching import Progress, batch_progress, default_batch
 from aero_viz.evaluation.bench.machine import hardware, versions
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
@@ -170,7 +170,7 @@ def run_benchmark(
             flight_batch = _build(part, worlds, device=device, lidar=models[lidar or part[0].row.lidar], noise=noise)
             built = time.perf_counter()
             label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
-            results = flight_batch.run(progress=partial(_report_batch, report, label, len(done), run.total))
+            results = flight_batch.run(progress=batch_progress(report, label, before=len(done), total=run.total))
             about_batch = {
                 "batch": number,
                 "batch_size": len(part),
@@ -266,10 +266,3 @@ def _build(
         )
     except ValueError as error:
         raise UserError(f"Cannot fly {part[0].row.label!r}: {error}") from error
-
-
-def _report_batch(
-    report: Progress, label: str, before: int, total: int, finished: int, batch: int, seconds: float
-) -> None:
-    """Report the progress of a batch as part of that of the whole benchmark."""
-    report(before + finished, total, f"{label}: {seconds:.1f} s, {finished} of {batch} finished")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, default_batch
+from aero_viz.evaluation.batching import Progress, batch_progress, default_batch
 from aero_viz.evaluation.tune.search_space import ParameterRange, draw_candidates
 from aero_viz.evaluation.tune.tuning_result import Check, Score, TuningResult
 from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
@@ -78,7 +77,8 @@ def tune(
         candidates,
         (*worlds, *fresh_worlds),
         size=batch or default_batch(device),
-        report=lambda finished, text: progress and progress(finished, total, text),
+        report=progress or (lambda finished, total, text: None),
+        total=total,
         seed=seed,
         device=device,
         lidar=lidar,
@@ -118,7 +118,8 @@ class _Flights:
         candidates: configurations of the candidates.
         worlds: all worlds.
         size: largest number of simultaneous flights.
-        report: called with the number of finished flights and a description of the current work.
+        report: called as flights finish.
+        total: number of all flights.
         seed: seed of the first flight.
         options: options of `FlightBatch`.
     """
@@ -129,14 +130,15 @@ class _Flights:
         worlds: Sequence[World],
         *,
         size: int,
-        report: Callable[[int, str], Any],
+        report: Progress,
+        total: int,
         seed: int,
         **options: Any,
     ) -> None:
         self.results: dict[tuple[int, int], FlightResult] = {}
         """Results of the finished flights, by candidate and world."""
         self._candidates, self._worlds, self._options = candidates, worlds, options
-        self._size, self._report, self._seed = size, report, seed
+        self._size, self._report, self._total, self._seed = size, report, total, seed
 
     def fly(self, pairs: Sequence[tuple[int, int]], label: str) -> None:
         """Fly pairs of candidate and world.
@@ -146,7 +148,7 @@ class _Flights:
         """
         for first in range(0, len(pairs), self._size):
             part = pairs[first : first + self._size]
-            self._report(len(self.results), label)
+            self._report(len(self.results), self._total, label)
             batch = FlightBatch(
                 [self._worlds[w] for _, w in part],
                 config=[self._candidates[c] for c, _ in part],
@@ -155,7 +157,8 @@ class _Flights:
                 **self._options,
             )
             self._seed += len(part)
-            results = batch.run(progress=partial(self._report_batch, label, len(self.results)))
+            progress = batch_progress(self._report, label, before=len(self.results), total=self._total)
+            results = batch.run(progress=progress)
             batch.planner.close()
             self.results |= {pair: result for pair, result in zip(part, results, strict=True) if result.reason}
             if batch.interrupted:
@@ -168,6 +171,3 @@ class _Flights:
     def rank(self, candidates: Iterable[int], worlds: Sequence[int]) -> list[int]:
         """Return candidates, the best in these worlds first. Of equal ones, such as the incumbent, the first wins."""
         return sorted(candidates, key=lambda c: (Score.from_results(self.results_of(c, worlds)).rank, c))
-
-    def _report_batch(self, label: str, before: int, finished: int, flights: int, seconds: float) -> None:
-        self._report(before + finished, f"{label}: {seconds:.1f} s, {finished} of {flights} finished")
