@@ -12,14 +12,7 @@ from aero_viz.session.source import Source
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["is_map", "load_world", "open_source", "source_choices"]
-
-
-def source_choices() -> dict[str, str]:
-    """Return the descriptions of the sources that need no file, by name."""
-    from aero_viz.scenes import SCENES
-
-    return {name: kind.description for name, kind in SCENES.items()}
+__all__ = ["is_map", "load_world", "open_source"]
 
 
 def is_map(spec: str) -> bool:

@@ -5,14 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aero_viz.catalog import load_world, open_source, source_choices
+from aero_viz.catalog import load_world, open_source
 from aero_viz.errors import UserError
 from aero_viz.scenes import World
 
 
-def test_every_choice_opens() -> None:
-    choices = source_choices()
-    assert "forest" in choices
+def test_a_scene_opens_as_a_flight() -> None:
     source = open_source("forest", seed=3)
     assert source.info.closed_loop
     assert source.observe().points.shape[1] == 3

@@ -196,8 +196,8 @@ def serve(
     log: OptionalPath = None,
 ) -> None:
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
-    from aero_viz.catalog import source_choices
     from aero_viz.dashboard import Dashboard
+    from aero_viz.scenes import SCENES
     from aero_viz.session import Session
 
     with contextlib.ExitStack() as stack:
@@ -209,7 +209,7 @@ def serve(
             host=page_flags.host,
             port=page_flags.port,
             open_source=opener,
-            choices=[(f"{name}: {text}", name) for name, text in source_choices().items()],
+            choices=[(f"{name}: {kind.description}", name) for name, kind in SCENES.items()],
             seed=seed,
         )
         stack.callback(dashboard.close)

@@ -52,8 +52,10 @@ class StateEstimate:
     def __init__(self, noise: StateNoise | None, vehicle: Vehicle, *, period: float, seeds: Sequence[int]) -> None:
         self._noise: Any = None
         self._vehicle = vehicle
-        self.position, self.velocity, self.quaternion = vehicle.position, vehicle.velocity, vehicle.quaternion
-        self.position_before, self.quaternion_before = vehicle.position_before, vehicle.quaternion_before
+        names = ("position", "velocity", "quaternion", "position_before", "quaternion_before")
+        arrays = [getattr(vehicle, name) for name in names]
+        self._arrays = arrays if noise is None else [wp.clone(array) for array in arrays]
+        self.position, self.velocity, self.quaternion, self.position_before, self.quaternion_before = self._arrays
         if noise is None:
             return
         self._noise = NoiseParameters()
@@ -63,9 +65,6 @@ class StateEstimate:
         with wp.ScopedDevice(vehicle.position.device):
             self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds], dtype=int)
             self._errors = wp.zeros(len(seeds), dtype=Errors)
-        names = ("position", "velocity", "quaternion", "position_before", "quaternion_before")
-        self._arrays = [wp.clone(getattr(vehicle, name)) for name in names]
-        self.position, self.velocity, self.quaternion, self.position_before, self.quaternion_before = self._arrays
 
     def update(self, tick: int, *, finished: wp.array) -> None:
         """Estimate the current states of the vehicles at the end of a tick.

@@ -38,11 +38,9 @@ class FlightRecorder(Protocol):
 
     def write(self, frame: Frame) -> None:
         """Take the frame of a plan."""
-        ...
 
     def write_pose(self, time: float, state: VehicleState) -> None:
         """Take the true state at a time [s]: at the start and after every tick."""
-        ...
 
 
 def fly(

@@ -130,13 +130,17 @@ class Vehicle:
                 interpolated linearly.
             tick: number of periods flown, which selects the random numbers of the gusts.
         """
-        state = [self.position, self.velocity, self.quaternion, self.acceleration, self.control]
-        outputs = [*state, self.recent_commands, self.wind, self.position_before, self.quaternion_before, self.trail]
         inputs = [self._parameters, tick, self._seeds, commands, phase, finished]
-        wp.launch(fly_kernel, len(self.position), inputs=inputs, outputs=outputs, device=self.position.device)
+        wp.launch(
+            fly_kernel,
+            len(self.position),
+            inputs=inputs,
+            outputs=[*self.state(), self.trail],
+            device=self.position.device,
+        )
 
     def state(self) -> list[wp.array]:
-        """Return the arrays that a checkpoint holds."""
+        """Return the arrays that a checkpoint holds, in the order of the kernel's arguments."""
         state = [self.position, self.velocity, self.quaternion, self.acceleration, self.control]
         return [*state, self.recent_commands, self.wind, self.position_before, self.quaternion_before]
 

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.warp_init import init_warp
 from aero_viz.scenes.clearance_kernels import distance_kernel, flood_kernel, mesh_distance_kernel
-from aero_viz.scenes.device_worlds import device_primitives
+from aero_viz.scenes.device_worlds import pack_primitives
+from aero_viz.scenes.geometry import Primitive
 from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
@@ -79,7 +80,8 @@ class ClearanceGrid:
         distance = wp.full(shape, distance_max, dtype=float, device="cpu")
         box_lower, box_upper = primitive_bounds(world.cylinders, world.boxes, world.spheres)
         boxes = [wp.array(b, dtype=wp.vec3, device="cpu") for b in (box_lower - distance_max, box_upper + distance_max)]
-        inputs = [device_primitives(world), *boxes, wp.vec3(*corner), cell]
+        primitives = wp.array(pack_primitives(world), dtype=Primitive, device="cpu")
+        inputs = [primitives, *boxes, wp.vec3(*corner), cell]
         wp.launch(distance_kernel, len(box_lower), inputs=inputs, outputs=[distance], device="cpu")
         if len(world.triangles):
             tree = TriangleTree(world.triangles)
@@ -136,9 +138,10 @@ def _search_box(
     low, high = min(low, ends[:, 2].min()), max(high, ends[:, 2].max())
     if region is None:
         box_lower, box_upper = primitive_bounds(np.zeros((0, 8)), world.boxes[~world.ground], np.zeros((0, 4)))
-        corners = [ends, world.cylinders[:, :3], world.spheres[:, :3], box_lower, box_upper]
-        corners.append(world.triangles.reshape(-1, 3))
-        corners = np.vstack(corners)[:, :2]
+        triangles = world.triangles.reshape(-1, 3)
+        corners = np.vstack([ends, world.cylinders[:, :3], world.spheres[:, :3], box_lower, box_upper, triangles])[
+            :, :2
+        ]
     else:
         corners = np.vstack([ends[:, :2], np.asarray(region, dtype=np.float64).reshape(2, 2)])
     return np.array([*corners.min(axis=0), low]), np.array([*corners.max(axis=0), high])

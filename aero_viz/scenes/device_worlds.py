@@ -18,7 +18,7 @@ from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
 
-__all__ = ["COLUMNS_PRIMITIVES_MAX", "DeviceWorlds", "device_primitives"]
+__all__ = ["COLUMNS_PRIMITIVES_MAX", "DeviceWorlds", "pack_primitives"]
 
 COLUMNS_PRIMITIVES_MAX = 5000
 """Worlds with more primitives (maps) get cubic cells instead of columns."""
@@ -32,11 +32,6 @@ _CUBES_MAX = 4_000_000  # approximate limit
 _LARGE = 2000.0  # [m^2]; primitives that cover more, such as the ground, are tested for every ray
 
 _Pieces = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
-
-
-def device_primitives(world: World, *, device: Any = "cpu") -> wp.array:
-    """Return the cylinders, boxes and spheres of a world, in this order, as `Primitive` [P] on a device."""
-    return wp.array(_pack(world), dtype=Primitive, device=device)
 
 
 class DeviceWorlds:
@@ -55,7 +50,7 @@ class DeviceWorlds:
     def __init__(self, worlds: Sequence[World], *, device: Any = "cpu") -> None:
         unique = list({id(world): world for world in worlds}.values())
         position = {id(world): i for i, world in enumerate(unique)}
-        primitives = [_pack(world) for world in unique]
+        primitives = [pack_primitives(world) for world in unique]
         first = np.concatenate([[0], np.cumsum([len(p) for p in primitives])])
         grids = np.zeros(len(unique), dtype=_dtype(Grid))
         counts, entries, large = [np.zeros(1, dtype=int)], [], []
@@ -92,7 +87,8 @@ def _dtype(struct: Any) -> np.dtype[Any]:
     return np.dtype(struct.numpy_dtype())
 
 
-def _pack(world: World) -> NDArray[Any]:
+def pack_primitives(world: World) -> NDArray[Any]:
+    """Return the cylinders, boxes and spheres of a world, in this order, as `Primitive`, structured array [P]."""
     rows = np.zeros(len(world.cylinders) + len(world.boxes) + len(world.spheres), dtype=_dtype(Primitive))
     cylinders, boxes, spheres = np.split(rows, np.cumsum([len(world.cylinders), len(world.boxes)]))
     cylinders["kind"], boxes["kind"], spheres["kind"] = CYLINDER, BOX, SPHERE

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_viz.scenes.triangles import mesh_distance
+from aero_viz.scenes.triangles import FAR, mesh_distance
 
 __all__ = ["BOX", "CYLINDER", "FAR", "SPHERE", "Entry", "Geometry", "Grid", "Primitive"]
 __all__ += ["primitive_distance", "rotate_z", "world_distance"]
@@ -17,7 +17,6 @@ wp.set_module_options({"enable_backward": False})
 CYLINDER = wp.constant(0)
 BOX = wp.constant(1)
 SPHERE = wp.constant(2)
-FAR = wp.constant(1.0e9)
 
 
 @wp.struct

@@ -61,9 +61,7 @@ def read_mesh(path: str | Path) -> Points:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (*_MESHES, ".ply"):
-        return np.zeros((0, 9))
-    if suffix == ".ply" and not _read(path, "mesh", _has_faces):
+    if suffix not in _MESHES and not (suffix == ".ply" and _read(path, "mesh", _has_faces)):
         return np.zeros((0, 9))
     triangles = _read(path, "mesh", _read_triangles)
     if not len(triangles):

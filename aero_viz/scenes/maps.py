@@ -159,15 +159,15 @@ def _choose_ends(
         error = np.linalg.norm(positions[..., :2] - (centre if goal is None else goal[:2]), axis=-1)
         if goal is not None:
             error = np.abs(error - DISTANCE_MAX)
-        start = _best(positions, free, grid.distance - 0.05 * error, "start", path)
+        start = _best_position(positions, free, grid.distance - 0.05 * error, "start", path)
     if goal is None:
         reachable = grid.reachable(start, threshold=math.hypot(DRONE_RADIUS, 0.5 * cell))
         distance = np.linalg.norm(positions - start, axis=-1)
-        goal = _best(positions, free & reachable & (distance <= DISTANCE_MAX), distance, "goal", path)
+        goal = _best_position(positions, free & reachable & (distance <= DISTANCE_MAX), distance, "goal", path)
     return start, goal
 
 
-def _best(positions: Array, allowed: NDArray[np.bool_], score: Array, name: str, path: str | Path) -> Array:
+def _best_position(positions: Array, allowed: NDArray[np.bool_], score: Array, name: str, path: str | Path) -> Array:
     if not allowed.any():
         raise UserError(
             f"The map {path} has no free place {HEIGHT:g} m above its ground for the {name}; give start and goal."

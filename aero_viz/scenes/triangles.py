@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.warp_init import init_warp
 
-__all__ = ["TriangleTree", "mesh_distance", "mesh_range"]
+__all__ = ["FAR", "TriangleTree", "mesh_distance", "mesh_range"]
 
 wp.set_module_options({"enable_backward": False})
 
-_FAR = wp.constant(1.0e9)
+FAR = wp.constant(1.0e9)
 
 
 @wp.func
@@ -36,7 +36,7 @@ def mesh_range(mesh: wp.uint64, origin: wp.vec3, direction: wp.vec3, limit: floa
     """Distance along a unit direction to the nearest triangle, hit from either side [m]; inf as in `mesh_distance`."""
     if mesh == wp.uint64(0):
         return wp.inf
-    query = wp.mesh_query_ray(mesh, origin, direction, wp.min(limit, _FAR))
+    query = wp.mesh_query_ray(mesh, origin, direction, wp.min(limit, FAR))
     return wp.where(query.result, query.t, wp.inf)
 
 
@@ -51,7 +51,7 @@ def nearest_kernel(
     face: wp.array(dtype=int),  # [n]
 ):
     i = wp.tid()
-    query = wp.mesh_query_point_no_sign(mesh, points[i], _FAR)
+    query = wp.mesh_query_point_no_sign(mesh, points[i], FAR)
     distance[i] = wp.length(wp.mesh_eval_position(mesh, query.face, query.u, query.v) - points[i])
     face[i] = query.face
 

@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 from playwright.sync_api import Browser, Locator, Page
 
 from aero_planner import PlannerConfig
-from aero_viz.catalog import open_source, source_choices
+from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.flight import FlightSource
-from aero_viz.scenes import scene
+from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
 from aero_viz.session.source import Source
 from tests.browser.pictures import Image, differing, project
@@ -162,7 +162,7 @@ def open_desk(
     for _ in range(ticks):
         session.tick()
     session.start(play=False)
-    choices = [(f"{name}: {description}", name) for name, description in source_choices().items()]
+    choices = [(f"{name}: {kind.description}", name) for name, kind in SCENES.items()]
     dashboard = Dashboard(session, port=0, open_source=open_source, choices=choices)
     dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)

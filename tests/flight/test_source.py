@@ -40,6 +40,12 @@ def fly(source: Source, planner: Planner, ticks: int):
     return seen
 
 
+def assert_equal_flights(first, second):
+    for a, b in zip(first, second, strict=True):
+        for x, y in zip(a, b, strict=True):
+            np.testing.assert_array_equal(x, y)
+
+
 def test_first_observation(source):
     now = source.observe()
     assert (now.time, now.sweep_count, source.outcome, source.info.period) == (0.0, 10, None, 0.02)
@@ -80,9 +86,7 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
     fly(source, planner, 3)
     source.restore(checkpoint)
     planner.restore(history)
-    for a, b in zip(first, fly(source, planner, 12), strict=True):
-        for x, y in zip(a, b, strict=True):
-            np.testing.assert_array_equal(x, y)
+    assert_equal_flights(first, fly(source, planner, 12))
 
 
 @pytest.mark.parametrize("noise", [None, StateNoise(position=0.2, velocity=0.1, attitude=1.0)], ids=["exact", "noisy"])
@@ -101,24 +105,22 @@ def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monk
     source.restore(checkpoint)
     planner.restore(history)
     np.testing.assert_array_equal(source.observe().points, before.points)
-    for a, b in zip(first, fly(source, planner, 60), strict=True):
-        for x, y in zip(a, b, strict=True):
-            np.testing.assert_array_equal(x, y)
+    assert_equal_flights(first, fly(source, planner, 60))
 
 
 def test_checkpoints_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
     monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)
     tracemalloc.start()
     try:
-        source, marks = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4), []
+        source, checkpoints = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4), []
         fly(source, planner, 60)
         gc.collect()
         before = tracemalloc.get_traced_memory()[0]
         for _ in range(100):
-            marks.append((source.checkpoint(), planner.history()))
+            checkpoints.append((source.checkpoint(), planner.history()))
             fly(source, planner, 1)
         gc.collect()
-        each = (tracemalloc.get_traced_memory()[0] - before) / len(marks)
+        each = (tracemalloc.get_traced_memory()[0] - before) / len(checkpoints)
     finally:
         tracemalloc.stop()
     assert 30_000 * each + CACHED_BYTES < 128e6

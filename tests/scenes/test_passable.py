@@ -39,13 +39,13 @@ def test_gap_above_the_band_counts_only_where_the_band_allows():
 
 
 @pytest.mark.parametrize("half", [0.3, 0.55, 0.9])
-def test_widest_radius_is_just_below_half_the_gap(half):
+def test_the_answer_changes_within_a_cell_of_half_the_gap(half):
     world = walled(2.0 * half)
     assert is_passable(world, radius=half - 0.09, region=REGION)
     assert not is_passable(world, radius=half + 1e-3, region=REGION)
 
 
-def test_start_limits_the_radius():
+def test_the_clearance_of_the_start_limits_the_radius():
     world = World("free", START, GOAL, spheres=np.array([[0.0, 2.0, 2.0, 1.0], [5.0, 3.5, 2.0, 0.1]]))
     assert is_passable(world, radius=0.91) and not is_passable(world, radius=1.001)
 
