@@ -102,10 +102,13 @@ class FlightBatch:
     ) -> None:
         if len(worlds) == 0:
             raise ValueError("there are no worlds to fly; give one per flight.")
-        config = config or PlannerConfig()
+        config = PlannerConfig() if config is None else config
         configs = [config] * len(worlds) if isinstance(config, PlannerConfig) else list(config)
         names = {id(c): config_name_of(c) for c in configs} if config_names is None else {}
-        self._config_names = list(config_names or (names[id(c)] for c in configs))
+        self._config_names = [names[id(c)] for c in configs] if config_names is None else list(config_names)
+        for noun, values in (("configurations", configs), ("names of configurations", self._config_names)):
+            if len(values) != len(worlds):
+                raise ValueError(f"{len(values)} {noun} were given for {len(worlds)} flights; give one for each.")
         self._worlds = list(worlds)
         self._seeds = [seed + b for b in range(len(worlds))]
         self._plan_ms: list[float] = []

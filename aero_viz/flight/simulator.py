@@ -12,15 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.warp_init import init_warp
 from aero_viz.flight.estimate import StateEstimate, StateNoise
-from aero_viz.flight.flight_end import (
-    ARRIVED,
-    FLYING,
-    STALL,
-    TIMEOUT,
-    FlightRecord,
-    clearance_kernel,
-    judge_kernel,
-)
+from aero_viz.flight.flight_end import ARRIVED, FLYING, STALL, TIMEOUT, FlightRecord, clearance_kernel, judge_kernel
 from aero_viz.flight.metrics import initial_records, pack_rules
 from aero_viz.flight.rules import OUTCOMES, FlightRules
 from aero_viz.flight.vehicle import Vehicle, VehicleModel

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -21,7 +20,7 @@ WriteRow = Callable[[float, ArrayLike, ArrayLike], None]
 def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
     """Give the context a function that appends a row: time [s], position [m], velocity [m/s]. For None it does nothing.
 
-    Every row is flushed, so that a killed flight leaves a readable file.
+    Every row is written at once, so that a killed flight leaves a readable file.
 
     Raises:
         UserError: the file cannot be written.
@@ -29,19 +28,14 @@ def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
     if path is None:
         yield lambda time, position, velocity: None
         return
-    try:
-        file = open(path, "w", newline="", encoding="utf-8")  # noqa: SIM115 (closed below; opening has its own error)
-    except OSError as error:
-        raise _failed(path, error) from error
+    with _errors_named(path):
+        # Without a buffer: closing the file on a full disk has nothing left to write.
+        file = open(path, "wb", buffering=0)  # noqa: SIM115 (closed below; opening has its own error)
     with file:
-        writer = csv.writer(file)
 
-        def write(*values: object) -> None:
-            try:
-                writer.writerow(values)
-                file.flush()
-            except OSError as error:
-                raise _failed(path, error) from error
+        def write(*cells: str) -> None:
+            with _errors_named(path):
+                file.write((",".join(cells) + "\r\n").encode())
 
         def write_row(time: float, position: ArrayLike, velocity: ArrayLike) -> None:
             write(*(f"{value:.6f}" for value in (time, *np.asarray(position), *np.asarray(velocity))))
@@ -50,5 +44,9 @@ def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
         yield write_row
 
 
-def _failed(path: str | Path, error: OSError) -> UserError:
-    return UserError(f"Cannot write the trajectory {path}: {error.strerror or error}.")
+@contextlib.contextmanager
+def _errors_named(path: str | Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"Cannot write the trajectory {path}: {error.strerror or error}.") from error

@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
-from aero_planner.onboard.ros_messages import (
-    DEFINITIONS,
-    Encoded,
-    goal_message,
-    plan_messages,
-    pose_messages,
-    sweep,
-)
+from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, goal_message, plan_messages, pose_messages, sweep
 from aero_planner.quaternions import conjugate, multiply, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.session import Session

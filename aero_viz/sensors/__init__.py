@@ -7,12 +7,4 @@ from aero_viz.sensors.coverage import coverage
 from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, lidar_model
 from aero_viz.sensors.raycast import cast
 
-__all__ = [
-    "LIDARS",
-    "DeviceWorlds",
-    "Lidar",
-    "LidarModel",
-    "cast",
-    "coverage",
-    "lidar_model",
-]
+__all__ = ["LIDARS", "DeviceWorlds", "Lidar", "LidarModel", "cast", "coverage", "lidar_model"]

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 import signal
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -242,6 +243,15 @@ def test_invalid_options_are_refused_in_one_sentence(sparse, options, expected):
 def test_trajectory_that_cannot_be_written_is_named(sparse, tmp_path):
     with pytest.raises(UserError, match="no_folder"):
         fly(sparse, config=CONFIG, lidar=LIDAR, trajectory=tmp_path / "no_folder" / "t.csv")
+    if Path("/dev/full").exists():
+        with pytest.raises(UserError, match="Cannot write the trajectory /dev/full: No space left on device"):
+            fly(sparse, config=CONFIG, lidar=LIDAR, trajectory="/dev/full")
+
+
+@pytest.mark.parametrize("options", [{"config": []}, {"config": [CONFIG] * 3}, {"config_names": ["one"]}])
+def test_configurations_and_names_must_be_one_per_flight(sparse, options):
+    with pytest.raises(ValueError, match=r"were given for 2 flights; give one for each"):
+        FlightBatch([sparse, sparse], **({"config": CONFIG, "lidar": LIDAR} | options))
 
 
 def test_no_worlds():

@@ -164,10 +164,7 @@ def test_invalid_goals_are_refused(source, goal):
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
-        (
-            [10.0, 5.0, 3.0],
-            r"\(10, 5, 3\) lies inside an obstacle .* 0\.\d+ m deep in .*\. The goal stays",
-        ),
+        ([10.0, 5.0, 3.0], r"\(10, 5, 3\) lies inside an obstacle .* 0\.\d+ m deep in .*\. The goal stays"),
         ([10.0, 5.0, -0.4], r"lies 0\.40 m below the ground"),
         ([10.0, 5.0, -4.0], r"lies 4\.00 m below the ground"),
         ([1e30, 0.0, 2.0], r"\(1e\+30, 0, 2\) lies outside the bounds .* x -?\d+ to \d+"),
