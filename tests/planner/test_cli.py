@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from aero_planner import Planner, PlannerConfig
 from aero_planner.cli import main
 from aero_planner.onboard.settings import OnboardConfig, load_flight_config
+from tests.planner.config_cases import free_port
 from tests.planner.onboard.test_stderr import fill
 
 Outcome = tuple[int, str, str]
@@ -34,12 +35,6 @@ def call(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
         return code, output.out, output.err
 
     return run
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture

@@ -7,40 +7,14 @@ from pathlib import Path
 import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo
 from aero_planner.config.file import config_from_name, format_config, load_config, save_config
-
-
-def values_of(info: ParameterInfo) -> st.SearchStrategy:
-    if info.choices:
-        return st.sampled_from(info.choices)
-    if isinstance(info.default, bool):
-        return st.booleans()
-    if isinstance(info.default, int):
-        return st.integers(int(info.low), int(info.high))
-    # Includes subnormal and tiny values if a bound is zero; they are written with an exponent.
-    return st.floats(info.low, info.high)
-
-
-@st.composite
-def configs(draw: st.DrawFn) -> PlannerConfig:
-    chosen = draw(st.lists(st.sampled_from(PlannerConfig.parameters()), unique=True, max_size=12))
-    try:
-        return PlannerConfig().replace({info.path: draw(values_of(info)) for info in chosen})
-    except ValueError:  # a minimum above its maximum
-        return PlannerConfig()
-
-
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8", newline="")
-    return path
+from tests.planner.config_cases import configs, write
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(configs())
+@given(configs(PlannerConfig))
 def test_saved_files_round_trip_and_read_the_same_with_any_yaml_reader(tmp_path: Path, config: PlannerConfig):
     path = tmp_path / "config.yaml"
     save_config(config, path)

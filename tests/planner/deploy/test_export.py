@@ -5,7 +5,6 @@ import json
 import os
 import re
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -17,6 +16,7 @@ import warp as wp
 from aero_planner.cli import main
 from aero_planner.deploy.export import makes_graphs, parse_architecture
 from aero_planner.onboard.bundle_export import export_bundle
+from tests.planner.config_cases import free_port
 
 CONFIG = """# tuned in the forest
 costs:
@@ -57,12 +57,6 @@ def plan(device: str, bundle: Path | None, *, lost: int = 0, cache: Path | None 
     environment = os.environ | ({"WARP_CACHE_PATH": str(cache)} if cache else {})
     command = [sys.executable, "-c", PLAN, device, str(bundle or ""), str(lost)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
@@ -20,35 +19,12 @@ from aero_planner.onboard.settings import (
     load_flight_config,
     load_onboard,
 )
+from tests.planner.config_cases import configs, write
 
 NUMBERS = [info for info in OnboardConfig.parameters() if not info.pattern and not isinstance(info.default, bool)]
 
 every_setting = pytest.mark.parametrize("info", OnboardConfig.parameters(), ids=lambda info: info.path)
 every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
-
-
-def values_of(info: ParameterInfo) -> st.SearchStrategy:
-    if info.pattern:
-        return st.from_regex(info.pattern, fullmatch=True).filter(str.isascii)
-    if isinstance(info.default, bool):
-        return st.booleans()
-    if isinstance(info.default, int):
-        return st.integers(int(info.low), int(info.high))
-    return st.floats(info.low, info.high)
-
-
-@st.composite
-def configs(draw: st.DrawFn) -> OnboardConfig:
-    chosen = draw(st.lists(st.sampled_from(OnboardConfig.parameters()), unique=True, max_size=10))
-    try:
-        return OnboardConfig().replace({info.path: draw(values_of(info)) for info in chosen})
-    except ValueError:  # settings that contradict each other
-        return OnboardConfig()
-
-
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8", newline="")
-    return path
 
 
 @every_setting
@@ -107,7 +83,7 @@ def test_planner_and_node_must_not_contradict_each_other():
 
 
 @hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(configs())
+@given(configs(OnboardConfig))
 def test_written_files_round_trip_and_read_the_same_with_any_yaml_reader(tmp_path: Path, config: OnboardConfig):
     path = write(tmp_path / "node.yaml", format_onboard(config))
     assert load_onboard(path) == config
