@@ -67,7 +67,7 @@ def install() -> None:
     if stamp("content") == content:
         return
     if stamp("environment") != environment:
-        say("Creating .venv-lowest ...")
+        print("Creating .venv-lowest ...", file=sys.stderr)
         run(python, "-m", "venv", "--clear", HOME)
         pip("install", "-c", CONSTRAINTS, "setuptools")
         wheel = build_wheel()
@@ -77,7 +77,7 @@ def install() -> None:
         others = [line for line in others if canonicalize_name(line.split("==")[0]) not in bounded]
         PINS.write_text("\n".join([*pins, *others, ""]))
         pip("install", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]")
-        say(f"The planner's wheel is tested with {', '.join(pins)}.")
+        print(f"The planner's wheel is tested with {', '.join(pins)}.", file=sys.stderr)
         (HOME / "environment").write_text(environment)
     else:
         pip("install", "--no-deps", "--force-reinstall", build_wheel())
@@ -162,11 +162,6 @@ def stamp(name: str) -> str | None:
     """Return the content of a file in .venv-lowest, or None if it does not exist."""
     file = HOME / name
     return file.read_text() if file.exists() else None
-
-
-def say(text: str) -> None:
-    """Print to stderr."""
-    print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

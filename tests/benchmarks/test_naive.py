@@ -46,7 +46,7 @@ def untouched(plan: Plan, config: PlannerConfig) -> NDArray[np.bool_]:
     return kept
 
 
-def off_the_edges(naive: Arrays, config: PlannerConfig) -> NDArray[np.bool_]:
+def away_from_penalty_steps(naive: Arrays, config: PlannerConfig) -> NDArray[np.bool_]:
     """Return the samples [M, K] without a state that rounding may move across a step of the penalties, as a mask."""
     c, N, d = config.costs, config.sampling.steps, naive["sample_distance"]
 
@@ -72,7 +72,7 @@ def check_partition(plan: Plan, naive: Arrays) -> None:
 
 
 def check_costs(config: PlannerConfig, plan: Plan, naive: Arrays) -> None:
-    comparable = off_the_edges(naive, config) & untouched(plan, config)[:, None]
+    comparable = away_from_penalty_steps(naive, config) & untouched(plan, config)[:, None]
     assert comparable.mean() > 0.8
     np.testing.assert_allclose(plan.stage1_cost[comparable], naive["cost"][comparable], **COST)
 
@@ -187,7 +187,7 @@ def test_batch_of_two(device: str):
     np.testing.assert_array_equal(plan.fine_range.reshape(2, -1), result["fine_range"])
     np.testing.assert_array_equal(plan.best, result["best"])
     np.testing.assert_array_equal(plan.status, result["status"])
-    same = off_the_edges(result, config).reshape(2, M, -1)
+    same = away_from_penalty_steps(result, config).reshape(2, M, -1)
     for b in range(2):
         if result["status"][b] != PlanStatus.OK:
             same[b, result["best"][b]] = False

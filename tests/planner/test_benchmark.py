@@ -40,7 +40,7 @@ def test_text_report(device: str, capsys: pytest.CaptureFixture[str]):
         (["--repeat", "0"], "repeat is 0; it must be at least 1"),
     ],
 )
-def test_wrong_arguments_are_told_on_one_line(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]):
+def test_mistakes_are_reported_on_one_line(arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]):
     assert main(arguments) == 2
     output = capsys.readouterr()
     assert output.out == "" and problem in output.err and output.err.count("\n") == 1

@@ -58,7 +58,7 @@ class ConfigFile:
         return cls(str(path), parse_entries(read_text(path), str(path)))
 
     def planner_config(self) -> PlannerConfig:
-        """Return the configuration of the planner; entries below `onboard:` are not looked at.
+        """Return the configuration of the planner; entries below `onboard:` are ignored.
 
         Raises:
             ValueError: there is an unknown name or a value out of bounds; names the file, the line and the nearest
@@ -117,7 +117,7 @@ class ConfigFile:
 
 
 def load_config(path: str | os.PathLike[str]) -> PlannerConfig:
-    """Read the configuration of the planner from a file; settings of the node below `onboard:` are not looked at.
+    """Read the configuration of the planner from a file; settings of the node below `onboard:` are ignored.
 
     Raises:
         ValueError: the file can't be read, is not a configuration file, or has an unknown or repeated name or a value

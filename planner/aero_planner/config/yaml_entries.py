@@ -1,8 +1,8 @@
-"""From the text of a configuration file to its keys and values, with the line of each for error messages.
+"""Parse the text of a configuration file into keys and values, each with its line for error messages.
 
-PyYAML parses the text. Forms of YAML without a meaning for a configuration are refused: lists, mappings in braces,
-anchors, tags, several documents. Values that versions of YAML read differently (010, 1_000, yes) remain texts and are
-therefore no valid numbers or switches, whereas 1e5 is a number.
+PyYAML parses the text. Forms of YAML that have no meaning in a configuration are refused: lists, mappings in braces,
+anchors, tags, several documents. Values that versions of YAML read differently (010, 1_000, yes) remain strings, which
+are not valid as numbers or switches; 1e5 is a number.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": 
 
 @dataclass(frozen=True)
 class Entry:
-    """A key and what follows it: a value, entries on the lines below, or nothing."""
+    """A key with its value, with the entries on the lines below it, or with neither."""
 
     key: str
     line: int
@@ -137,7 +137,7 @@ class _Parser:
 
 
 def _scalar(node: yaml.ScalarNode) -> Value | None:
-    """Return a scalar as a person reads it: a boolean, a number or a text; None if it is empty."""
+    """Return a scalar as a person reads it: a boolean, a number or a string; None if it is empty."""
     text = node.value
     if node.style is not None:  # quoted
         return text

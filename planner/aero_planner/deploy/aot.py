@@ -23,7 +23,7 @@ from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
 
-__all__ = ["compile_ahead", "kernels_in", "warmup"]
+__all__ = ["compile_ahead", "kernels_in", "load_kernels", "warmup"]
 
 _BLOCK_DIMS = (32, 64, 128, 256)
 """CUDA block sizes; each one has its own binary."""
@@ -44,10 +44,15 @@ def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
     """
     started = time.perf_counter()
     planner = Planner(config, device=device)
-    state = VehicleState(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0))
-    planner.plan(state, Goal((5.0, 0.0, 0.0)), np.array([[2.0, 0.0, 0.0]]))
+    load_kernels(planner)
     planner.close()
     return time.perf_counter() - started
+
+
+def load_kernels(planner: Planner) -> None:
+    """Plan once, from rest in front of a single point, which compiles and loads every kernel of `planner`."""
+    state = VehicleState(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0))
+    planner.plan(state, Goal((5.0, 0.0, 0.0)), np.array([[2.0, 0.0, 0.0]]))
 
 
 @contextmanager

@@ -21,13 +21,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from aero_planner.cli_util import installed_version
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import load_config
-from aero_planner.deploy.aot import compile_ahead, kernels_in
+from aero_planner.deploy.aot import compile_ahead, kernels_in, load_kernels
 from aero_planner.deploy.bundle import (
     CONFIG,
     FORMAT,
@@ -37,7 +36,6 @@ from aero_planner.deploy.bundle import (
     cpu_target,
     planner_digest,
 )
-from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
 
@@ -139,8 +137,7 @@ def save_graph(config: PlannerConfig, max_points: int, path: Path, *, device: st
         The path of the file, with the suffix ".wrp".
     """
     planner = Planner(config, device=device, threads=1)
-    state = VehicleState(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0))
-    planner.plan(state, Goal((5.0, 0.0, 0.0)), np.array([[2.0, 0.0, 0.0]]))  # loads the kernels
+    load_kernels(planner)
     planner.reserve(max_points)  # gives every launch its largest size
     planner.reset()
     saved = planner.save_graph(path)

@@ -241,8 +241,11 @@ const float* aero_command(aero_planner* planner)
 const void* aero_array(aero_planner* planner, const char* name, size_t* size)
 {
     const void* array = nullptr;
-    planner->problem = std::string("there is no array ") + name;
-    planner->attempt([&] { array = planner->graph->get(name); });
+    planner->attempt([&] {
+        array = planner->graph->get(name);
+        if (!array)
+            throw std::runtime_error(std::string("there is no array ") + name);
+    });
     if (size)
         *size = array ? planner->graph->bytes(name) : 0;
     return array;
