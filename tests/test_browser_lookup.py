@@ -15,7 +15,7 @@ def test_the_users_choice_comes_first(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert find_chromium() == str(browser)
 
 
-def test_a_wrong_choice_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_choice_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AERO_VIZ_CHROMIUM", "/no/such/browser")
     with pytest.raises(UserError, match="AERO_VIZ_CHROMIUM names /no/such/browser"):
         find_chromium()

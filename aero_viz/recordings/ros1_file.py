@@ -53,8 +53,7 @@ class Ros1File(ChunkedFile):
                 yield from self._read_chunk(record, types)
             elif record.op == _CONNECTION and record.complete:
                 self._read_connection(self._map, record)
-        if not complete:
-            self.truncated = True
+        self.truncated = not complete
 
     def _read_chunk(self, chunk: _Record, types: Collection[str]) -> Iterator[Message]:
         plain = chunk.header.get(b"compression", b"") == b"none"

@@ -93,7 +93,7 @@ class RigResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields in types that JSON has, without trajectory and commands."""
-        content = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        content = vars(self).copy()
         del content["trajectory"], content["commands"]
         content["events"] = [dataclasses.asdict(event) for event in self.events]
         content["intervals"] = dataclasses.asdict(self.intervals) if self.intervals else None

@@ -17,7 +17,7 @@ def flags(config: str = "default", **costs: Any) -> ConfigFlags:
 
 
 @pytest.mark.parametrize(
-    ("given", "use_ground"),
+    ("config_flags", "use_ground"),
     [
         (flags(), True),
         (flags("fast-cpu"), True),
@@ -26,8 +26,8 @@ def flags(config: str = "default", **costs: Any) -> ConfigFlags:
         (flags("paper", use_ground=True), True),
     ],
 )
-def test_only_the_paper_preset_ignores_the_ground(given: ConfigFlags, use_ground: bool):
-    assert given.load().costs.use_ground == use_ground
+def test_only_the_paper_preset_ignores_the_ground(config_flags: ConfigFlags, use_ground: bool):
+    assert config_flags.load().costs.use_ground == use_ground
 
 
 def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from command_line import run, run_in_terminal, run_refused
+from command_line import run, run_in_terminal, run_json, run_refused
 
 from aero_planner.config.file import load_config
 from aero_viz.scenes import scene
@@ -28,11 +28,10 @@ def test_the_result_is_printed_written_and_can_be_flown(
     assert f"As flags: --anchors.lookahead {found.anchors.lookahead:g}\n{path}\n" in text
     assert "incumbent, fresh worlds  1" in text and "best, fresh worlds       1" in text
     assert "Warning: the difference is not significant" in text  # of a single flight
-    code, text, _ = run(capsys, "fly", short_poles, "--config", str(path), *SMALL, "--json")
-    assert code == 0 and json.loads(text)["flight_time_s"] < 4.0
+    assert run_json(capsys, "fly", short_poles, "--config", str(path), *SMALL)["flight_time_s"] < 4.0
 
-    code, _, error = run(capsys, "tune", short_poles, *CRIPPLED, "--output", str(path))
-    assert code == 2 and f"{path} exists already; add --overwrite" in error and error.count("\n") == 1
+    error = run_refused(capsys, "tune", short_poles, *CRIPPLED, "--output", str(path))
+    assert f"{path} exists already; add --overwrite" in error and error.count("\n") == 1
 
 
 def test_json_is_complete_and_flags_reach_the_flights(
@@ -60,8 +59,7 @@ def test_each_flight_of_a_scene_has_its_own_world(capsys: pytest.CaptureFixture[
     goal = scene("verticals", seed=2, count=100).cylinders[0, :3] + (0.0, 0.0, 2.0)
     assert all(scene("verticals", seed=seed, count=100).distance(goal[None])[0] > 0.0 for seed in (0, 1))
     place = ["--goal", *map(str, goal), "--count", "100", "--rules.time-limit", "0.1", "--over", "costs.q_track"]
-    code, text, error = run(capsys, "tune", "verticals", *place, *SMALL, *FEW)
-    assert (code, text) == (2, "") and "inside an obstacle" in error
+    assert "inside an obstacle" in run_refused(capsys, "tune", "verticals", *place, *SMALL, *FEW)
 
 
 def test_ctrl_c_writes_the_best_so_far(short_poles: str, tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_smoothness_of_a_constant_acceleration():
          0.0),
     ],
 )  # fmt: skip
-def test_how_it_ends(trajectory, world, rules, reason, time):
+def test_the_reason_and_time_of_the_end(trajectory, world, rules, reason, time):
     result = score(trajectory, world, rules=rules)
     assert (result.reason, result.arrived) == (reason, False)
     assert result.flight_time_s == pytest.approx(time, abs=0.021)
@@ -148,7 +148,7 @@ def test_bags_of_ros_1_and_ros_2_score_like_the_trajectory_in_them(tmp_path, nam
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "lacks the column 't' in line 1"),
         ("t,x,y\n0,0,0\n", "lacks the column 'z' in line 1"),
@@ -168,11 +168,11 @@ def test_bags_of_ros_1_and_ros_2_score_like_the_trajectory_in_them(tmp_path, nam
         ("t,x,y,z\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "record at least one every 0.25 s"),
     ],
 )
-def test_csv_that_is_no_trajectory(text, said, tmp_path):
+def test_csv_that_is_not_a_trajectory_is_refused(text, message, tmp_path):
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     with pytest.raises(UserError) as caught:
         load_trajectory(tmp_path / "a.csv")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_recordings_without_poses(tmp_path):

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import pytest
-from command_line import run
+from command_line import run, run_json, run_refused
 
 from aero_viz.evaluation.bench import BENCHMARKS, Benchmark, Row
 from aero_viz.scenes import scene
@@ -22,12 +22,8 @@ def test_fly_export_score_and_include(capsys, tmp_path):
     """The whole way of another planner's flight, from the world to the plot."""
     world, csv_file, table = str(tmp_path / "w.json"), str(tmp_path / "f.csv"), str(tmp_path / "ego.csv")
     assert run(capsys, "world", "export", "wall", world, "--seed", "1")[0] == 0
-    code, text, _ = run(capsys, "fly", world, "--speed", "2", "--json", "--trajectory", csv_file, *SMALL)
-    assert code == 0
-    flown = json.loads(text)
-    code, text, _ = run(capsys, "score", csv_file, "--world", world, "--planner", "EGO", "--table", table, "--json")
-    assert code == 0
-    scored = json.loads(text)
+    flown = run_json(capsys, "fly", world, "--speed", "2", "--trajectory", csv_file, *SMALL)
+    scored = run_json(capsys, "score", csv_file, "--world", world, "--planner", "EGO", "--table", table)
     assert scored["reason"] == flown["reason"] and scored["config"] == "EGO"
     assert scored["length_m"] == pytest.approx(flown["length_m"], rel=1e-4)
 
@@ -37,11 +33,10 @@ def test_fly_export_score_and_include(capsys, tmp_path):
     code, text, error = run(capsys, *arguments)
     assert (code, error) == (0, "")
     assert "double_wall_trap" in text and "EGO" in text and str(folder / "report.md") in text
-    code, text, _ = run(capsys, *arguments, "--resume", "--json")
-    summary = json.loads(text)["summary"]
-    assert code == 0 and [line["planner"] for line in summary] == ["AERO-Viz"] * 8 + ["EGO"]
-    code, _, error = run(capsys, *arguments)
-    assert code == 2 and "resume the run" in error and error.count("\n") == 1
+    summary = run_json(capsys, *arguments, "--resume")["summary"]
+    assert [line["planner"] for line in summary] == ["AERO-Viz"] * 8 + ["EGO"]
+    error = run_refused(capsys, *arguments)
+    assert "resume the run" in error and error.count("\n") == 1
 
 
 def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(tmp_path):
@@ -127,5 +122,5 @@ def test_points_of_a_world(capsys, tmp_path):
     ],
 )
 def test_mistakes_exit_with_2_and_one_line(capsys, arguments, message):
-    code, text, error = run(capsys, *arguments)
-    assert code == 2 and text == "" and message in error and error.count("\n") == 1
+    error = run_refused(capsys, *arguments)
+    assert message in error and error.count("\n") == 1
