@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -184,10 +183,7 @@ class Dashboard:
         if playing and frame.source.closed_loop:
             self._limiter.adapt(frame.rate, self._session.speed / frame.source.period)
         if self._panels_outdated and not playing:
-            # While time stands still, no later frame would update the panels.
-            timer = threading.Timer(_PANEL_PERIOD, self.refresh)
-            timer.daemon = True
-            timer.start()
+            self._page.refresh_after(_PANEL_PERIOD)
         time.sleep(self._limiter.delay(ended))
 
     def _notify(self, notice: Notice) -> None:

@@ -15,20 +15,6 @@ import matplotlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "COST",
-    "NEAR_TO_FAR",
-    "PLASMA",
-    "VIRIDIS",
-    "Colormap",
-    "Rgb",
-    "as_rgb",
-    "colorize",
-    "css",
-    "gradient",
-    "unmapped",
-]
-
 Rgb = tuple[int, int, int]
 Colormap = NDArray[np.uint8]
 """Colours from low to high, sRGB, shape [n, 3]."""

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any, Literal, Protocol
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.publisher import Publisher
 from aero_viz.session.source import Source
 
-__all__ = ["BaseSession", "SessionControls"]
+__all__ = ["BaseSession", "Publisher", "SessionControls"]
+
+T = TypeVar("T")
 
 
 class SessionControls(Protocol):
@@ -48,6 +50,42 @@ class SessionControls(Protocol):
     def redo(self) -> PlannerConfig:
         """Return to the configuration that `undo` left."""
         ...
+
+
+class Publisher(Generic[T]):
+    """Hands each item to any number of mailboxes, its sinks."""
+
+    def __init__(self) -> None:
+        # Replaced as a whole and never changed, so that `publish` needs no lock.
+        self._sinks: tuple[Mailbox[T], ...] = ()
+        self._lock = threading.Lock()
+
+    def subscribe(self, callback: Callable[[T], None], *, capacity: int, name: str) -> Mailbox[T]:
+        """Return a new sink that calls `callback` with each item; see `Mailbox`."""
+        sink = Mailbox(callback, capacity=capacity, name=f"aero-viz-{name}")
+        with self._lock:
+            self._sinks = (*self._sinks, sink)
+        return sink
+
+    def publish(self, item: T) -> None:
+        """Hand `item` to every sink without waiting."""
+        for sink in self._sinks:
+            sink.put(item)
+
+    def unsubscribe(self, sink: Mailbox[T], *, timeout: float = 0.0) -> None:
+        """Remove and close a sink. Items that still wait are delivered for up to `timeout` [s]."""
+        with self._lock:
+            if sink not in self._sinks:
+                return
+            self._sinks = tuple(kept for kept in self._sinks if kept is not sink)
+        if timeout:
+            sink.drain(timeout)
+        sink.close()
+
+    def close(self) -> None:
+        """Close all sinks."""
+        for sink in self._sinks:
+            sink.close()
 
 
 class BaseSession(ABC):

@@ -73,7 +73,6 @@ class LiveSession(BaseSession):
 
     @property
     def waiting_message(self) -> str:
-        """Text for the user as long as there is no frame."""
         name = self._client.name
         if not self._connected:
             return f"The connection to {name} was lost before its first plan."
@@ -84,17 +83,14 @@ class LiveSession(BaseSession):
 
     @property
     def frame(self) -> Frame | None:
-        """The frame to show; None before the first plan."""
         return self._shown
 
     @property
     def config(self) -> PlannerConfig:
-        """The drone's configuration."""
         return self._client.config
 
     @property
     def time_range(self) -> tuple[float, float]:
-        """First and last time that `seek` can reach [s]."""
         with self._lock:
             return (self._kept[0].time, self._kept[-1].time) if self._kept else (0.0, 0.0)
 

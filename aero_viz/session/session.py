@@ -67,7 +67,6 @@ class Session(BaseSession):
 
     @property
     def frame(self) -> Frame | None:
-        """The newest frame."""
         return self._engine.frame
 
     @property
@@ -82,12 +81,10 @@ class Session(BaseSession):
 
     @property
     def speed(self) -> float:
-        """Source time that passes per wall time."""
         return self._clock.speed
 
     @property
     def time_range(self) -> tuple[float, float]:
-        """First and last time that `seek` can reach [s]."""
         return self._engine.time_range
 
     # --- commands ---------------------------------------------------------------------------------------------------

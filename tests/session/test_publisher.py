@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import threading
 
-from aero_viz.session.publisher import Publisher
+from aero_viz.session.base import Publisher
 
 
 def test_unsubscribe_can_wait_for_the_items_published_so_far() -> None:

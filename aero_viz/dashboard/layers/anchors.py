@@ -22,14 +22,12 @@ class AnchorLayer(Layer):
     keys = (ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR))
 
     def create(self, scene: viser.SceneApi) -> None:
-        origin = np.zeros((1, 3), np.float32)
-        self._initial = scene.add_point_cloud(
-            "/anchors/initial", origin, palette.ENDPOINT, point_size=0.05, point_shape="circle", precision="float32",
-            point_shading="flat",
-        )  # fmt: skip
-        self._refined = scene.add_point_cloud(
-            "/anchors/refined", origin, palette.ANCHOR, point_size=0.08, point_shape="circle", precision="float32",
-            point_shading="flat",
+        self._initial, self._refined = (
+            scene.add_point_cloud(
+                f"/anchors/{name}", np.zeros((1, 3), np.float32), color, point_size=size, point_shape="circle",
+                precision="float32", point_shading="flat",
+            )
+            for name, color, size in (("initial", palette.ENDPOINT, 0.05), ("refined", palette.ANCHOR, 0.08))
         )  # fmt: skip
         self._moves = Lines(scene, "/anchors/moves", thickness=1.4)
 

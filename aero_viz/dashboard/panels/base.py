@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,12 @@ class Page:
     """The layers by name."""
     refresh: Callable[[], None]
     """Shows the newest frame again, after a change that brings no new frame."""
+
+    def refresh_after(self, delay: float) -> None:
+        """Show the newest frame again in `delay` [s]. While time stands still, no later frame would."""
+        timer = threading.Timer(delay, self.refresh)
+        timer.daemon = True
+        timer.start()
 
     def update_samples(self) -> None:
         """Include the Stage I samples in frames if a visible layer needs them."""

@@ -83,7 +83,9 @@ class CameraPanel(Panel):
         start, target = view(self._mode if self._mode in VIEWS else "follow", position, goal)
         changes: list[Change] = []
         if not self._settled:
-            changes += self.set_first_view(start, target)
+            # The first view of pages that are opened from now on.
+            initial = self.page.server.initial_camera
+            changes += [(initial, "position", start), (initial, "look_at", target)]
         for number, client in self.page.server.get_clients().items():
             camera = client.camera
             if time.monotonic() < self._settled.setdefault(number, time.monotonic() + _SETTLE_TIME):
@@ -92,11 +94,6 @@ class CameraPanel(Panel):
                 # Moving a camera also moves the point that it looks at.
                 changes.append((camera, "position", target + camera.position - camera.look_at))
         return changes
-
-    def set_first_view(self, position: NDArray[np.float64], look_at: NDArray[np.float64]) -> list[Change]:
-        """Return the changes that set the camera of pages that are opened from now on."""
-        initial = self.page.server.initial_camera
-        return [(initial, "position", position), (initial, "look_at", look_at)]
 
     def is_settling(self, client: viser.ClientHandle) -> bool:
         """Return True while the page still moves its camera to its first view."""

@@ -79,7 +79,7 @@ def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
         f'<div style="width:{100 * value / total:.2f}%;background:{css(color)}"></div>' for _, value, color in parts
     )
     legend = " ".join(
-        f'<span style="white-space:nowrap;margin-right:7px">{dot(color)}{muted(label)} {value:.1f}</span>'
+        f'<span style="white-space:nowrap;margin-right:7px">{_dot(color)}{muted(label)} {value:.1f}</span>'
         for label, value, color in parts
         if value > 0.02 * total
     )
@@ -110,7 +110,7 @@ def table(rows: Iterable[tuple[str, str, str]]) -> str:
     return f'<div style="display:grid;grid-template-columns:1fr auto;gap:3px 8px">{cells}</div>'
 
 
-def dot(color: Rgb) -> str:
+def _dot(color: Rgb) -> str:
     """Return a small coloured disc."""
     return (
         f'<span style="display:inline-block;width:8px;height:8px;border-radius:4px;margin-right:5px;'
@@ -120,7 +120,7 @@ def dot(color: Rgb) -> str:
 
 def key(entries: Iterable[tuple[str, Rgb]]) -> str:
     """Return a legend of single colours in two columns."""
-    items = "".join(f"<div>{dot(color)}{muted(label)}</div>" for label, color in entries)
+    items = "".join(f"<div>{_dot(color)}{muted(label)}</div>" for label, color in entries)
     return f'<div style="display:grid;grid-template-columns:1fr 1fr;gap:1px 8px;font-size:11px">{items}</div>'
 
 

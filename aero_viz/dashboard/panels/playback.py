@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 
 import viser
@@ -94,10 +93,7 @@ class PlaybackPanel(Panel):
 
     def _seek(self, time: float) -> None:
         self.session.seek(time).exception()  # waits; the session reports errors itself
-        # While time stands still, no later frame would show the time that was reached.
-        timer = threading.Timer(1.1 * _HOLD, self.page.refresh)
-        timer.daemon = True
-        timer.start()
+        self.page.refresh_after(1.1 * _HOLD)
 
     def _toggle(self) -> None:
         if self.session.playing:
