@@ -1,4 +1,4 @@
-"""A real forest, a real planner, and the real page in a real Chromium."""
+"""Pages of a flight through the forest, in a real Chromium."""
 
 from __future__ import annotations
 

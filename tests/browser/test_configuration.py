@@ -1,4 +1,4 @@
-"""The configuration as a file, and its structure, through the page."""
+"""Files, presets and structure of the configuration, through the page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def upload(desk: Desk, path: Path) -> None:
     chooser.value.set_files(path)
 
 
-def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_path):
+def test_a_downloaded_file_restores_its_configuration_when_uploaded(fresh_desk, tmp_path):
     desk = fresh_desk
     saved = desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
     desk.open_tab("Tune")
@@ -43,7 +43,7 @@ def test_a_file_saved_in_the_page_brings_its_configuration_back(fresh_desk, tmp_
     assert desk.console == []
 
 
-def test_settings_of_the_drone_come_back_with_the_file(fresh_desk, tmp_path):
+def test_onboard_settings_survive_an_upload_and_a_download(fresh_desk, tmp_path):
     desk = fresh_desk
     flight = tmp_path / "flight.yaml"
     flight.write_text("costs:\n  q_track: 7.5\nonboard:\n  thrust:\n    hover_thrust: 0.42\n")
@@ -58,12 +58,12 @@ def test_settings_of_the_drone_come_back_with_the_file(fresh_desk, tmp_path):
     assert planner.costs.q_track == 8.5 and onboard.thrust.hover_thrust == 0.42
 
 
-def test_presets_and_resets_keep_the_ground_of_the_world(fresh_desk):
+def test_presets_and_resets_set_the_configuration_that_they_name(fresh_desk):
     desk = fresh_desk
     desk.session.configure(DEFAULT)
     desk.open_tab("Tune")
     preset = desk.control("Preset").locator("input").first
-    desk.wait_for(lambda: preset.input_value() == "default", "the default, in which nothing was changed")
+    desk.wait_for(lambda: preset.input_value() == "default", "the default preset to be shown")
 
     desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
     desk.wait_for(lambda: preset.input_value() == "(changed)", "the changes to be seen")
@@ -105,7 +105,7 @@ def test_a_malformed_file_is_refused_with_a_reason(desk, tmp_path, content, word
     desk.dismiss(notice)
 
 
-def test_a_structure_applied_in_the_form_rebuilds_the_planner(fresh_desk):
+def test_applying_the_structure_form_rebuilds_the_planner(fresh_desk):
     desk = fresh_desk
     assert desk.session.frame.plan.stage1_cost.shape[1] == 128
     desk.open_tab("Tune")
@@ -120,7 +120,7 @@ def test_a_structure_applied_in_the_form_rebuilds_the_planner(fresh_desk):
     desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 64, "a plan with 64 samples")
     index = desk.session.frame.index
     desk.click("+1")
-    desk.wait_for(lambda: desk.session.frame.index == index + 1, "the flight to go on")
+    desk.wait_for(lambda: desk.session.frame.index == index + 1, "the flight to continue")
     desk.click("undo")
     desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 128, "the structure before")
     desk.wait_for(lambda: number.input_value() == "128", "the form to show it")

@@ -54,7 +54,7 @@ def arrow_tip(desk: Desk) -> int:
     return int(blue.any(axis=1).argmax())
 
 
-def test_dragging_an_arrow_moves_the_goal_along_it_and_the_plan_with_it(near):
+def test_dragging_an_arrow_moves_the_goal_along_it_and_changes_the_plan(near):
     before, plan = goal_of(near), near.session.frame.plan
     tip = near.place_on_page(np.add(before, (0.0, 0.0, 1.8)))
     near.drag(tip, (0.0, -60.0))
@@ -85,7 +85,7 @@ def test_a_goal_dragged_into_the_ground_is_refused_and_the_arrows_return(near):
 
 
 @pytest.mark.parametrize(("value", "words"), [("1e30", "lies outside the bounds"), ("-900", "lies outside the bounds")])
-def test_a_goal_beyond_the_world_is_refused_and_the_numbers_return(near, value, words):
+def test_a_goal_outside_the_world_is_refused_and_the_numbers_return(near, value, words):
     before = goal_of(near)
     x = coordinates(near)[0]
     x.fill(value)

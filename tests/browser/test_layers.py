@@ -1,4 +1,4 @@
-"""Each layer draws what it should, where it should, and nothing when it is off."""
+"""Each layer draws its content at the right place, and nothing while it is hidden."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from aero_viz.dashboard import palette
 from tests.browser.desk import open_desk
 from tests.browser.pictures import count, differing, rollouts_drawn
 
-# Layer, one of its colours, pixels of that colour that must be there. Shaded surfaces are asked for any pixel.
+# Layer, one of its colours (None: any, for shaded surfaces), and the least number of pixels in it.
 DRAWN = [
     ("rollouts", palette.CHOSEN, 60),
     ("samples", None, 400),
@@ -33,7 +33,7 @@ def behind(desk) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize(("name", "color", "least"), DRAWN, ids=[name for name, _, _ in DRAWN])
-def test_a_layer_is_there_when_on_and_gone_when_off(desk, name, color, least):
+def test_a_layer_is_drawn_only_while_it_is_visible(desk, name, color, least):
     desk.session.set_samples(name == "samples").result()
     desk.dashboard.show_only([name])
 
@@ -41,7 +41,7 @@ def test_a_layer_is_there_when_on_and_gone_when_off(desk, name, color, least):
         image = desk.render(*behind(desk))
         return int((image[..., 3] > 128).sum()) if color is None else count(image, color)
 
-    # The page draws a change in one of its next pictures, and takes its time over those while it opens.
+    # The page draws a change in one of its next pictures, which take long while it opens.
     desk.wait_for(lambda: drawn() >= least, f"{least} pixels of {name}")
     desk.dashboard.show_only([])
     desk.wait_for(lambda: (desk.render(*behind(desk))[..., 3] == 0).all(), "an empty picture")
@@ -55,7 +55,7 @@ def test_the_goal_is_drawn_at_the_goal(desk):
     assert count(image, palette.GOAL) > 50
 
 
-def test_all_fifteen_rollouts_are_on_screen_each_in_its_colour(desk):
+def test_all_fifteen_rollouts_are_drawn_in_their_colours(desk):
     plan = desk.session.frame.plan
     assert len(plan.positions) == 15
     desk.dashboard.show_only(["rollouts"])
@@ -65,7 +65,7 @@ def test_all_fifteen_rollouts_are_on_screen_each_in_its_colour(desk):
     assert found.min() > 0.2, f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
 
 
-# .. and by the switches of the page: the colour, or None for any change, and pixels of it in the window's picture.
+# For the switches of the page: layer, colour (None: any change), and the least number of pixels in a screenshot.
 SWITCHED = [
     ("rollouts", palette.CHOSEN, 100),
     ("samples", None, 1000),
@@ -84,7 +84,7 @@ SWITCHED = [
 
 @pytest.fixture(scope="module")
 def bare(browser):
-    """A page whose layers were all switched off with the mouse, and what is left on the screen."""
+    """A page whose layers were all switched off with the mouse, and a screenshot of it."""
     # The window is small until the layers are off, since it is drawn in software.
     with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper"), size=(800, 300)) as desk:
         desk.open_tab("Layers")
@@ -102,7 +102,7 @@ def bare(browser):
 
 
 @pytest.mark.parametrize(("name", "color", "least"), SWITCHED, ids=[name for name, _, _ in SWITCHED])
-def test_a_click_on_its_switch_shows_a_layer_and_another_hides_it(bare, name, color, least):
+def test_clicks_on_a_switch_show_and_hide_its_layer(bare, name, color, least):
     desk, empty = bare
     box = desk.checkbox(desk.dashboard.layers[name].title)
 

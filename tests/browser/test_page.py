@@ -51,7 +51,7 @@ def test_a_value_that_contradicts_another_is_refused_with_a_reason(desk):
     desk.wait_for(lambda: float(number.input_value()) == before.costs.distance_min, "the slider to return")
 
 
-def test_a_typed_value_beyond_the_end_of_the_slider_is_taken_as_it_is(desk):
+def test_a_typed_value_beyond_the_end_of_the_slider_is_accepted_unchanged(desk):
     desk.open_tab("Tune")
     before = desk.session.config.costs.q_position
     number = desk.parameter("costs.q_position").locator("input")
@@ -84,7 +84,7 @@ def test_a_logarithmic_slider_shows_values_and_sets_them(desk):
     desk.wait_for(lambda: float(number.input_value()) == 0.1, "the temperature before")
 
 
-def test_step_pause_and_seek_do_what_they_say(fresh_desk):
+def test_the_step_pause_restart_and_time_controls_work(fresh_desk):
     desk = fresh_desk
     desk.dashboard.show_only(["rollouts", "drone"])  # quick to draw
     index = desk.session.frame.index
@@ -99,7 +99,7 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     np.testing.assert_array_equal(desk.session.frame.plan.positions, flown)
 
     desk.click("Play")
-    desk.wait_for(lambda: desk.session.frame.index > index + 15, "time to go on")
+    desk.wait_for(lambda: desk.session.frame.index > index + 15, "time to advance")
     desk.click("Pause")
     desk.wait_for(lambda: not desk.session.playing, "the pause")
     stopped = desk.session.frame.index
@@ -117,13 +117,13 @@ def test_step_pause_and_seek_do_what_they_say(fresh_desk):
     desk.page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
     desk.wait_for(lambda: desk.session.frame.index < stopped - 3, "an earlier tick")
     entry = row.locator("input").last
-    entry.fill("100")  # beyond what is flown: the slider shows where that led
+    entry.fill("100")  # beyond the last tick flown: the slider then shows the time that was reached
     entry.press("Enter")
     desk.wait_for(lambda: abs(float(entry.input_value()) - desk.session.frame.time) < 0.02, "the time reached")
     assert desk.console == []
 
 
-def test_who_plays_and_pauses_from_elsewhere_is_seen_in_the_page(fresh_desk):
+def test_the_page_follows_play_pause_and_steps_from_elsewhere(fresh_desk):
     desk = fresh_desk
     desk.dashboard.show_only(["drone"])
     desk.session.play()
@@ -133,10 +133,10 @@ def test_who_plays_and_pauses_from_elsewhere_is_seen_in_the_page(fresh_desk):
     desk.wait_for(lambda: "paused" in status_text(desk), "the status")
     desk.session.step(3).result()
     time = f"{desk.session.frame.time:.2f} s"
-    desk.wait_for(lambda: time in status_text(desk), "the panels to follow a step that is not theirs")
+    desk.wait_for(lambda: time in status_text(desk), "the panels to follow a step from elsewhere")
 
 
-def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
+def test_a_wrong_path_is_reported_and_the_source_stays(fresh_desk):
     desk = fresh_desk
     source = desk.session.source
     desk.control("Path").locator("input").fill("/nowhere/at-all.mcap")
@@ -146,27 +146,27 @@ def test_a_wrong_path_is_said_and_the_source_stays(fresh_desk):
     assert desk.session.source is source
     index = desk.session.frame.index
     desk.click("+1")
-    desk.wait_for(lambda: desk.session.frame.index == index + 1, "the old source to go on")
+    desk.wait_for(lambda: desk.session.frame.index == index + 1, "the old source to continue")
 
     desk.click("Open")
     desk.wait_for(lambda: desk.session.source is not source, "the source on offer")
     desk.wait_for(lambda: desk.session.source.name in status_text(desk), "its name")
 
 
-def test_two_clients_see_the_same_and_one_that_leaves_in_flight_harms_nothing(fresh_desk, browser):
+def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(fresh_desk, browser):
     desk = fresh_desk
     desk.dashboard.show_only(["rollouts", "drone"])
     context = browser.new_context(viewport={"width": 1000, "height": 700})
-    other = context.new_page()
-    other.goto(desk.dashboard.url)
+    second = context.new_page()
+    second.goto(desk.dashboard.url)
     desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "the second client")
     desk.click("Play")
-    other.get_by_role("button", name="Pause", exact=True).wait_for()
+    second.get_by_role("button", name="Pause", exact=True).wait_for()
     updates = len(desk.dashboard.update_ms)
     context.close()
     index = desk.session.frame.index
     desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 1, "the second client to be gone")
-    desk.wait_for(lambda: desk.session.frame.index > index + 20, "the flight to go on")
+    desk.wait_for(lambda: desk.session.frame.index > index + 20, "the flight to continue")
     desk.wait_for(lambda: len(desk.dashboard.update_ms) > updates + 5, "updates for the one that stayed")
     desk.click("Pause")
     assert desk.console == []
@@ -174,16 +174,18 @@ def test_two_clients_see_the_same_and_one_that_leaves_in_flight_harms_nothing(fr
 
 
 @pytest.mark.parametrize("camera", ["top", "side", "follow"])
-def test_the_camera_goes_where_the_button_says(desk, camera):
+def test_a_camera_button_moves_the_camera_to_its_view(desk, camera):
     desk.click(camera)
     client = next(iter(desk.dashboard.server.get_clients().values()))
     drone = np.asarray(desk.session.frame.observation.state.position)
 
-    def there() -> bool:
-        away = np.asarray(client.camera.position) - drone
-        return {"top": away[2] > 15.0, "side": abs(away[1]) > 6.0, "follow": away[0] < -3.0 and away[2] < 4.0}[camera]
+    def is_in_view() -> bool:
+        offset = np.asarray(client.camera.position) - drone
+        return {"top": offset[2] > 15.0, "side": abs(offset[1]) > 6.0, "follow": offset[0] < -3.0 and offset[2] < 4.0}[
+            camera
+        ]
 
-    desk.wait_for(there, camera)
+    desk.wait_for(is_in_view, camera)
 
 
 def test_a_free_camera_stays_where_it_is(desk):
@@ -198,5 +200,5 @@ def test_a_free_camera_stays_where_it_is(desk):
     assert client.camera.position[2] - drone[2] > 15.0
 
 
-def test_nothing_was_wrong_on_the_console(desk):
+def test_the_console_shows_no_errors(desk):
     assert desk.console == []

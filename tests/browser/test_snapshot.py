@@ -1,4 +1,4 @@
-"""Headless pictures: what is in them, and that they repeat."""
+"""Headless pictures: their content, and that they are repeatable."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ COLORS = {name: getattr(palette, name) for name in ("GUIDE", "ANCHOR", "TRAIL")}
 
 
 def structure(image: np.ndarray) -> dict[str, int]:
-    """Pixels of each layer's colour, and of anything brighter than the background."""
+    """Count the pixels in the colour of each layer, and those brighter than the background."""
     counts = {name: int((np.abs(image.astype(int) - color).max(axis=-1) <= 24).sum()) for name, color in COLORS.items()}
     return counts | {"bright": int((image.max(axis=-1) > 90).sum())}
 
 
-def test_a_picture_holds_every_layer_and_repeats(browser, tmp_path):
+def test_a_picture_shows_every_layer_and_is_repeatable(browser, tmp_path):
     del browser  # skips where there is none
     first = snapshot(FlightSource(scene("forest", seed=0)), path=tmp_path / "a.png", **ARGUMENTS)
     assert first.shape == (400, 640, 3)
@@ -52,7 +52,7 @@ def test_a_picture_holds_every_layer_and_repeats(browser, tmp_path):
         ({"path": "forest.txt"}, "pictures are PNG files; name it forest.png"),
     ],
 )
-def test_mistakes_are_said_before_a_browser_starts(arguments, words):
+def test_mistakes_are_reported_before_a_browser_starts(arguments, words):
     with pytest.raises(UserError, match=words):
         snapshot(FlightSource(scene("forest", seed=0)), **arguments)
 

@@ -1,4 +1,4 @@
-"""Other scenes, worlds and recordings through the page, and what a recording looks like there."""
+"""Scenes, worlds and recordings opened in the page, and the display of a recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.browser.pictures import differing, rollouts_drawn
 
 
 def choose(desk: Desk, name: str) -> None:
-    """Open a source on offer as a user does: unfold the list, take one, press the button."""
+    """Open a source on offer as a user does: unfold the list, choose an entry, press the button."""
     desk.control("Scene").locator("input").first.click()
     desk.page.get_by_role("option", name=name, exact=True).click()
     desk.page.get_by_role("button", name="Open", exact=True).click()
@@ -68,12 +68,12 @@ def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(fresh_des
     desk.wait_for(lambda: desk.session.frame.source.name == "one triangle", "the mesh")
     assert desk.session.frame.observation.ground_height == -10.0
     desk.dashboard.show_only(["obstacles"])
-    for end, other in (ends, ends[::-1]):
-        desk.wait_for(lambda: (desk.render(end, other)[..., 3] > 128).sum() > 5000, f"the wall from {end}")  # noqa: B023
+    for position, look_at in (ends, ends[::-1]):
+        desk.wait_for(lambda: (desk.render(position, look_at)[..., 3] > 128).sum() > 5000, f"the wall from {position}")  # noqa: B023
     assert desk.dashboard.failures == 0
 
 
-def test_a_world_whose_start_is_in_an_obstacle_says_why_it_ends_at_once(fresh_desk, tmp_path):
+def test_a_world_whose_start_is_in_an_obstacle_explains_why_it_ends_at_once(fresh_desk, tmp_path):
     desk = fresh_desk
     path = tmp_path / "stuck.json"
     World("stuck", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]])).save(path)
@@ -82,9 +82,9 @@ def test_a_world_whose_start_is_in_an_obstacle_says_why_it_ends_at_once(fresh_de
     words = re.compile("The start .*inside an obstacle")
     desk.page.get_by_text(words).first.wait_for()  # beside the outcome
     desk.click("Play")
-    said = desk.page.locator(".mantine-Notification-root", has_text=words)
-    said.first.wait_for()
-    assert "collided with an obstacle" in said.first.inner_text()
+    notification = desk.page.locator(".mantine-Notification-root", has_text=words)
+    notification.first.wait_for()
+    assert "collided with an obstacle" in notification.first.inner_text()
 
 
 @pytest.fixture(scope="module")
@@ -100,19 +100,19 @@ def recording(browser, shared_datasets):
         assert desk.dashboard.failures == 0
 
 
-def test_a_recording_says_that_its_loop_is_open(recording):
+def test_a_recording_is_marked_as_open_loop(recording):
     recording.page.get_by_text("Open loop: the plan is displayed but not flown").wait_for()
     recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for()
 
 
-def test_a_recordings_cloud_is_on_the_screen(recording):
+def test_the_cloud_of_a_recording_is_drawn(recording):
     recording.dashboard.show_only([])
     empty = recording.settled_screenshot()
     recording.dashboard.show_only(["cloud"])
     recording.wait_for(lambda: differing(recording.screenshot(), empty) > 5000, "the cloud")
 
 
-def test_a_recordings_fifteen_rollouts_are_on_screen_each_in_its_colour(recording):
+def test_all_fifteen_rollouts_of_a_recording_are_drawn_in_their_colours(recording):
     recording.dashboard.show_only(["rollouts"])
     frame = recording.session.frame
     plan, start = frame.plan, np.asarray(frame.observation.state.position)
@@ -124,11 +124,11 @@ def test_a_recordings_fifteen_rollouts_are_on_screen_each_in_its_colour(recordin
     assert (found > 0.2).all(), f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
 
 
-def test_a_recording_has_the_layers_it_can_have(recording):
+def test_a_recording_offers_only_the_layers_it_has_data_for(recording):
     recording.dashboard.show_only(None)
     recording.open_tab("Layers")
-    for title, there in (("Recorded path", True), ("LiDAR cloud", True), ("Obstacles (ground truth)", False)):
-        recording.wait_for(lambda: recording.checkbox(title).is_visible() == there, title)  # noqa: B023
+    for title, is_offered in (("Recorded path", True), ("LiDAR cloud", True), ("Obstacles (ground truth)", False)):
+        recording.wait_for(lambda: recording.checkbox(title).is_visible() == is_offered, title)  # noqa: B023
     box = recording.checkbox("Recorded path")
     recording.dashboard.show_only([])
     recording.wait_for(lambda: not box.is_checked(), "the switch to be off")

@@ -17,7 +17,7 @@ def small(browser):
         yield desk
 
 
-def test_drone_and_chosen_rollout_are_in_view_and_not_behind_a_panel(small):
+def test_no_panel_covers_the_drone_or_the_chosen_rollout(small):
     plan = small.session.frame.plan
     for point in (plan.positions[plan.best][0], plan.positions[plan.best][-1]):
         place = small.place_on_page(point)
@@ -26,7 +26,7 @@ def test_drone_and_chosen_rollout_are_in_view_and_not_behind_a_panel(small):
 
 
 @pytest.mark.parametrize("tab", ["Fly", "Layers", "Tune"])
-def test_nothing_is_cut_off_on_the_right_and_everything_can_be_scrolled_to(small, tab):
+def test_no_label_is_cut_off_and_every_control_can_be_scrolled_to(small, tab):
     small.open_tab(tab)
     cut = small.page.evaluate(
         """() => [...document.querySelectorAll('label, button, input[type=text], [role=tab]')]
@@ -42,7 +42,7 @@ def test_nothing_is_cut_off_on_the_right_and_everything_can_be_scrolled_to(small
     assert small.page.evaluate("document.documentElement.scrollWidth") <= 1280
 
 
-def test_every_scene_on_offer_has_a_name_that_fits_and_says_what_it_is(small):
+def test_every_scene_on_offer_has_a_name_that_fits_and_a_description(small):
     small.open_tab("Fly")
     field = small.control("Scene").locator("input").first
     for name, kind in SCENES.items():

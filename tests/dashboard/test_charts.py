@@ -92,7 +92,7 @@ def test_another_source_starts_a_new_curve(curves):
     assert now == times[0] == 0.0 and len(times) == 2, "the axis needs a length, or the page keeps the previous one"
 
 
-def test_the_chart_says_where_the_clearance_is_cut_off(curves):
+def test_the_chart_labels_the_largest_clearance_that_is_measured(curves):
     fly(curves, 2)
     assert "≥ 0.55 m" in curves.labels()
     curves.session.configure({"costs.distance_max": 0.8})

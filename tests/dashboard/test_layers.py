@@ -39,7 +39,7 @@ def frame():
     return frames[-1]
 
 
-def test_lines_keep_their_size_and_hide_the_rest_under_the_last_point(server):
+def test_a_line_buffer_keeps_its_size_and_collapses_unused_rows_to_the_last_point(server):
     lines = Lines(server.scene, "/test/lines", thickness=1.0, capacity=8)
     segments = np.arange(18, dtype=np.float32).reshape(3, 2, 3)
     apply(lines.show(segments, (200, 100, 50)))
@@ -57,19 +57,19 @@ def test_lines_keep_their_size_and_hide_the_rest_under_the_last_point(server):
 
 def test_colours_are_sent_when_they_change_and_not_with_every_update(server):
     lines = Lines(server.scene, "/test/colours", thickness=1.0, capacity=8)
-    one, ramp = np.array((200, 100, 50), np.uint8), np.array([(1, 2, 3), (4, 5, 6)], np.uint8)
+    uniform, ramp = np.array((200, 100, 50), np.uint8), np.array([(1, 2, 3), (4, 5, 6)], np.uint8)
 
     def sent(count: int, colors: np.ndarray) -> bool:
         changes = lines.show(np.zeros((count, 2, 3)), colors)
         apply(changes)
         return "colors" in [name for _, name, _ in changes]
 
-    assert sent(3, one)
-    assert not sent(5, one), "one colour fills the buffer"
-    assert sent(9, one), "a larger buffer"
-    assert (lines.node.colors == one).all()
+    assert sent(3, uniform)
+    assert not sent(5, uniform), "one colour fills the buffer"
+    assert sent(9, uniform), "a larger buffer"
+    assert (lines.node.colors == uniform).all()
     assert sent(3, ramp) and not sent(3, ramp)
-    assert sent(4, ramp), "what is behind the last segment has the colour of its end"
+    assert sent(4, ramp), "unused rows have the colour of the last segment's end"
     np.testing.assert_array_equal(lines.node.colors[:4], np.broadcast_to(ramp, (4, 2, 3)))
     assert sent(4, ramp.copy())
 

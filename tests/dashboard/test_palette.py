@@ -25,12 +25,12 @@ def film(linear: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("color", LINES.values(), ids=LINES.keys())
-def test_line_colours_arrive_on_screen(color):
+def test_line_colours_survive_the_film_curve(color):
     sent = palette.unmapped(np.array([color])) / 255.0
     np.testing.assert_allclose(film(sent)[0], color, atol=10.0)
 
 
-def test_the_cost_map_arrives_on_screen():
+def test_the_cost_colormap_survives_the_film_curve():
     np.testing.assert_allclose(film(palette.unmapped(palette.COST) / 255.0), palette.COST, atol=22.0)
 
 

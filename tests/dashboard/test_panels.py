@@ -80,15 +80,15 @@ def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
         parse_upload(viser.UploadedFile("../../mine.yaml", b"costs:\n  q_trak: 3\n"))
 
 
-def test_names_from_outside_cannot_become_markup():
+def test_names_from_outside_are_escaped_in_markup():
     assert "<script>" not in markup.block(markup.pill("<script>", (1, 2, 3)), markup.heading("<script>", "<script>"))
 
 
 def test_an_empty_path_opens_nothing(server, monkeypatch):
-    said: list[str] = []
+    messages: list[str] = []
     opened: Any = []
-    monkeypatch.setattr(source_panel, "notify", lambda server, text, **options: said.append(text))
+    monkeypatch.setattr(source_panel, "notify", lambda server, text, **options: messages.append(text))
     page: Any = SimpleNamespace(server=server, session=None)
     controls: Any = None
     SourcePanel(page, controls, cast(Any, opened.append), [], seed=0).open("", None)
-    assert said == ["Enter the path of a recording or a world first."] and not opened
+    assert messages == ["Enter the path of a recording or a world first."] and not opened

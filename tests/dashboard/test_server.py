@@ -1,4 +1,4 @@
-"""Where the page listens and what it refuses; no browser needed."""
+"""Addresses of the server and the requests that it refuses, without a browser."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def server():
 
 
 def join(server: LocalServer) -> ClientConnection:
-    """Speak to the server as the page does."""
+    """Connect to the server as the page does."""
     protocol = f"viser-v{viser.__version__}"
     return connect(server.url.replace("http", "ws"), subprotocols=[protocol], max_size=None)  # type: ignore[list-item]
 
 
-def test_the_page_is_only_for_this_machine_unless_asked(server):
+def test_the_page_listens_on_this_machine_only_by_default(server):
     assert server.url == f"http://127.0.0.1:{server.get_port()}"
     assert server.get_host() == "127.0.0.1"
 
 
 @pytest.mark.parametrize(("host", "shown"), [("::1", "[::1]"), ("::", "[::1]"), ("0.0.0.0", "127.0.0.1")])
-def test_the_address_shown_is_one_that_opens_the_page(host, shown):
+def test_the_printed_address_opens_the_page(host, shown):
     if ":" in host and not has_ipv6():
         pytest.skip("this machine has no IPv6")
     server = LocalServer(host=host, port=0)

@@ -7,11 +7,11 @@ import pytest
 from aero_viz.dashboard.update_rate import MAX_RATE, MIN_RATE, UpdateRateLimiter
 
 
-def rates(limiter: UpdateRateLimiter, made: float, count: int) -> list[float]:
-    """Updates per second after each of `count` updates while the engine makes so many of its 50 ticks per second."""
+def rates(limiter: UpdateRateLimiter, tick_rate: float, count: int) -> list[float]:
+    """Return the update rate [Hz] after each of `count` updates, with an engine that should tick at 50 Hz."""
     seen = []
     for _ in range(count):
-        limiter.adapt(made, 50.0)
+        limiter.adapt(tick_rate, 50.0)
         seen.append(1.0 / limiter.period)
     return seen
 
@@ -45,6 +45,6 @@ def test_a_late_update_does_not_delay_those_after_it():
     period = 1.0 / MAX_RATE
     assert limiter.delay(100.0) == 0.0, "nothing is due before the first update"
     assert limiter.delay(100.0 + 0.2 * period) == pytest.approx(0.8 * period)
-    assert limiter.delay(100.0 + 1.5 * period) == pytest.approx(0.5 * period), "half a period late, then caught up"
-    assert limiter.delay(100.0 + 9.0 * period) == 0.0, "a long pause is not made up for"
+    assert limiter.delay(100.0 + 1.5 * period) == pytest.approx(0.5 * period), "half a period late, then on time again"
+    assert limiter.delay(100.0 + 9.0 * period) == 0.0, "a long pause is not caught up"
     assert limiter.delay(100.0 + 9.1 * period) == pytest.approx(0.9 * period)

@@ -19,7 +19,7 @@ def test_changes_are_undone_and_redone() -> None:
     assert history.go(+1).costs.q_position == 4.0
 
 
-def test_a_change_after_undo_forgets_what_was_undone() -> None:
+def test_a_change_after_undo_discards_what_was_undone() -> None:
     history = ConfigHistory(PlannerConfig())
     history.change({"costs.q_track": 1.0})
     history.go(-1)
@@ -34,7 +34,7 @@ def test_a_refused_change_leaves_the_configuration() -> None:
     assert history.current == (PlannerConfig(), 0)
 
 
-def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dragging_a_slider_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     history = ConfigHistory(PlannerConfig())
@@ -51,7 +51,7 @@ def test_a_slider_being_drawn_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatc
 FAILED = {"sampling.samples": 2000}
 
 
-def test_what_failed_is_forgotten_and_undo_leads_behind_what_is_good() -> None:
+def test_a_failed_configuration_is_dropped_and_undo_skips_it() -> None:
     history = ConfigHistory(PlannerConfig())
     good = history.change({"costs.q_track": 1.0})
     version = history.current[1]
@@ -61,7 +61,7 @@ def test_what_failed_is_forgotten_and_undo_leads_behind_what_is_good() -> None:
     assert history.go(-1) == PlannerConfig()
 
 
-def test_what_failed_on_the_way_back_is_forgotten_too() -> None:
+def test_a_configuration_that_fails_on_undo_is_dropped_too() -> None:
     history = ConfigHistory(PlannerConfig())
     history.change(FAILED)
     good = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
@@ -70,7 +70,7 @@ def test_what_failed_on_the_way_back_is_forgotten_too() -> None:
     assert history.go(-1) == PlannerConfig()
 
 
-def test_a_slider_drawn_until_it_fails_goes_back_to_what_was_good_last() -> None:
+def test_a_slider_dragged_to_a_failing_value_returns_to_the_last_good_one() -> None:
     history = ConfigHistory(PlannerConfig())
     good = history.change({"sampling.samples": 8})
     history.drop(history.change(FAILED), good)  # within the same second: one step of undo
@@ -87,7 +87,7 @@ def test_a_change_made_while_another_fails_stays() -> None:
     assert history.go(-1) == PlannerConfig()
 
 
-def test_an_equal_configuration_is_no_change() -> None:
+def test_an_equal_configuration_does_not_count_as_a_change() -> None:
     history = ConfigHistory(PlannerConfig())
     history.change(PlannerConfig())
     assert history.current[1] == 0

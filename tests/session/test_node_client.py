@@ -51,7 +51,7 @@ class Clock:
 
 @pytest.fixture(scope="module")
 def records() -> list[PlanRecord]:
-    """What a node in flight tells of its first plans."""
+    """Records of the first plans of a simulated node in flight."""
     planner, seen = Planner(SMALL, seed=1), Records()
     with closing(planner):
         simulation = Simulation(planner, poles(PLACES), (18.0, 0.0, 2.0), observers=[seen])
@@ -73,7 +73,7 @@ def telemetry() -> Iterator[Telemetry]:
 
 
 class Watcher:
-    """What a session publishes, with something to wait for."""
+    """Collects the frames and notices of a session, and waits for them."""
 
     def __init__(self, session: LiveSession) -> None:
         self.frames: list[Frame] = []
@@ -82,9 +82,9 @@ class Watcher:
         session.subscribe(lambda frame: self._add(self.frames, frame), every=True)
         session.subscribe_notices(lambda notice: self._add(self.notices, notice))
 
-    def _add(self, where: list[Any], item: Any) -> None:
+    def _add(self, items: list[Any], item: Any) -> None:
         with self._changed:
-            where.append(item)
+            items.append(item)
             self._changed.notify_all()
 
     def wait(self, condition: Callable[[], Any]) -> bool:
@@ -104,14 +104,14 @@ def live(telemetry: Telemetry) -> Iterator[tuple[LiveSession, Watcher]]:
 
 
 def show(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
-    """Send plans one after the other, each when the one before has been shown."""
+    """Send plans, each after the previous one has been shown."""
     for record in records:
         telemetry.observe(record)
         assert watcher.wait(lambda number=record.number: watcher.frames and watcher.frames[-1].index == number)
 
 
 def send(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
-    """Send plans to a session that holds still, and wait until it has them."""
+    """Send plans to a paused session, and wait until it has received them."""
     for record in records:
         sent = telemetry.sent
         telemetry.observe(record)
@@ -119,10 +119,10 @@ def send(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> N
             time.sleep(0.001)
     count = len(watcher.notices)
     telemetry.observe(StateChange(1.0, State.READY, State.FLYING, Cause.ENGAGED))
-    assert watcher.wait(lambda: len(watcher.notices) > count)  # what was sent before has come before
+    assert watcher.wait(lambda: len(watcher.notices) > count)  # the session receives messages in order
 
 
-def test_frames_are_what_the_drone_planned(telemetry: Telemetry, records: list[PlanRecord]):
+def test_frames_hold_the_drones_plans(telemetry: Telemetry, records: list[PlanRecord]):
     client = NodeClient("127.0.0.1", telemetry.port)
     assert client.config == SMALL and client.onboard.rates.replan == 25.0
     frames, stream = [], iter(client)
@@ -148,7 +148,7 @@ def test_frames_are_what_the_drone_planned(telemetry: Telemetry, records: list[P
     assert frames[0].source is frames[-1].source and frames[0].source.period == 0.04
 
 
-def test_a_session_follows_holds_and_goes_back(
+def test_a_live_session_follows_pauses_and_steps_back(
     telemetry: Telemetry, live: tuple[LiveSession, Watcher], records: list[PlanRecord]
 ):
     session, watcher = live
@@ -175,7 +175,7 @@ def test_a_session_follows_holds_and_goes_back(
     assert session.playing and session.frame.index == records[5].number
 
 
-def test_the_moment_of_a_pause_stays_however_long_it_lasts(
+def test_a_long_pause_keeps_the_frames_around_it(
     telemetry: Telemetry,
     live: tuple[LiveSession, Watcher],
     records: list[PlanRecord],
@@ -192,15 +192,15 @@ def test_the_moment_of_a_pause_stays_however_long_it_lasts(
         session.step(step)
         assert session.frame is not None
         visited.append(session.frame.index)
-    kept = numbers[2:8]  # three up to the pause, and three after it
+    kept = numbers[2:8]  # three up to the pause and three after it
     assert visited == [kept[i] for i in (2, 1, 0, 0, 1, 2, 3, 4, 5, 5, 5)]
     session.play()
     assert session.frame is not None and session.frame.index == numbers[-1]
-    session.step(-1)  # nothing is left that lies on the other side of a gap
+    session.step(-1)  # frames from before the gap are gone
     assert session.frame.index == numbers[-1]
 
 
-def test_a_pause_outlasts_the_connection(records: list[PlanRecord]):
+def test_a_pause_survives_a_reconnection(records: list[PlanRecord]):
     first = serve()
     port = first.port
     session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
@@ -212,7 +212,7 @@ def test_a_pause_outlasts_the_connection(records: list[PlanRecord]):
     assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
     second = serve(port)
     assert watcher.wait(lambda: any("connected again" in notice.text for notice in watcher.notices))
-    send(second, watcher, records[:2])  # a node that was started anew counts from the beginning
+    send(second, watcher, records[:2])  # a restarted node numbers its plans from the beginning
     session.step(-1)
     held = session.frame
     assert held is not None and held.index == records[2].number
@@ -223,7 +223,7 @@ def test_a_pause_outlasts_the_connection(records: list[PlanRecord]):
     second.close()
 
 
-def test_the_age_of_the_newest_plan_is_told_when_no_other_comes(
+def test_the_age_of_the_newest_plan_is_shown_once_plans_stop_coming(
     telemetry: Telemetry, live: tuple[LiveSession, Watcher], records: list[PlanRecord]
 ):
     session, watcher = live
@@ -266,8 +266,8 @@ except UserError as error:
 """
 
 
-def test_a_link_that_is_lost_without_a_word_is_noticed():
-    """Packets simply stop, in a network of the test's own: no FIN, no RST."""
+def test_a_link_that_drops_silently_is_detected():
+    """In a separate network namespace, packets stop without FIN or RST."""
     alone = ["unshare", "--user", "--map-root-user", "--net"]
     if not shutil.which("unshare") or not shutil.which("ip") or subprocess.run([*alone, "true"]).returncode:
         pytest.skip("needs Linux's user and network namespaces, and iproute2")
@@ -290,14 +290,14 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
         dashboard.close()
 
 
-def test_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
+def test_safety_state_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
     _, watcher = live
     telemetry.observe(StateChange(1.0, State.FLYING, State.BRAKING, Cause.CLOUD_STALE))
     assert watcher.wait(lambda: watcher.notices)
     assert watcher.notices[0] == Notice("error", f"FLYING → BRAKING: {Cause.CLOUD_STALE.value}")
 
 
-def test_a_drone_out_of_sight_is_found_again(records: list[PlanRecord]):
+def test_a_live_session_reconnects_to_a_lost_drone(records: list[PlanRecord]):
     first = serve()
     port = first.port
     session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
@@ -314,7 +314,7 @@ def test_a_drone_out_of_sight_is_found_again(records: list[PlanRecord]):
     second.close()
 
 
-def test_the_dashboard_shows_a_drone(
+def test_the_dashboard_shows_a_live_session(
     live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
 ):
     session, watcher = live
@@ -332,7 +332,7 @@ def test_the_dashboard_shows_a_drone(
         dashboard.close()
 
 
-def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
+def test_before_its_first_plan_a_drone_is_shown_as_connected(
     live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
 ):
     session, watcher = live
@@ -342,7 +342,7 @@ def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
         (status,) = (panel for panel in dashboard.panels if isinstance(panel, StatusPanel))
         assert f"Connected to 127.0.0.1:{telemetry.port}, which has not planned yet" in status.html.content
         placed = [x.pose for x in dashboard.layers.values() if isinstance(x, GoalLayer | DroneLayer)]
-        assert not any(pose.visible for pose in placed), "where they are is not known yet"
+        assert not any(pose.visible for pose in placed), "their positions are not known yet"
         (play,) = (panel.play_button for panel in dashboard.panels if isinstance(panel, PlaybackPanel))
         assert play.label == "Pause"
         session.pause()
@@ -357,7 +357,7 @@ def test_a_drone_that_has_not_planned_yet_is_said_to_be_connected(
         dashboard.close()
 
 
-def test_a_drone_that_is_lost_before_it_has_planned_is_not_said_to_be_connected():
+def test_a_drone_lost_before_its_first_plan_is_not_shown_as_connected():
     telemetry = serve()
     session = LiveSession(NodeClient("127.0.0.1", telemetry.port))
     watcher = Watcher(session)
@@ -368,7 +368,7 @@ def test_a_drone_that_is_lost_before_it_has_planned_is_not_said_to_be_connected(
     session.close()
 
 
-def test_the_verb_serves_the_page_until_it_is_told_to_end(telemetry: Telemetry):
+def test_the_connect_verb_serves_the_page_until_it_is_terminated(telemetry: Telemetry):
     script = (
         "import sys\nfrom aero_viz.cli.page import PageFlags, connect\n"
         "connect('127.0.0.1', drone_port=int(sys.argv[1]), page_flags=PageFlags(port=0))"
@@ -383,7 +383,7 @@ def test_the_verb_serves_the_page_until_it_is_told_to_end(telemetry: Telemetry):
         assert process.wait(20.0) == 0
 
 
-def test_who_does_not_answer_is_named():
+def test_an_address_without_a_node_is_named_in_the_error():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -405,7 +405,7 @@ def test_who_does_not_answer_is_named():
         (encode(Kind.HELLO, {"planner": {}, "onboard": {"limits": {"new": 1}}}), "install the same release"),
     ],
 )
-def test_what_answers_must_be_a_node_of_this_release(answer: bytes, problem: str):
+def test_a_server_that_is_not_a_node_of_this_release_is_refused(answer: bytes, problem: str):
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def respond() -> None:
@@ -421,7 +421,7 @@ def test_what_answers_must_be_a_node_of_this_release(answer: bytes, problem: str
     assert "\n" not in str(raised.value)
 
 
-def test_a_node_that_sends_nonsense_is_left(records: list[PlanRecord]):
+def test_malformed_messages_end_the_connection_with_an_error(records: list[PlanRecord]):
     hello = encode(Kind.HELLO, {"planner": PlannerConfig().to_dict(), "onboard": OnboardConfig().to_dict()})
     nonsense = [encode(Kind.PLAN, {}), encode(Kind.PLAN, {"number": "a"}, {"points": np.zeros(3, np.int16)}), b"x" * 50]
     for message in nonsense:

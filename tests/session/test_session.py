@@ -41,18 +41,18 @@ def live(session: Session) -> Session:
 def wait_for(condition: Callable[[], Any], timeout: float = 20.0) -> None:
     end = time.monotonic() + timeout
     while not condition():
-        assert time.monotonic() < end, "waited in vain"
+        assert time.monotonic() < end, f"the condition did not hold within {timeout} s"
         time.sleep(0.005)
 
 
 class Shortsighted(FlightSource):
-    """Takes a goal beyond 25 m, and cannot be observed with it."""
+    """Accepts a goal beyond 25 m but fails to observe with it."""
 
     def observe(self) -> Observation:
-        seen = super().observe()
-        if np.asarray(seen.goal.position)[0] > 25.0:
+        observation = super().observe()
+        if np.asarray(observation.goal.position)[0] > 25.0:
             raise ValueError("goal.position is too far.")
-        return seen
+        return observation
 
 
 def same_plan(a: Frame, b: Frame) -> bool:
@@ -63,7 +63,7 @@ def run(session: Session, count: int) -> list[Frame]:
     return [session.tick() for _ in range(count)]
 
 
-def test_a_flight_arrives_and_its_last_frame_stays(session: Session) -> None:
+def test_a_flight_arrives_and_further_ticks_return_its_last_frame(session: Session) -> None:
     frame = session.tick()
     while frame.outcome is None:
         frame = session.tick()
@@ -92,7 +92,7 @@ def test_going_back_repeats_the_flight_bit_for_bit(session: Session) -> None:
         assert same_plan(session.tick(), frame)
 
 
-def test_going_back_and_on_with_other_weights_flies_differently(session: Session) -> None:
+def test_changed_weights_change_the_flight_after_a_step_back(session: Session) -> None:
     frames = run(session, 12)
     session.step(-8).result()
     session.configure({"costs.q_position": 30.0})
@@ -102,7 +102,7 @@ def test_going_back_and_on_with_other_weights_flies_differently(session: Session
     assert again[-1].epoch != frames[-1].epoch
 
 
-def test_a_weight_acts_while_paused_and_undo_restores_the_plan(live: Session) -> None:
+def test_a_weight_changes_the_plan_while_paused_and_undo_restores_it(live: Session) -> None:
     live.step(3).result()
     before = live.frame
     assert before is not None
@@ -119,7 +119,7 @@ def test_a_weight_acts_while_paused_and_undo_restores_the_plan(live: Session) ->
     assert same_plan(live.frame, before)
 
 
-def test_a_structural_change_acts_while_paused(live: Session) -> None:
+def test_a_structural_change_takes_effect_while_paused(live: Session) -> None:
     live.configure({"sampling.samples": 8, "anchors.columns": 3})
     wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 2, 8))
 
@@ -188,7 +188,7 @@ def test_a_flight_catches_up_with_a_short_delay_and_slows_down_after_a_long_one(
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e9, float("nan")])
-def test_a_useless_speed_is_refused(session: Session, speed: float) -> None:
+def test_a_speed_out_of_bounds_is_refused(session: Session, speed: float) -> None:
     with pytest.raises(ValueError, match="speed is"):
         session.set_speed(speed)
 
@@ -201,7 +201,7 @@ def test_a_moved_goal_changes_the_plan(live: Session) -> None:
     np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_moved_goal_stays_moved_when_the_tick_is_returned_to(session: Session) -> None:
+def test_a_moved_goal_is_kept_when_stepping_back_to_its_tick(session: Session) -> None:
     run(session, 5)
     session.set_goal([0.0, 12.0, 2.0])
     run(session, 1)
@@ -211,7 +211,9 @@ def test_a_moved_goal_stays_moved_when_the_tick_is_returned_to(session: Session)
     np.testing.assert_array_equal(session.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_structure_that_fails_leaves_the_last_good_one(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_structural_change_that_fails_leaves_the_last_good_one(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run(session, 3)
     session.configure({"costs.q_track": 9.0})
     good = session.config
@@ -234,7 +236,7 @@ def test_an_impossible_goal_is_refused(session: Session, goal: list[float]) -> N
         session.set_goal(goal)
 
 
-def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_one_before_stays(live: Session) -> None:
+def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_previous_one_stays(live: Session) -> None:
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     inside = [4.0, 0.3, 2.0]
@@ -248,7 +250,7 @@ def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_one_before_stays
     np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_goal_that_cannot_be_planned_to_leaves_the_one_before() -> None:
+def test_a_goal_whose_plan_fails_leaves_the_previous_one() -> None:
     session = Session(small_source(goal=20.0, kind=Shortsighted), config=small_config())
     before = run(session, 3)[-1]
     with pytest.raises(ValueError, match=r"goal\.position"):
@@ -260,28 +262,28 @@ def test_a_goal_that_cannot_be_planned_to_leaves_the_one_before() -> None:
     session.close()
 
 
-def test_who_asks_is_told_when_time_stops_and_goes_on(live: Session) -> None:
-    told: list[bool] = []
-    sink = live.subscribe_playing(told.append)
+def test_subscribers_hear_of_every_pause_and_resumption(live: Session) -> None:
+    states: list[bool] = []
+    sink = live.subscribe_playing(states.append)
     live.play()
     live.play()
     live.pause()
     live.set_speed(100.0)
     live.play()
     wait_for(lambda: live.frame is not None and live.frame.outcome is not None)
-    wait_for(lambda: len(told) == 5)
-    assert told == [False, True, False, True, False]
+    wait_for(lambda: len(states) == 5)
+    assert states == [False, True, False, True, False]
     live.unsubscribe(sink)
 
 
-def test_samples_come_when_asked_for(live: Session) -> None:
+def test_frames_include_samples_on_request(live: Session) -> None:
     assert live.frame is not None and live.frame.plan.samples is None
     live.set_samples(True).result()
     assert live.frame.plan.samples is not None
     assert live.frame.plan.samples.shape == (17, 16, 26, 3)
 
 
-def test_another_source_starts_from_its_beginning(live: Session) -> None:
+def test_a_new_source_starts_from_its_beginning(live: Session) -> None:
     live.step(4).result()
     live.set_source(small_source(goal=20.0)).result()
     assert live.frame is not None
@@ -290,7 +292,7 @@ def test_another_source_starts_from_its_beginning(live: Session) -> None:
     assert live.source.world.goal[0] == 20.0
 
 
-def test_a_source_that_fails_at_once_leaves_the_old_one(live: Session) -> None:
+def test_a_source_whose_first_tick_fails_leaves_the_old_one(live: Session) -> None:
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     live.step(2).result()
@@ -305,7 +307,7 @@ def test_a_source_that_fails_at_once_leaves_the_old_one(live: Session) -> None:
     wait_for(lambda: any(n.level == "error" and "goal" in n.text for n in notices))
 
 
-def test_a_sink_that_hangs_or_raises_harms_neither_the_engine_nor_the_others(live: Session) -> None:
+def test_a_sink_that_hangs_or_raises_affects_neither_the_engine_nor_other_sinks(live: Session) -> None:
     seen: list[int] = []
 
     def raises(frame: Frame) -> None:
@@ -321,7 +323,7 @@ def test_a_sink_that_hangs_or_raises_harms_neither_the_engine_nor_the_others(liv
     assert hanging.dropped >= 1
 
 
-def test_the_end_is_told_once(live: Session) -> None:
+def test_the_outcome_is_announced_once(live: Session) -> None:
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     live.set_speed(100.0)
@@ -331,7 +333,7 @@ def test_the_end_is_told_once(live: Session) -> None:
     assert [n.text for n in notices] == ["poles: arrived at the goal."]
 
 
-def test_a_flight_that_goes_on_to_another_goal_tells_its_second_end_too(session: Session) -> None:
+def test_a_flight_that_continues_to_another_goal_announces_its_second_outcome_too(session: Session) -> None:
     notices: list[Notice] = []
     sink = session.subscribe_notices(notices.append)
     for goal in ([12.0, 0.0, 2.0], [12.0, 8.0, 2.0], [12.0, 8.0, 2.0]):
@@ -343,7 +345,7 @@ def test_a_flight_that_goes_on_to_another_goal_tells_its_second_end_too(session:
     assert [n.text for n in notices] == 3 * ["poles: arrived at the goal."]
 
 
-def test_a_flight_that_cannot_begin_says_why(live: Session) -> None:
+def test_a_flight_that_cannot_start_explains_why(live: Session) -> None:
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     pole = World("pole", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]]))
@@ -365,7 +367,7 @@ def test_playing_after_the_end_starts_again(live: Session) -> None:
     assert live.playing
 
 
-def test_a_speed_acts_on_a_tick_that_is_waited_for(live: Session) -> None:
+def test_a_new_speed_shortens_the_wait_for_the_next_tick(live: Session) -> None:
     live.set_speed(0.01)
     live.play()
     live.set_speed(100.0)

@@ -1,4 +1,4 @@
-"""Commands from one thread while another ticks, and before, after and beside the thread that keeps time."""
+"""Commands from one thread while another ticks, and while a session is started or closed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GOAL = [0.0, 12.0, 2.0]
 
 
 class Gated(FlightSource):
-    """Waits in the middle of a tick; tells when it was closed."""
+    """Flight that waits in the middle of a tick until it may go on."""
 
     def __init__(self, *args, **options) -> None:
         super().__init__(*args, **options)
@@ -72,19 +72,19 @@ def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Se
     assert session.frame is not None and session.frame.index == 1 and goal_of(session.frame) == GOAL
 
 
-def test_a_tick_comes_after_the_commands_given_before_it(session: Session, source: Gated) -> None:
+def test_a_tick_runs_after_the_commands_given_before_it(session: Session, source: Gated) -> None:
     session.tick()
-    other = threading.Thread(target=session.step)
-    other.start()
+    stepper = threading.Thread(target=session.step)
+    stepper.start()
     assert source.inside.wait(20.0)
     session.set_goal(GOAL)
     threading.Timer(0.2, source.go_on.set).start()
     assert goal_of(session.tick()) == GOAL
-    other.join()
+    stepper.join()
 
 
-def test_a_loop_of_ticks_and_the_page_beside_it_fly_as_the_loop_alone() -> None:
-    """The page sets what is set already, so that every command plans and none changes the flight."""
+def test_commands_from_a_page_do_not_disturb_a_loop_of_ticks() -> None:
+    """Each command sets a value that is already set, so that none may change the flight."""
     trails = []
     for disturbed in (False, True):
         session, stop = Session(small_source(), config=small_config(), seed=3), threading.Event()
@@ -94,20 +94,20 @@ def test_a_loop_of_ticks_and_the_page_beside_it_fly_as_the_loop_alone() -> None:
             while not stop.wait(0.001):
                 session.set_samples(False).result(timeout=20.0)
 
-        others = [threading.Thread(target=page) for _ in range(2 * disturbed)]
-        for other in others:
-            other.start()
+        pages = [threading.Thread(target=page) for _ in range(2 * disturbed)]
+        for thread in pages:
+            thread.start()
         frames = [session.tick() for _ in range(60)]
         stop.set()
-        for other in others:
-            other.join()
+        for thread in pages:
+            thread.join()
         session.close()
         assert [frame.index for frame in frames] == list(range(1, 61))
         trails.append(frames[-1].trail)
     np.testing.assert_array_equal(*trails)
 
 
-def test_a_session_that_ticks_by_itself_is_not_ticked_from_outside(session: Session) -> None:
+def test_a_started_session_refuses_to_be_ticked_or_started_again(session: Session) -> None:
     session.start(play=False)
     with pytest.raises(RuntimeError, match=r"ticks by itself; use step\(\)"):
         session.tick()

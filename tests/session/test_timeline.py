@@ -35,7 +35,7 @@ def test_going_to_a_time_finds_the_tick_at_or_before_it(time: float, index: int)
     np.testing.assert_array_equal(timeline.trail()[:, 0], np.arange(index + 1))
 
 
-def test_going_on_from_an_earlier_tick_forgets_the_later_ones_but_changes_no_trail_handed_out() -> None:
+def test_continuing_from_an_earlier_tick_discards_later_ones_but_changes_no_published_trail() -> None:
     timeline = flown(10)
     before = timeline.trail()
     timeline.go_by(-5)
@@ -53,7 +53,7 @@ def test_trails_are_read_only_and_survive_growth() -> None:
     np.testing.assert_array_equal(trail[:, 0], np.arange(3000))
 
 
-def test_old_ticks_are_forgotten_beyond_the_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_ticks_are_discarded_beyond_the_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("aero_viz.session.timeline._CAPACITY", 10)
     timeline = flown(25)
     assert timeline.index == 24
