@@ -180,10 +180,8 @@ def test_a_camera_button_moves_the_camera_to_its_view(desk, camera):
     drone = np.asarray(desk.session.frame.observation.state.position)
 
     def is_in_view() -> bool:
-        offset = np.asarray(client.camera.position) - drone
-        return {"top": offset[2] > 15.0, "side": abs(offset[1]) > 6.0, "follow": offset[0] < -3.0 and offset[2] < 4.0}[
-            camera
-        ]
+        x, y, z = np.asarray(client.camera.position) - drone
+        return {"top": z > 15.0, "side": abs(y) > 6.0, "follow": x < -3.0 and z < 4.0}[camera]
 
     desk.wait_for(is_in_view, camera)
 

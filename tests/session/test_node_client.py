@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -92,15 +92,30 @@ class Watcher:
             return bool(self._changed.wait_for(condition, 20.0))
 
 
+@contextmanager
+def watch(port: int) -> Iterator[tuple[LiveSession, Watcher]]:
+    """Open a live session of the node at `port`, which reconnects."""
+    with closing(
+        LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
+    ) as session:
+        watcher = Watcher(session)
+        session.start()
+        yield session, watcher
+
+
 @pytest.fixture
 def live(telemetry: Telemetry) -> Iterator[tuple[LiveSession, Watcher]]:
-    session = LiveSession(
-        NodeClient("127.0.0.1", telemetry.port), reconnect=lambda: NodeClient("127.0.0.1", telemetry.port)
-    )
-    watcher = Watcher(session)
-    session.start()
-    yield session, watcher
-    session.close()
+    with watch(telemetry.port) as session_and_watcher:
+        yield session_and_watcher
+
+
+def restart(telemetry: Telemetry, watcher: Watcher) -> Telemetry:
+    """Close the node's telemetry and serve it again at the same port; return it once the session has reconnected."""
+    telemetry.close()
+    assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
+    restarted = serve(telemetry.port)
+    assert watcher.wait(lambda: any("connected again" in notice.text for notice in watcher.notices))
+    return restarted
 
 
 def show(telemetry: Telemetry, watcher: Watcher, records: list[PlanRecord]) -> None:
@@ -202,25 +217,17 @@ def test_a_long_pause_keeps_the_frames_around_it(
 
 def test_a_pause_survives_a_reconnection(records: list[PlanRecord]):
     first = serve()
-    port = first.port
-    session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
-    watcher = Watcher(session)
-    session.start()
-    show(first, watcher, records[:4])
-    session.pause()
-    first.close()
-    assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
-    second = serve(port)
-    assert watcher.wait(lambda: any("connected again" in notice.text for notice in watcher.notices))
-    send(second, watcher, records[:2])  # a restarted node numbers its plans from the beginning
-    session.step(-1)
-    held = session.frame
-    assert held is not None and held.index == records[2].number
-    session.play()
-    assert session.frame is not None and session.frame.index == records[1].number
-    assert session.frame.epoch > held.epoch and session.frame.source is not held.source
-    session.close()
-    second.close()
+    with watch(first.port) as (session, watcher):
+        show(first, watcher, records[:4])
+        session.pause()
+        with closing(restart(first, watcher)) as second:
+            send(second, watcher, records[:2])  # a restarted node numbers its plans from the beginning
+            session.step(-1)
+            held = session.frame
+            assert held is not None and held.index == records[2].number
+            session.play()
+            assert session.frame is not None and session.frame.index == records[1].number
+            assert session.frame.epoch > held.epoch and session.frame.source is not held.source
 
 
 def test_the_age_of_the_newest_plan_is_shown_once_plans_stop_coming(
@@ -281,13 +288,10 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
     session, _ = live
     assert session.controls is None
     assert session.speed == 1.0 and session.config == SMALL
-    dashboard = Dashboard(session, port=0)
-    try:
+    with closing(Dashboard(session, port=0)) as dashboard:
         offered = {type(panel) for panel in dashboard.panels}
         assert offered == {PlaybackPanel, CameraPanel, ChartPanel, LayerPanel, ParameterTablePanel, StatusPanel}
         assert not any(layer.needs_samples for layer in dashboard.layers.values()), "the drone sends no samples"
-    finally:
-        dashboard.close()
 
 
 def test_safety_state_transitions_become_notices(live: tuple[LiveSession, Watcher], telemetry: Telemetry):
@@ -299,27 +303,18 @@ def test_safety_state_transitions_become_notices(live: tuple[LiveSession, Watche
 
 def test_a_live_session_reconnects_to_a_lost_drone(records: list[PlanRecord]):
     first = serve()
-    port = first.port
-    session = LiveSession(NodeClient("127.0.0.1", port), reconnect=lambda: NodeClient("127.0.0.1", port))
-    watcher = Watcher(session)
-    session.start()
-    show(first, watcher, records[:2])
-    first.close()
-    assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
-    second = serve(port)
-    assert watcher.wait(lambda: any("connected again" in notice.text for notice in watcher.notices))
-    show(second, watcher, records[2:4])
-    assert watcher.frames[-1].epoch > watcher.frames[0].epoch
-    session.close()
-    second.close()
+    with watch(first.port) as (_, watcher):
+        show(first, watcher, records[:2])
+        with closing(restart(first, watcher)) as second:
+            show(second, watcher, records[2:4])
+        assert watcher.frames[-1].epoch > watcher.frames[0].epoch
 
 
 def test_the_dashboard_shows_a_live_session(
     live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
 ):
     session, watcher = live
-    dashboard = Dashboard(session, port=0)
-    try:
+    with closing(Dashboard(session, port=0)) as dashboard:
         show(telemetry, watcher, records[:3])
         frame = session.frame
         assert frame is not None
@@ -328,16 +323,13 @@ def test_the_dashboard_shows_a_live_session(
         shown = [str(value) for handle, name, value in changes if name == "content"]
         assert any("FLYING" in text or "READY" in text for text in shown)
         assert any("controls nothing" in text for text in shown)
-    finally:
-        dashboard.close()
 
 
 def test_before_its_first_plan_a_drone_is_shown_as_connected(
     live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
 ):
     session, watcher = live
-    dashboard = Dashboard(session, port=0)
-    try:
+    with closing(Dashboard(session, port=0)) as dashboard:
         assert dashboard.drain()
         (status,) = (panel for panel in dashboard.panels if isinstance(panel, StatusPanel))
         assert f"Connected to 127.0.0.1:{telemetry.port}, which has not planned yet" in status.html.content
@@ -353,8 +345,6 @@ def test_before_its_first_plan_a_drone_is_shown_as_connected(
         assert frame is not None
         apply(dashboard.changes(frame))
         assert all(pose.visible for pose in placed) and "has not planned yet" not in status.html.content
-    finally:
-        dashboard.close()
 
 
 def test_a_drone_lost_before_its_first_plan_is_not_shown_as_connected():

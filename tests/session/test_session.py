@@ -211,9 +211,7 @@ def test_a_moved_goal_is_kept_when_stepping_back_to_its_tick(session: Session) -
     np.testing.assert_array_equal(session.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_structural_change_that_fails_leaves_the_last_good_one(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     run(session, 3)
     session.configure({"costs.q_track": 9.0})
     good = session.config
