@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import warp as wp
 
-__all__ = ["ArraySpec", "PackedArrays", "allocate", "array", "array_specs", "as_dict", "as_scalars", "as_vectors"]
+__all__ = ["PackedArrays", "allocate", "array", "as_dict", "as_scalars", "as_vectors"]
 
 Arrays = TypeVar("Arrays")
 _ALIGNMENT = 256

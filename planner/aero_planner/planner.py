@@ -17,7 +17,7 @@ from aero_planner.array_memory import PackedArrays, allocate, as_dict
 from aero_planner.arrays import PlannerInputs, PlannerOutputs, Sizes, Workspace, fine_shape
 from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
-from aero_planner.kernels.kernel_tuning import device_tuning
+from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
@@ -77,7 +77,7 @@ class Planner:
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
         self._device = find_device(device)
-        self._tuning = device_tuning(self._device)
+        self._tuning = CPU if self._device.is_cpu else CUDA
         self._batched = batch is not None
         self._batch = batch or 1
         self._seed = int(seed)

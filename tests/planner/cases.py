@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,15 @@ class Case:
         forward = rotation(unit(self.quaternion))[:, 0]
         yaw = np.arctan2(y, x) if np.hypot(x, y) > 0.5 else np.arctan2(forward[1], forward[0])
         return self.goal, np.zeros(3), np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+
+
+def batch_of(cases: Sequence[Case]) -> tuple[VehicleState, Goal, list[np.ndarray]]:
+    """Return the states, the goals and the clouds of several cases as one batch."""
+    position, velocity, quaternion, acceleration, goal = (
+        np.stack([getattr(case, name) for case in cases])
+        for name in ("position", "velocity", "quaternion", "acceleration", "goal")
+    )
+    return VehicleState(position, velocity, quaternion, acceleration), Goal(goal), [case.points for case in cases]
 
 
 def kept_points(plan: Plan) -> Array:

@@ -141,7 +141,7 @@ def rk4(x: Array, u: Array, config: PlannerConfig) -> Array:
 
 @dataclass
 class Rollout:
-    """Return the states after each control: p [N, 3], q [N, 4], v [N, 3]."""
+    """States after each control: p [N, 3], q [N, 4], v [N, 3]."""
 
     p: Array
     q: Array
@@ -205,12 +205,12 @@ def J_speed(v: Array, config: PlannerConfig) -> float:
     return float(config.costs.q_speed * (excess**2).sum())
 
 
-def turning_point(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:
+def waypoint(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:
     """Return the waypoint of an anchor; it is the goal if the path leads straight there."""
-    ahead = config.costs.waypoint_distance
-    if not reach < ahead < np.linalg.norm(goal - p0):
+    distance = config.costs.waypoint_distance
+    if not reach < distance < np.linalg.norm(goal - p0):
         return goal
-    return p0 + ahead * (anchor - p0) / np.linalg.norm(anchor - p0)
+    return p0 + distance * (anchor - p0) / np.linalg.norm(anchor - p0)
 
 
 def probes(p: Array, waypoint: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:

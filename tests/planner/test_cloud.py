@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from aero_planner import Goal, Planner, VehicleState
-from tests.planner.cases import config_of, random_case
+from tests.planner.cases import batch_of, config_of, random_case
 
 
 def write_points(planner: Planner, points: ArrayLike, first: int = 0) -> None:
@@ -37,16 +37,15 @@ def test_every_drone_of_a_batch_has_its_own_points(device: str):
     count = min(len(case.points) for case in cases)
     planner.reserve(count)
     write_points(planner, np.stack([case.points[:count] for case in cases]))
-    state = VehicleState(*(np.stack([getattr(case, name) for case in cases]) for name in
-                           ("position", "velocity", "quaternion")))  # fmt: skip
-    plan = planner.plan(state, Goal(np.stack([case.goal for case in cases])), planner.points)
+    state, goal, _ = batch_of(cases)
+    plan = planner.plan(state, goal, planner.points)
     for b, case in enumerate(cases):
         case.points = case.points[:count]
         alone = case.plan(Planner(config, device=device, seed=b))
         np.testing.assert_array_equal(plan.fine_range[b], alone.fine_range)
 
 
-def test_the_next_plan_sees_points_that_replace_others(device: str):
+def test_the_next_plan_sees_overwritten_points(device: str):
     planner = Planner(config_of(), device=device)
     planner.reserve(2)
     state, goal = VehicleState([0, 0, 2], [0, 0, 0], [1, 0, 0, 0]), Goal([30, 0, 2])
@@ -59,7 +58,7 @@ def test_the_next_plan_sees_points_that_replace_others(device: str):
     np.testing.assert_allclose(ranges, [[4.0, 5.0], [3.0, 4.0]])
 
 
-def test_a_plan_with_other_points_replaces_the_cloud(device: str):
+def test_points_passed_to_plan_replace_the_cloud(device: str):
     planner = Planner(config_of(), device=device)
     planner.reserve(1)
     write_points(planner, [[3.0, 0, 2]])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
+from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus
 from aero_planner.array_memory import allocate
 from aero_planner.arrays import Sizes
 from tests.planner import reference
-from tests.planner.cases import PLAN_ARRAYS, Case, assert_same, config_of, kept_points, random_case, shell
+from tests.planner.cases import PLAN_ARRAYS, Case, assert_same, batch_of, config_of, kept_points, random_case, shell
 
 
 def assert_consistent(plan: Plan, case: Case, config: PlannerConfig) -> None:
@@ -161,11 +161,8 @@ def test_a_batch_equals_single_planners(device: str):
     config, cases = config_of(), [random_case(seed, count=400 * seed) for seed in range(3)]
     batch = Planner(config, device=device, seed=5, batch=3)
     singles = [Planner(config, device=device, seed=5 + b) for b in range(3)]
-    state = VehicleState(*(np.stack([getattr(c, name) for c in cases]) for name in (
-        "position", "velocity", "quaternion", "acceleration")))  # fmt: skip
-    goal = Goal(np.stack([c.goal for c in cases]))
     for _ in range(2):
-        together = batch.plan(state, goal, [c.points for c in cases], samples=True)
+        together = batch.plan(*batch_of(cases), samples=True)
         for b, (case, single) in enumerate(zip(cases, singles, strict=True)):
             alone = case.plan(single, samples=True)
             for name in [*PLAN_ARRAYS, "samples", "command"]:
@@ -176,11 +173,9 @@ def test_a_batch_equals_single_planners(device: str):
 
 def test_each_drone_of_a_batch_may_have_its_own_configuration(device: str):
     case, planner = random_case(0), Planner(config_of("paper"), device=device, batch=2)
-    state = VehicleState(*(np.stack([x, x]) for x in (case.position, case.velocity, case.quaternion)))
-    goal, clouds = Goal(np.stack([case.goal] * 2)), np.stack([case.points] * 2)
     configs = [config_of("paper", anchors__lookahead=length) for length in (2.0, 4.0)]
     planner.configure(configs)
-    plan = planner.plan(state, goal, clouds)
+    plan = planner.plan(*batch_of([case, case]))
     reach = np.linalg.norm(plan.initial_endpoints - case.position, axis=-1)
     np.testing.assert_allclose(reach, np.repeat([[2.0], [4.0]], 15, 1), atol=1e-4)
     with pytest.raises(ValueError, match="1 configurations were given for a batch of 2"):
@@ -201,8 +196,7 @@ def test_a_rebuild_that_fails_keeps_the_configuration_of_each_drone(monkeypatch:
     monkeypatch.setattr("aero_planner.planner.allocate", fail)
     with pytest.raises(MemoryError, match="no room"):
         planner.configure(config_of("paper", sampling__steps=10))
-    state = VehicleState(*(np.stack([x] * 2) for x in (case.position, case.velocity, case.quaternion)))
-    plan = planner.plan(state, Goal(np.stack([case.goal] * 2)), np.stack([case.points] * 2))
+    plan = planner.plan(*batch_of([case, case]))
     reach = np.linalg.norm(plan.initial_endpoints - case.position, axis=-1)
     np.testing.assert_allclose(reach, np.repeat([[2.0], [4.0]], 15, 1), atol=1e-4)
 

@@ -21,7 +21,7 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, PreviousPlan
 
-__all__ = ["BRAKING_CANDIDATES", "Quintic", "make_guides", "quintic", "wrap_angle", "write_nominal"]
+__all__ = ["BRAKING_CANDIDATES", "make_guides"]
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-__all__ = ["CPU", "CUDA", "KernelTuning", "device_tuning"]
+__all__ = ["CPU", "CUDA", "KernelTuning"]
 
 _FEW_DRONES = 2
 """Largest batch that leaves a GPU idle threads."""
@@ -69,8 +69,3 @@ CUDA = KernelTuning(
     threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32, is_cuda=True,
 )  # fmt: skip
 """One point or sample per thread, and 16-byte loads of points and samples."""
-
-
-def device_tuning(device: wp.Device) -> KernelTuning:
-    """Return the tuning for a device and a single drone."""
-    return CPU if device.is_cpu else CUDA

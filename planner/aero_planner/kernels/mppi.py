@@ -48,7 +48,7 @@ NOISE_STEP = wp.constant(64)
 READ_AHEAD = wp.constant(5)
 """Costs, and control values, that are read together, so that a GPU waits for memory less often."""
 
-Values: Any = wp.types.vector(length=5, dtype=wp.float32)
+Values: Any = wp.types.vector(length=READ_AHEAD, dtype=wp.float32)
 
 PROBES = wp.constant(10)
 """Positions on the path from the final state to the goal at which the cost-to-go checks for obstacles."""

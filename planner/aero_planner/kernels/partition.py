@@ -18,7 +18,6 @@ from aero_planner.kernels.warp_ops import add_count
 
 __all__ = [
     "EMPTY",
-    "cell_direction",
     "cell_of_direction",
     "fill_directions",
     "finish_fine_cells",
@@ -196,7 +195,7 @@ def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
 READ_WIDTH = wp.constant(6)
 """Fine cells that are read together, so that a GPU waits for memory once for all of them."""
 
-Reals = wp.types.vector(length=6, dtype=wp.float32)
+Reals = wp.types.vector(length=READ_WIDTH, dtype=wp.float32)
 
 
 @wp.func

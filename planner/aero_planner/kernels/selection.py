@@ -18,14 +18,15 @@ from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
+from aero_planner.plan import PlanStatus
 
 __all__ = ["commit_plan", "evaluate_states", "roll_out_controls", "score_instances"]
 
 wp.set_module_options({"enable_backward": False})
 
-OK = wp.constant(0)
-NO_SAFE_CANDIDATE = wp.constant(1)
-STALE_CLOUD = wp.constant(2)
+OK = wp.constant(int(PlanStatus.OK))
+NO_SAFE_CANDIDATE = wp.constant(int(PlanStatus.NO_SAFE_CANDIDATE))
+STALE_CLOUD = wp.constant(int(PlanStatus.STALE_CLOUD))
 
 
 @functools.cache

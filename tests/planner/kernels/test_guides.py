@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aero_planner import Goal, Planner, VehicleState
+from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from tests.planner import reference
 from tests.planner.cases import config_of, exact, random_case
 
@@ -13,6 +13,11 @@ SEEDS = range(4)
 def nominal(planner: Planner) -> np.ndarray:
     """Return the nominal controls of the last plan, shape [M, N, 4]."""
     return planner.workspace.nominal_controls.numpy()[0, : len(planner.config.kinds)]
+
+
+def end_velocities(plan: Plan, config: PlannerConfig) -> np.ndarray:
+    """Return the velocities at the ends of the guides [m/s], shape [M, 3]."""
+    return plan.guide_coefficients @ np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -33,9 +38,7 @@ def test_guides_solve_the_boundary_conditions(device: str, preset: str, seed: in
 def test_arrival_speed_points_along_the_anchor(device: str):
     config, case = config_of(anchors__arrival_speed=2.0), random_case(0)
     plan = case.plan(Planner(config, device=device))
-    powers = np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
-    for m, anchor in enumerate(plan.anchors[:15]):
-        velocity = plan.guide_coefficients[m] @ powers
+    for velocity, anchor in zip(end_velocities(plan, config)[:15], plan.anchors[:15], strict=True):
         np.testing.assert_allclose(velocity, 2.0 * reference.unit(anchor - case.position), atol=2e-3)
 
 
@@ -45,8 +48,7 @@ def test_guides_that_reach_the_goal_take_its_velocity(device: str):
     velocity = np.array([0.5, -0.25, 0.125])
     config = config_of("paper")
     plan = Planner(config, device=device).plan(case.state, Goal(goal, velocity), case.points)
-    powers = np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
-    np.testing.assert_allclose(plan.guide_coefficients @ powers, np.tile(velocity, (15, 1)), atol=2e-3)
+    np.testing.assert_allclose(end_velocities(plan, config), np.tile(velocity, (15, 1)), atol=2e-3)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -65,7 +67,7 @@ def test_nominal_controls_fly_along_gentle_guides(device: str, seed: int):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_nominal_controls_correct_a_tilted_start(device: str, seed: int):
-    """With an initial tilt of up to 40 deg against the guide, they recover within the horizon."""
+    """From a tilt of up to 40 deg against the guide, the controls recover within the horizon."""
     config = config_of("paper", anchors__lookahead=1.5, anchors__lookahead_rest=1.5)
     case = random_case(seed, speed=0.0)
     case.velocity, case.acceleration = np.zeros(3), np.zeros(3)
@@ -114,8 +116,7 @@ def test_brake_guide_ends_at_rest_within_its_reach(device: str, reach: float):
     end = case.position + reach * config.horizon * case.velocity
     np.testing.assert_allclose(plan.guides[m, -1], end, atol=1e-4)
     np.testing.assert_allclose(plan.anchors[m], end, atol=1e-5)
-    powers = np.array([k * config.horizon ** max(k - 1, 0) for k in range(6)])
-    np.testing.assert_allclose(plan.guide_coefficients[m] @ powers, np.zeros(3), atol=2e-3)
+    np.testing.assert_allclose(end_velocities(plan, config)[m], np.zeros(3), atol=2e-3)
 
 
 def shifted(controls: np.ndarray, shift: float, hover: np.ndarray) -> np.ndarray:
@@ -156,32 +157,33 @@ def test_states_without_time_are_one_replan_period_apart(device: str):
 
 
 @pytest.mark.parametrize(
-    ("speed", "ahead", "distance"), [(0.3, 3.0, 12.0), (0.3, 0.0, 12.0), (0.3, 3.0, 2.9), (6.0, 3.0, 12.0)]
+    ("speed", "waypoint_distance", "distance"), [(0.3, 3.0, 12.0), (0.3, 0.0, 12.0), (0.3, 3.0, 2.9), (6.0, 3.0, 12.0)]
 )
-def test_waypoints_lie_on_the_line_to_the_anchor(device: str, speed: float, ahead: float, distance: float):
-    config, case = config_of(costs__waypoint_distance=ahead), random_case(0, speed=speed)
+def test_waypoints_lie_on_the_line_to_the_anchor(device: str, speed: float, waypoint_distance: float, distance: float):
+    config, case = config_of(costs__waypoint_distance=waypoint_distance), random_case(0, speed=speed)
     case.goal = case.beside(distance, 0, 0)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
-    turns = planner.workspace.waypoints.numpy()[0]
-    for m in range(len(turns)):
+    waypoints = planner.workspace.waypoints.numpy()[0]
+    for m in range(len(waypoints)):
         expected = case.goal
         if m < config.anchor_count:
             reach = float(np.linalg.norm(plan.initial_endpoints[m] - case.position))
-            expected = reference.turning_point(case.position, plan.anchors[m], reach, case.goal, config)
-        np.testing.assert_allclose(turns[m], expected, atol=1e-5)
-    assert np.array_equal(turns[0], case.goal) == (speed > 1.0 or not ahead or distance < ahead)
+            expected = reference.waypoint(case.position, plan.anchors[m], reach, case.goal, config)
+        np.testing.assert_allclose(waypoints[m], expected, atol=1e-5)
+    is_straight = speed > 1.0 or not waypoint_distance or distance < waypoint_distance
+    assert np.array_equal(waypoints[0], case.goal) == is_straight
 
 
 def test_the_previous_plan_keeps_its_waypoint_until_it_is_near(device: str):
     config, case = config_of(), random_case(0, nearest=4.0, speed=0.3)
     planner = Planner(config, device=device)
     first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
-    turn, history = planner.workspace.waypoints.numpy()[0, first.best], planner.history()
-    assert not np.array_equal(turn, case.goal)
-    for step, expected in ((0.0, turn), (1.0, exact(case.goal))):
+    waypoint, history = planner.workspace.waypoints.numpy()[0, first.best], planner.history()
+    assert not np.array_equal(waypoint, case.goal)
+    for step, expected in ((0.0, waypoint), (1.0, exact(case.goal))):
         planner.restore(history)
-        case.position = case.position + step * reference.unit(turn - case.position)
+        case.position = case.position + step * reference.unit(waypoint - case.position)
         planner.plan(_at(case, 50.02), Goal(case.goal), case.points)
         np.testing.assert_array_equal(planner.workspace.waypoints.numpy()[0, first.kinds.index("previous")], expected)
 

@@ -15,17 +15,17 @@ def sampled_controls(planner: Planner, plan: Plan) -> np.ndarray:
     return planner.workspace.sample_controls.numpy()[..., : plan.stage1_cost.shape[1]].swapaxes(2, 3)
 
 
-def turning_points(planner: Planner) -> np.ndarray:
+def waypoints_of(planner: Planner) -> np.ndarray:
     """Return the waypoints of all rows [m], shape [R, 3]; test_guides checks them."""
     return planner.workspace.waypoints.numpy()[0].astype(np.float64)
 
 
-def on_an_edge(x: reference.Rollout, turn: np.ndarray, case: Case, plan: Plan, config: PlannerConfig) -> bool:
+def on_an_edge(x: reference.Rollout, waypoint: np.ndarray, case: Case, plan: Plan, config: PlannerConfig) -> bool:
     """Return True if float32 may put a position of this rollout on the other side of a step of the penalties.
 
     Rollouts agree to 1e-4 m (see test_dynamics).
     """
-    places, _ = reference.probes(x.p[-1], turn, case.goal, config)
+    places, _ = reference.probes(x.p[-1], waypoint, case.goal, config)
     d = reference.clearance(np.concatenate((x.p, places)), kept_points(plan), 10.0)
     edges = (config.costs.distance_min, config.costs.distance_max, config.costs.blocked_radius)
     return bool(min(np.abs(d - edge).min() for edge in edges) < 2e-4)
@@ -42,8 +42,8 @@ def test_S1_of_samples(device: str, preset: str, speed: float, seed: int):
     planner = Planner(config, device=device)
     case.plan(planner)
     plan = case.plan(planner)  # the second, so that the previous candidate flies the previous plan
-    controls, turns, checked = sampled_controls(planner, plan), turning_points(planner), 0
-    assert np.array_equal(turns[0], case.goal) == (speed > 1.0)
+    controls, waypoints, checked = sampled_controls(planner, plan), waypoints_of(planner), 0
+    assert np.array_equal(waypoints[0], case.goal) == (speed > 1.0)
     for m, kind in enumerate(planner.config.kinds):
         if plan.kinds[m] != kind:
             continue  # replaced by braking, guide included
@@ -51,9 +51,9 @@ def test_S1_of_samples(device: str, preset: str, speed: float, seed: int):
         for k in (0, 5, 11):
             u = controls[m, :, k].astype(np.float64)
             x = reference.roll_out(case.position, case.quaternion, case.velocity, u, config)
-            if on_an_edge(x, turns[m], case, plan, config):
+            if on_an_edge(x, waypoints[m], case, plan, config):
                 continue
-            expected = reference.S1(x, u, guide, turns[m], case.full_goal(), kept_points(plan), config)
+            expected = reference.S1(x, u, guide, waypoints[m], case.full_goal(), kept_points(plan), config)
             np.testing.assert_allclose(plan.stage1_cost[m, k], expected, **COST)
             checked += 1
     assert checked > 20
@@ -65,15 +65,15 @@ def test_S2_and_its_terms(device: str, preset: str, speed: float, seed: int):
     config, case = config_of(preset), random_case(seed, nearest=0.8, count=500, speed=speed)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
-    turns, checked = turning_points(planner), 0
+    waypoints, checked = waypoints_of(planner), 0
     for m in range(len(plan.kinds)):
         x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[m], config)
         np.testing.assert_allclose(plan.goal_cost[m], reference.J_goal(x, *case.full_goal(), config), rtol=2e-5)
-        if on_an_edge(x, turns[m], case, plan, config):
+        if on_an_edge(x, waypoints[m], case, plan, config):
             continue
         d = reference.clearance(x.p, kept_points(plan), config.costs.distance_max)
         np.testing.assert_allclose(plan.collision_cost[m], reference.J_col(d, config), **COST)
-        expected = reference.S2(x, turns[m], *case.full_goal(), kept_points(plan), config)
+        expected = reference.S2(x, waypoints[m], *case.full_goal(), kept_points(plan), config)
         np.testing.assert_allclose(plan.stage2_cost[m], expected, **COST)
         checked += 1
     assert checked > 4
@@ -231,10 +231,10 @@ def test_cost_to_go_is_the_blocked_length(device: str):
     case.points = (wall + case.position).astype(np.float32)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
-    turns = turning_points(planner)
+    waypoints = waypoints_of(planner)
     to_go = plan.stage2_cost - plan.goal_cost - plan.collision_cost
     for m in range(len(plan.kinds)):
         end = plan.positions[m, -1].astype(np.float64)
-        expected = reference.J_blocked(end, turns[m], case.goal, kept_points(plan), config)
+        expected = reference.J_blocked(end, waypoints[m], case.goal, kept_points(plan), config)
         assert to_go[m] == pytest.approx(expected, abs=0.05) or expected % 50 < 1e-3
     assert 50.0 < np.median(to_go) < 200.0
