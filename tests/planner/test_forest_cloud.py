@@ -25,5 +25,5 @@ def test_a_cloud_is_like_that_of_a_mid360_in_flight():
     assert 0.05 < on_ground.mean() < 0.5 and points[:, 2].min() > -0.1 and points[:, 2].max() < 8.2
 
 
-def test_no_points_are_asked_for():
+def test_a_cloud_may_be_empty():
     assert forest_cloud(0).shape == (0, 3)

@@ -32,8 +32,8 @@ print("a warning", file=sys.stderr)
 """
 
 
-def said(folder, program: str) -> tuple[str, str]:
-    """What a program writes to stdout and stderr."""
+def output_of(folder, program: str) -> tuple[str, str]:
+    """Run a program and return what it writes to stdout and stderr."""
     (folder / "program.py").write_text(program)
     done = subprocess.run([sys.executable, str(folder / "program.py")], capture_output=True, text=True, check=True)
     return done.stdout, done.stderr
@@ -41,15 +41,15 @@ def said(folder, program: str) -> tuple[str, str]:
 
 @pytest.mark.parametrize("program", [COMMAND.format(level=""), PLAN], ids=["a kernel", "a plan"])
 def test_both_outputs_belong_to_the_program(tmp_path, program):
-    assert said(tmp_path, program) == ("the result\n", "a warning\n")
+    assert output_of(tmp_path, program) == ("the result\n", "a warning\n")
 
 
 @pytest.mark.parametrize("level", ["LOG_DEBUG", "LOG_ERROR"])
-def test_who_chose_another_level_keeps_it(tmp_path, level):
-    chosen = said(tmp_path, COMMAND.format(level=f"wp.config.log_level = wp.{level}"))[0]
+def test_another_log_level_is_kept(tmp_path, level):
+    chosen = output_of(tmp_path, COMMAND.format(level=f"wp.config.log_level = wp.{level}"))[0]
     assert ("Module" in chosen) == (level == "LOG_DEBUG")
 
 
 def test_a_service_may_have_closed_stderr(tmp_path):
     program = "import os, sys\nos.close(2)\nsys.stderr = None\n" + PLAN.replace("import sys\n", "", 1)
-    assert said(tmp_path, program.replace('print("a warning", file=sys.stderr)', ""))[0] == "the result\n"
+    assert output_of(tmp_path, program.replace('print("a warning", file=sys.stderr)', ""))[0] == "the result\n"

@@ -110,7 +110,7 @@ def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, s
     kept = np.array(plan.kinds) == np.array(config.kinds)
     if plan.status != PlanStatus.OK:
         kept[plan.best] = False
-    # (least - S) is exact where it matters; 64 weights of up to 1, controls of up to 16 N.
+    # min S - S is exact where it matters; 64 weights of up to 1, controls of up to 16 N.
     np.testing.assert_allclose(plan.controls[kept], expected[kept], atol=5e-5)
     assert kept.sum() >= 14 and weights.max() < 1.0 + 1e-12
 
