@@ -6,43 +6,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.scenes.mesh import Mesh
+from aero_viz.scenes.mesh import Mesh, box_mesh
 
 __all__ = ["quadrotor"]
 
 _ARM = 0.155
 _ROTOR = 0.095
-_QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-_BOX_FACES = np.array([t for a, b, c, d in _QUADS for t in ((a, b, c), (a, c, d))])
 
 
 def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
     """Return the parts by name: a mesh in the body frame [m], a colour, and an opacity (None: opaque)."""
     corners = [(_ARM * np.cos(a), _ARM * np.sin(a)) for a in np.radians((45.0, 135.0, 225.0, 315.0))]
-    arms = [_box((0.5 * x, 0.5 * y, 0.0), (_ARM, 0.02, 0.014), np.arctan2(y, x)) for x, y in corners]
-    motors = [_box((x, y, 0.014), (0.03, 0.03, 0.036), np.arctan2(y, x)) for x, y in corners]
+    arms = [(0.5 * x, 0.5 * y, 0.0, _ARM, 0.02, 0.014, np.arctan2(y, x)) for x, y in corners]
+    motors = [(x, y, 0.014, 0.03, 0.03, 0.036, np.arctan2(y, x)) for x, y in corners]
     rings = [_ring((x, y, 0.034), _ROTOR, 0.009) for x, y in corners]
     discs = [_ring((x, y, 0.034), _ROTOR - 0.009, _ROTOR - 0.011) for x, y in corners]
-    body = [_box((0.0, 0.0, 0.004), (0.15, 0.075, 0.04), 0.0), _box((-0.01, 0.0, 0.034), (0.08, 0.055, 0.022), 0.0)]
-    lidar = [_box((0.03, 0.0, 0.052), (0.042, 0.042, 0.034), np.pi / 4.0)]
+    body = [(0.0, 0.0, 0.004, 0.15, 0.075, 0.04, 0.0), (-0.01, 0.0, 0.034, 0.08, 0.055, 0.022, 0.0)]
+    lidar = (0.03, 0.0, 0.052, 0.042, 0.042, 0.034, np.pi / 4.0)
+    nose = box_mesh(np.array([(0.083, 0.0, 0.004, 0.018, 0.05, 0.026, 0.0)]))
     return {
-        "body": (_joined(body), palette.DRONE, None),
-        "arms": (_joined(arms + motors + lidar), palette.DRONE_DARK, None),
+        "body": (box_mesh(np.array(body)), palette.DRONE, None),
+        "arms": (box_mesh(np.array([*arms, *motors, lidar])), palette.DRONE_DARK, None),
         "rotor_rings": (_joined(rings[1:3]), palette.DRONE, None),
-        "nose": (
-            _joined([*rings[:1], *rings[3:], _box((0.083, 0.0, 0.004), (0.018, 0.05, 0.026), 0.0)]),
-            palette.TRAIL,
-            None,
-        ),
+        "nose": (_joined([*rings[:1], *rings[3:], nose]), palette.TRAIL, None),
         "discs": (_joined(discs), palette.ROTOR, 0.25),
     }
-
-
-def _box(center: tuple[float, float, float], size: tuple[float, float, float], yaw: float) -> Mesh:
-    corner = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size
-    c, s = np.cos(yaw), np.sin(yaw)
-    rotated = corner @ np.array([(c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)])
-    return Mesh((rotated + center).astype(np.float32), _BOX_FACES.astype(np.int32))
 
 
 def _ring(center: tuple[float, float, float], radius: float, width: float, sides: int = 32) -> Mesh:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.world import World
 
-__all__ = ["Mesh", "world_meshes"]
+__all__ = ["Mesh", "box_mesh", "world_meshes"]
 
 _SIDES = 8
 _RINGS = 4
@@ -32,12 +32,17 @@ def world_meshes(world: World) -> dict[str, Mesh]:
     ground, corners = world.ground, world.triangles.reshape(-1, 3).astype(np.float32)
     parts = {
         "cylinders": _instances(_unit_cylinder(), world.cylinders, _cylinder_axes(world.cylinders)),
-        "boxes": _instances(_unit_box(), world.boxes[~ground], _box_axes(world.boxes[~ground])),
-        "ground": _instances(_unit_box(), world.boxes[ground], _box_axes(world.boxes[ground])),
+        "boxes": box_mesh(world.boxes[~ground]),
+        "ground": box_mesh(world.boxes[ground]),
         "spheres": _instances(_unit_sphere(), world.spheres, np.eye(3) * world.spheres[:, 3, None, None]),
         "triangles": Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3)),
     }
     return {kind: mesh for kind, mesh in parts.items() if len(mesh.faces)}
+
+
+def box_mesh(table: NDArray[np.float64]) -> Mesh:
+    """Return one mesh of boxes, each given by its centre [m], size [m] and yaw [rad], shape [n, 7]."""
+    return _instances(_unit_box(), table, _box_axes(table))
 
 
 def _instances(shape: Mesh, table: NDArray[np.float64], axes: NDArray[np.float64]) -> Mesh:
