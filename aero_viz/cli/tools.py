@@ -145,7 +145,7 @@ def doctor(*, json: bool = False) -> None:
     Args:
         json: Print one JSON object.
     """
-    from aero_viz.doctor import examine
+    from aero_viz.cli.doctor import examine
 
     report = examine()
     print_report(report, as_json=json)

@@ -8,7 +8,7 @@ import importlib.metadata
 import pytest
 
 from aero_planner.check_report import Check, CheckReport
-from aero_viz.doctor import examine
+from aero_viz.cli.doctor import examine
 
 
 def test_only_required_checks_make_a_machine_unhealthy() -> None:
