@@ -1,29 +1,31 @@
-"""A simulated PX4 autopilot: MAVLink over UDP, a vehicle at 250 Hz, and PX4's rules for offboard control."""
+"""A simulated PX4 autopilot: MAVLink over UDP, a vehicle at 250 Hz, and PX4's rules for offboard control.
+
+How PX4 obeys setpoints is modelled in `aero_viz.rig.offboard`; the lags are those of the vehicle's model.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import enum
 import math
 import socket
 import struct
 import time
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.frames import attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
+from aero_planner.onboard.frames import attitude_from_ned, attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.faults import Channel
+from aero_viz.rig.offboard import Mode, OffboardControl, Setpoint
 
-__all__ = ["PERIOD", "Mode", "Setpoint", "SimulatedAutopilot"]
+__all__ = ["PERIOD", "SimulatedAutopilot"]
 
 PERIOD = 0.004
 """Duration of a simulation step [s]."""
@@ -36,29 +38,6 @@ _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram
 _ODOMETRY, _COVARIANCE = 331, [math.nan] * 21
 _HOLD_ACCELERATION = 6.0  # [m/s^2], the largest that HOLD asks for
 _PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
-
-
-class Mode(enum.Enum):
-    """Flight mode. The value is PX4's custom mode."""
-
-    HOLD = 4 << 16 | 3 << 24
-    """The autopilot controls the vehicle: it brakes and holds its position."""
-    OFFBOARD = 6 << 16
-    """The companion computer controls the vehicle."""
-
-
-@dataclass(frozen=True)
-class Setpoint:
-    """A decoded SET_ATTITUDE_TARGET."""
-
-    time: float
-    """Time of arrival at the kernel, since the start of the simulation [s]."""
-    thrust: float
-    """Total thrust [N]."""
-    rates: tuple[float, float, float]
-    """Body rates [rad/s], forward-left-up."""
-    mode: Mode
-    """Mode at the time of arrival. The autopilot obeys in OFFBOARD only."""
 
 
 class SimulatedAutopilot:
@@ -114,6 +93,7 @@ class SimulatedAutopilot:
         views = (self.vehicle.position, self.vehicle.velocity, self.vehicle.quaternion, self._command)
         # Arrays on the CPU, which share memory with the vehicle's.
         self._p, self._v, self._q, self._u = (view.numpy().reshape(-1) for view in views)
+        self._offboard = OffboardControl()
         self._hold_position: NDArray[np.float64] | None = np.array(start, dtype=np.float64)
         self._stream_start = self._last_setpoint_time = -math.inf
         self._dialect = load_dialect()
@@ -161,6 +141,7 @@ class SimulatedAutopilot:
         if not (self.armed and self.streaming):
             return False
         self.mode = Mode.OFFBOARD
+        self._offboard.engage()
         return True
 
     def hold(self) -> None:
@@ -186,7 +167,7 @@ class SimulatedAutopilot:
             if self.mode is Mode.HOLD:
                 self._u[:] = self._hold_command()
             else:
-                self._u[0], self._u[1:] = self.setpoints[-1].thrust, self.setpoints[-1].rates
+                self._u[:] = self._offboard.control(self._q.astype(np.float64), now)
             self.vehicle.fly(self._command, finished=self._finished, tick=tick)
         self._send_due_messages()
 
@@ -254,25 +235,33 @@ class SimulatedAutopilot:
                 self.violations.append(name)
 
     def _handle_setpoint(self, message: Any) -> None:
-        mask = message.type_mask
-        d = self._dialect
-        is_rates_and_thrust = mask & d.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE and not mask & (
+        d, mask = self._dialect, message.type_mask
+        rates_ignored = (
             d.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
             | d.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
             | d.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
-            | d.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
         )
+        has_attitude = not mask & d.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
+        has_rates = not mask & rates_ignored
         is_addressed = message.target_system in (0, 1) and message.target_component in (0, 1)
-        values = [message.thrust, message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
-        if not (is_rates_and_thrust and is_addressed and np.isfinite(values).all()):
+        rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
+        values = [message.thrust, *(rates if has_rates else []), *(message.q if has_attitude else [])]
+        is_complete = (has_attitude or has_rates) and not mask & d.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
+        if not (is_complete and is_addressed and np.isfinite(values).all()):
             self.refused += 1
             return
-        force = self._motors.force(self._compensation.signal(min(max(values[0], 0.0), 1.0)))
         if self._now - self._last_setpoint_time > self._loss_time:
             self._stream_start = self._now
         self._last_setpoint_time = self._now
-        rates = flu_from_frd(values[1:]).tolist()
-        self.setpoints.append(Setpoint(self._arrival, force, tuple(rates), self.mode))
+        setpoint = Setpoint(
+            self._arrival,
+            self._motors.force(self._compensation.signal(min(max(message.thrust, 0.0), 1.0))),
+            tuple(flu_from_frd(rates).tolist()) if has_rates else None,
+            tuple(attitude_from_ned(message.q).tolist()) if has_attitude else None,
+            self.mode,
+        )
+        self.setpoints.append(setpoint)
+        self._offboard.receive(setpoint, self._now)
 
     def _handle_command(self, message: Any) -> None:
         d = self._dialect

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.flight.rules import FlightRules
-from aero_viz.rig.autopilot import PERIOD, Mode, SimulatedAutopilot
+from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import NETWORK_FAULTS, Fault
+from aero_viz.rig.offboard import Mode
 from aero_viz.rig.process import NodeProcess
 from aero_viz.rig.result import Event, RigResult, Trajectory, intervals_of
 from aero_viz.rig.sensor import SimulatedMid360

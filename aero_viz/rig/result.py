@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_viz.rig.autopilot import Mode, Setpoint
+from aero_viz.rig.offboard import Mode, Setpoint
 
 __all__ = ["Event", "Intervals", "RigResult", "Trajectory", "intervals_of"]
 

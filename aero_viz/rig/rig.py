@@ -31,7 +31,12 @@ from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 
-__all__ = ["fly_rig"]
+__all__ = ["PX4_RESPONSE", "fly_rig"]
+
+PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max": 3.84, "rate_z_max": 0.8}
+"""Response of the vehicle to setpoints, as identified from flights of PX4 1.17 in its own simulation: parameters of
+`VehicleModel`. The largest rates are those of PX4's attitude controller about x and y (MC_ROLLRATE_MAX), and what the
+motors reach about z."""
 
 _HOST = "127.0.0.1"
 
@@ -86,7 +91,7 @@ def fly_rig(
     direction = world.goal - world.start
     with contextlib.ExitStack() as stack:
         autopilot = SimulatedAutopilot(
-            VehicleModel.from_config(config),
+            VehicleModel.from_config(config, **PX4_RESPONSE),
             world.start,
             math.atan2(direction[1], direction[0]),
             (_HOST, mavlink_port),

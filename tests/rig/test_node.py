@@ -16,7 +16,7 @@ from aero_planner.onboard.failsafe_process import takeover_time
 from aero_planner.onboard.livox import CARTESIAN_CM
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig import Fault, RigResult, fly_rig
-from aero_viz.rig.autopilot import Mode
+from aero_viz.rig.offboard import Mode
 from aero_viz.scenes import World
 from aero_viz.sensors.lidar import LidarModel
 

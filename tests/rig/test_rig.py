@@ -11,7 +11,7 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig import Fault, fly_rig
-from aero_viz.rig.autopilot import Mode, Setpoint
+from aero_viz.rig.offboard import Mode, Setpoint
 from aero_viz.rig.process import NodeProcess
 from aero_viz.rig.result import intervals_of
 from aero_viz.scenes import World
@@ -116,8 +116,8 @@ def test_a_process_gets_its_configuration():
 
 def test_intervals():
     times = [0.0, 0.02, 0.04, 0.07, 0.13, 0.15]
-    setpoints = [Setpoint(t, 9.81, (0.0, 0.0, 0.0), Mode.OFFBOARD) for t in times]
-    before = Setpoint(-5.0, 9.81, (0.0, 0.0, 0.0), Mode.HOLD)
+    setpoints = [Setpoint(t, 9.81, (0.0, 0.0, 0.0), None, Mode.OFFBOARD) for t in times]
+    before = Setpoint(-5.0, 9.81, (0.0, 0.0, 0.0), None, Mode.HOLD)
     result = intervals_of([before, *setpoints], 0.02)
     assert result is not None
     assert result.count == 5
