@@ -1,5 +1,5 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-lowest check format bench rig setup setup-dev clean
+.PHONY: help demo test test-lowest check format bench rig audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 
@@ -39,6 +39,20 @@ bench: setup     ## measure the planner's speed on this machine
 
 rig: setup-dev    ## run the tests that fly the onboard node over sockets, in real time
 	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)
+
+setup-release:
+	@scripts/setup release
+
+audit: setup-release  ## look for known vulnerabilities of the pinned packages
+	@$(PYTHON_BIN) scripts/audit.py
+
+pin: setup-release  ## update the hashes in constraints.txt after a version was changed
+	@$(PYTHON_BIN) scripts/pin.py
+
+release: setup-release  ## build both wheels and their bill of materials (SBOM, CycloneDX) into dist/
+	@$(PYTHON_BIN) -m pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w dist ./planner .
+	@scripts/pins Product | .venv/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible -o dist/sbom.json -
+	@ls dist
 
 clean:           ## remove .venv and caches
 	rm -rf .venv .venv-lowest build dist .pytest_cache .ruff_cache .hypothesis

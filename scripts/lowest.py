@@ -69,11 +69,13 @@ def install() -> None:
     if stamp("environment") != environment:
         print("Creating .venv-lowest ...", file=sys.stderr)
         run(python, "-m", "venv", "--clear", HOME)
-        pip("install", "-c", CONSTRAINTS, "setuptools")
+        (setuptools,) = re.findall(r"^setuptools==\S+", CONSTRAINTS.read_text(), re.MULTILINE)
+        pip("install", setuptools)
         wheel = build_wheel()
         pins = lowest_versions(wheel)
         bounded = {canonicalize_name(pin.split("==")[0]) for pin in pins}
-        others = [line for line in CONSTRAINTS.read_text().splitlines() if "==" in line]
+        # The lowest versions have no hashes in constraints.txt, and pip checks either all hashes or none.
+        others = re.findall(r"^[\w.-]+==[^\s;\\]+", CONSTRAINTS.read_text(), re.MULTILINE)
         others = [line for line in others if canonicalize_name(line.split("==")[0]) not in bounded]
         PINS.write_text("\n".join([*pins, *others, ""]))
         pip("install", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]")
