@@ -12,7 +12,20 @@ from aero_viz.session.source import Source
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["is_map", "load_world", "open_source"]
+__all__ = ["is_map", "load_world", "open_source", "shipped_recordings"]
+
+_SHIPPED = {
+    "forest_mid360": "recorded flight through the forest, Mid-360",
+    "room_mid360": "one recorded second in a room, Mid-360",
+}
+"""Descriptions of the recordings in datasets/, the one that `aero-viz play` opens first. datasets/make.py writes them."""
+
+
+def shipped_recordings() -> dict[str, tuple[Path, str]]:
+    """Return paths and descriptions of the recordings that ship with a checkout, by name; empty for a bare wheel."""
+    folder = Path(__file__).resolve().parents[1] / "datasets"
+    paths = {name: folder / f"{name}.mcap" for name in _SHIPPED}
+    return {name: (path, _SHIPPED[name]) for name, path in paths.items() if path.is_file()}
 
 
 def is_map(spec: str) -> bool:

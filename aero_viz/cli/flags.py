@@ -24,6 +24,7 @@ __all__ = [
     "FileName",
     "FlightFlags",
     "Inline",
+    "OptionalFileName",
     "OptionalFloat",
     "OptionalInt",
     "OptionalPath",
@@ -49,6 +50,7 @@ def _optional(metavar: str) -> Any:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
 
 
+OptionalFileName = tyro.conf.Positional[Annotated[str | None, _optional("FILE")]]
 OptionalFloat = Annotated[float | None, _optional("FLOAT")]
 OptionalInt = Annotated[int | None, _optional("INT")]
 OptionalPath = Annotated[Path | None, _optional("PATH")]

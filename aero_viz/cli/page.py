@@ -14,9 +14,9 @@ import tyro
 
 from aero_viz.cli.flags import (
     ConfigFlags,
-    FileName,
     FlightFlags,
     Inline,
+    OptionalFileName,
     OptionalPath,
     OptionalText,
     WorldFlags,
@@ -84,7 +84,7 @@ def demo(
 
 
 def play(
-    recording: FileName,
+    recording: OptionalFileName = None,
     *,
     points_topic: OptionalText = None,
     pose_topic: OptionalText = None,
@@ -97,7 +97,7 @@ def play(
     """Run the planner on a recording, open loop, live in the browser.
 
     Args:
-        recording: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file.
+        recording: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file; by default a flight that ships.
         points_topic: Topic of the point clouds; by default it is found by its type.
         pose_topic: Topic of the poses; by default it is found by its type.
         goal_ahead: Distance of the goal from the drone along the recorded path [m].
@@ -106,10 +106,15 @@ def play(
         page_flags: The page.
         config_flags: The planner's configuration.
     """
-    from aero_viz.catalog import is_map, open_source
+    from aero_viz.catalog import is_map, open_source, shipped_recordings
     from aero_viz.recordings import open_recording
     from aero_viz.scenes import SCENES
 
+    if recording is None:
+        shipped = shipped_recordings()
+        if not shipped:
+            raise UserError("no recording ships with this installation; give a file, or run play in a checkout.")
+        recording = str(next(iter(shipped.values()))[0])
     if is_map(recording) or Path(recording).suffix.lower() == ".json":
         raise UserError(f"{recording} is a world, not a recording; fly it with: aero-viz demo {recording}")
     if not Path(recording).exists():
@@ -196,6 +201,7 @@ def serve(
     log: OptionalPath = None,
 ) -> None:
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
+    from aero_viz.catalog import shipped_recordings
     from aero_viz.dashboard import Dashboard
     from aero_viz.scenes import SCENES
     from aero_viz.session import Session
@@ -209,7 +215,10 @@ def serve(
             host=page_flags.host,
             port=page_flags.port,
             open_source=opener,
-            choices=[(f"{name}: {kind.description}", name) for name, kind in SCENES.items()],
+            choices=[
+                *((f"{name}: {kind.description}", name) for name, kind in SCENES.items()),
+                *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
+            ],
             seed=seed,
         )
         stack.callback(dashboard.close)

@@ -18,7 +18,7 @@ from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, goal_message, plan_messages, pose_messages, sweep
-from aero_planner.quaternions import conjugate, multiply, rotation_matrix
+from aero_planner.quaternions import conjugate, multiply, rotation_matrix, rotation_vector
 from aero_viz.errors import UserError
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
@@ -181,10 +181,7 @@ class FlightLog:
 
 def _body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArray[np.float64]:
     """Return the constant body rates [rad/s], [3], that rotate one attitude into the other within `time` [s]."""
-    w, *axis = multiply(conjugate(before.quaternion), after.quaternion)
-    v = np.array(axis) * (1.0 if w >= 0.0 else -1.0)
-    sine = float(np.linalg.norm(v))
-    return v * (2.0 * np.arctan2(sine, abs(w)) / (sine * time)) if sine > 0.0 else v
+    return rotation_vector(multiply(conjugate(before.quaternion), after.quaternion)) / time
 
 
 def _sweep_message(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encoded:

@@ -21,6 +21,7 @@ __all__ = [
     "quaternion_from_angles",
     "rotate",
     "rotation_matrix",
+    "rotation_vector",
     "slerp",
 ]
 
@@ -72,6 +73,15 @@ def rotation_matrix(quaternion: ArrayLike) -> Array:
     for column, axis in enumerate(np.eye(3)):
         result[..., column] = rotate(q, axis)
     return result
+
+
+def rotation_vector(quaternion: ArrayLike) -> Array:
+    """Return axis times angle [.., 3] [rad] of unit quaternions [.., 4]; the angle is at most pi."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    return q[..., 1:] * np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
 
 
 def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Array:
