@@ -18,7 +18,7 @@ _SHIPPED = {
     "forest_mid360": "recorded flight through the forest, Mid-360",
     "room_mid360": "one recorded second in a room, Mid-360",
 }
-"""Descriptions of the recordings in datasets/, the one that `aero-viz play` opens first. datasets/make.py writes them."""
+"""Recordings in datasets/, with descriptions; `aero-viz play` opens the first. datasets/make.py writes them."""
 
 
 def shipped_recordings() -> dict[str, tuple[Path, str]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
+from aero_planner import PlanStatus
 from aero_viz.catalog import open_source, shipped_recordings
 from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
 from aero_viz.recordings import open_recording
@@ -21,7 +22,7 @@ def test_shipped_recordings_play_with_poses_and_are_small() -> None:
     assert sum(path.stat().st_size for path, _ in shipped.values()) < 1_000_000
     for path, _ in shipped.values():
         session = Session(open_source(str(path)))
-        assert all(session.tick().plan.status.name == "OK" for _ in range(3))
+        assert all(session.tick().plan.status == PlanStatus.OK for _ in range(3))
         session.close()
 
 
