@@ -35,7 +35,13 @@ _STREAM_TIME = 1.0  # [s] that setpoints must have been arriving before OFFBOARD
 _DEFAULT_STATE_RATE = 50.0  # [Hz]
 _MAX_STATE_RATE = 250.0  # [Hz]
 _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram arrived
-_ODOMETRY, _COVARIANCE = 331, [math.nan] * 21
+_ODOMETRY, _EXTENDED_SYS_STATE = 331, 245
+_ARMING_TIME = 1.5  # [s] after which a companion has received a heartbeat of a disarmed vehicle
+_POSITION_STD, _VELOCITY_STD = 0.2, 0.05  # [m], [m/s]; reported while the position is known
+# A lost position, after a flight of PX4 1.17 whose GNSS was switched off: in 13 s, its error grows to 6 m, and its
+# reported variance from 0.04 to 31 m^2.
+_DRIFT = np.array([0.05, 0.05, 0.0])  # acceleration of the error [m/s^2]
+_POSITION_STD_GROWTH, _VELOCITY_STD_GROWTH = 0.032, 0.065  # both [m/s^2], the first with the square of the time
 _HOLD_ACCELERATION = 6.0  # [m/s^2], the largest that HOLD asks for
 _PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
 
@@ -53,6 +59,8 @@ class SimulatedAutopilot:
         compensation: part of the curve that the autopilot compensates, PX4's THR_MDL_FAC.
         loss_time: time without setpoints after which the stream, and with it OFFBOARD, ends, PX4's COM_OF_LOSS_T [s].
         pair: send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY.
+        takeoff_time: time from arming until the autopilot reports that the vehicle is in the air [s].
+        height_offset: error of the reported height [m].
         seed: seed of gusts and of faults on the connections.
 
     Attributes:
@@ -78,6 +86,8 @@ class SimulatedAutopilot:
         compensation: float = 0.0,
         loss_time: float = 0.5,
         pair: bool = False,
+        takeoff_time: float = 0.5,
+        height_offset: float = 0.0,
         seed: int = 0,
     ) -> None:
         self.vehicle = Vehicle(model, np.atleast_2d(start), [heading], period=PERIOD, device="cpu", seeds=[seed])
@@ -101,6 +111,9 @@ class SimulatedAutopilot:
         self._pair, self._loss_time = pair, loss_time
         self._state_period = 1.0 / _DEFAULT_STATE_RATE
         self._next_state = self._next_heartbeat = 0.0
+        self._landed_period, self._next_landed = math.inf, math.inf  # not sent before it is requested
+        self._takeoff_time, self._height_offset = takeoff_time, height_offset
+        self._armed_at = self._companion_heard_at = self._lost_at = math.inf
         self._frozen_message: list[Any] = []
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -132,9 +145,14 @@ class SimulatedAutopilot:
         is_current = self._now - self._last_setpoint_time <= self._loss_time
         return is_current and self._now - self._stream_start >= _STREAM_TIME
 
+    @property
+    def ready_to_arm(self) -> bool:
+        """True once the companion computer has been running for long enough to know that the vehicle is disarmed."""
+        return self._now - self._companion_heard_at >= _ARMING_TIME
+
     def arm(self) -> None:
-        """Arm the vehicle, as the pilot does."""
-        self.armed = True
+        """Arm the vehicle and take off, as the pilot does."""
+        self.armed, self._armed_at = True, self._now
 
     def engage(self) -> bool:
         """Switch to OFFBOARD, as the pilot does; return True if the autopilot accepts."""
@@ -143,6 +161,10 @@ class SimulatedAutopilot:
         self.mode = Mode.OFFBOARD
         self._offboard.engage()
         return True
+
+    def lose_position(self, lost: bool = True) -> None:
+        """Let the estimated position drift and grow uncertain from now on, or find it again."""
+        self._lost_at = self._now if lost else math.inf
 
     def hold(self) -> None:
         """Switch to HOLD, as the pilot or the autopilot's failsafe does."""
@@ -227,6 +249,8 @@ class SimulatedAutopilot:
             self._protocol = self._new_protocol(self._protocol.seq)
         for message in messages:
             name = message.get_type()
+            if name != "BAD_DATA":
+                self._companion_heard_at = min(self._companion_heard_at, self._now)
             if name == "SET_ATTITUDE_TARGET":
                 self._handle_setpoint(message)
             elif name == "COMMAND_LONG":
@@ -268,9 +292,14 @@ class SimulatedAutopilot:
         if message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.violations.append(f"COMMAND_LONG {message.command}")
             return
-        is_supported = message.param1 == _ODOMETRY and not self._pair and message.param2 > 0.0
-        if is_supported:
-            self._state_period = max(1e-6 * message.param2, 1.0 / _MAX_STATE_RATE)
+        number, period = message.param1, max(1e-6 * message.param2, 1.0 / _MAX_STATE_RATE)
+        is_supported = message.param2 > 0.0
+        if is_supported and number == _ODOMETRY and not self._pair:
+            self._state_period = period
+        elif is_supported and number == _EXTENDED_SYS_STATE:
+            self._landed_period, self._next_landed = period, self._now
+        else:
+            is_supported = False
         result = d.MAV_RESULT_ACCEPTED if is_supported else d.MAV_RESULT_UNSUPPORTED
         self._send(d.MAVLink_command_ack_message(message.command, result))
 
@@ -283,6 +312,9 @@ class SimulatedAutopilot:
             status = d.MAV_STATE_ACTIVE if self.armed else d.MAV_STATE_STANDBY
             kind = d.MAV_TYPE_QUADROTOR
             self._send(d.MAVLink_heartbeat_message(kind, d.MAV_AUTOPILOT_PX4, base, self.mode.value, status, 3))
+        if self._now >= self._next_landed:
+            self._next_landed = max(self._next_landed + self._landed_period, self._now)
+            self._send(d.MAVLink_extended_sys_state_message(d.MAV_VTOL_STATE_UNDEFINED, self._landed_state()))
         if self._now >= self._next_state:
             self._next_state = max(self._next_state + self._state_period, self._now)
             if not (self.frozen and self._frozen_message):
@@ -290,10 +322,26 @@ class SimulatedAutopilot:
             for message in self._frozen_message:
                 self._send(message)
 
+    def _landed_state(self) -> int:
+        """Return the landed state. Like PX4, it reports every vehicle that is not armed as being on the ground."""
+        d, airborne = self._dialect, self._now - self._armed_at >= self._takeoff_time
+        if not self.armed:
+            return d.MAV_LANDED_STATE_ON_GROUND
+        return d.MAV_LANDED_STATE_IN_AIR if airborne else d.MAV_LANDED_STATE_TAKEOFF
+
+    def _estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+        """Return position and velocity as the autopilot estimates them, and their standard deviations."""
+        lost = max(0.0, self._now - self._lost_at)
+        offset = np.array([0.0, 0.0, self._height_offset])
+        position = self.position + offset + 0.5 * lost * lost * _DRIFT
+        position_std = _POSITION_STD + _POSITION_STD_GROWTH * lost * lost
+        return position, self.velocity + lost * _DRIFT, position_std, _VELOCITY_STD + _VELOCITY_STD_GROWTH * lost
+
     def _state_messages(self) -> list[Any]:
         d = self._dialect
         stamp = _BOOT_TIME + self._now
-        p, v = ned_from_world(self._p), ned_from_world(self._v)
+        position, velocity, position_std, velocity_std = self._estimate()
+        p, v = ned_from_world(position), ned_from_world(velocity)
         q = attitude_to_ned(self._q)
         rates = frd_from_flu(self.vehicle.control.numpy()[0, 1:])  # type: ignore[index]
         if self._pair:
@@ -304,7 +352,8 @@ class SimulatedAutopilot:
             ]
         frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_LOCAL_NED
         motion = [*p.tolist(), q.tolist(), *v.tolist(), *rates.tolist()]
-        return [d.MAVLink_odometry_message(int(1e6 * stamp), *frames, *motion, _COVARIANCE, _COVARIANCE, 0, 0)]
+        covariances = _covariance(position_std), _covariance(velocity_std)
+        return [d.MAVLink_odometry_message(int(1e6 * stamp), *frames, *motion, *covariances, 0, 0)]
 
     def _send(self, message: Any) -> None:
         data = bytes(message.pack(self._protocol))
@@ -314,3 +363,10 @@ class SimulatedAutopilot:
     def _deliver(self, data: bytes) -> None:
         with contextlib.suppress(OSError):  # nobody listens now; a real datagram would be lost, too
             self._socket.sendto(data, self._address)
+
+
+def _covariance(std: float) -> list[float]:
+    """Return the upper triangle of a 6 x 6 covariance of which, as in PX4, only the diagonal is known."""
+    values = [math.nan] * 21
+    values[0] = values[6] = values[11] = std * std
+    return values

@@ -32,6 +32,7 @@ FAULT_KINDS: dict[str, FaultKind] = {
     "reorder": FaultKind("packets overtake each other", 0.3, 3.0),
     "corrupt": FaultKind("bytes of packets are changed", 0.3, 3.0),
     "freeze-state": FaultKind("the autopilot repeats one state", duration=3.0),
+    "lose-position": FaultKind("the autopilot's position drifts and grows uncertain", duration=60.0),
     "kill-sensor": FaultKind("the LiDAR sends nothing", duration=60.0),
     "pause-node": FaultKind("the node's process is paused, then resumed", duration=0.5),
     "restart-node": FaultKind("the node's process is killed and restarted"),

@@ -139,20 +139,20 @@ class RigFlight:
             tick += 1
 
     def _act_as_pilot(self, now: float) -> None:
-        """Arm and switch to OFFBOARD as soon as setpoints have been streaming for a while."""
+        """Arm and take off once the node runs, and switch to OFFBOARD when it has been streaming for a while."""
         if not self._node.running:
             self._reason = "not_ready"
             self._add_event("node ended")
         elif now > _START_TIMEOUT:
             self._reason = "not_ready"
-        elif self._autopilot.streaming:
-            if not self._autopilot.armed:
+        elif not self._autopilot.armed:
+            if self._autopilot.ready_to_arm:
                 self._autopilot.arm()
-                self._add_event("pilot arms")
-            elif self._autopilot.engage():
-                self._engaged_at = now
-                self._mode = Mode.OFFBOARD
-                self._add_event("pilot switches to OFFBOARD, autopilot accepts")
+                self._add_event("pilot arms and takes off")
+        elif self._autopilot.engage():
+            self._engaged_at = now
+            self._mode = Mode.OFFBOARD
+            self._add_event("pilot switches to OFFBOARD, autopilot accepts")
 
     def _observe(self, tick: int, now: float) -> None:
         """Record one step at the time `now` after the engagement, switch faults, and end the flight if it is over."""
@@ -230,6 +230,8 @@ class RigFlight:
                     channel.faults.pop(fault.kind, None)
         elif fault.kind == "freeze-state":
             self._autopilot.frozen = active
+        elif fault.kind == "lose-position":
+            self._autopilot.lose_position(active)
         elif fault.kind == "kill-sensor":
             self._sensor.alive = not active
         elif active:

@@ -274,6 +274,54 @@ def test_the_companion_sets_the_rate_of_states(make):
     assert (np.diff(stamps) > 0).all()
 
 
+def request(c, number, rate):
+    c.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, number, 1e6 / rate, *[0.0] * 5))
+
+
+def test_the_landed_state_is_reported_on_request(make):
+    c = make(takeoff_time=0.5)
+    c.run(1.0)
+    assert c.got("EXTENDED_SYS_STATE") == []
+    request(c, 245, 10)
+    c.run(1.0)
+    c.autopilot.arm()
+    c.run(1.0)
+    states = [message.landed_state for _, message in c.got("EXTENDED_SYS_STATE")]
+    assert len(states) == pytest.approx(20, abs=2)
+    on_ground, taking_off, in_air = states[:10], states[10:15], states[15:]
+    assert set(on_ground) == {mavlink.MAV_LANDED_STATE_ON_GROUND}
+    assert set(taking_off) <= {mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_ON_GROUND}
+    assert set(in_air[1:]) == {mavlink.MAV_LANDED_STATE_IN_AIR}
+
+
+def test_the_pilot_arms_when_the_companion_must_have_seen_a_heartbeat(make):
+    c = make()
+    c.run(3.0, every=None)
+    assert not c.autopilot.ready_to_arm
+    c.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+    c.run(1.4, every=None)
+    assert not c.autopilot.ready_to_arm
+    c.run(0.2, every=None)
+    assert c.autopilot.ready_to_arm
+
+
+def test_a_lost_position_drifts_and_grows_uncertain(make):
+    c = make(height_offset=0.48)
+    c.run(0.5)
+    _, known = c.got("ODOMETRY")[-1]
+    assert known.z == pytest.approx(-3.48) and known.pose_covariance[0] == pytest.approx(0.04)
+    c.autopilot.lose_position()
+    c.run(13.0)
+    _, lost = c.got("ODOMETRY")[-1]
+    assert np.hypot(lost.x - known.x, lost.y - known.y) == pytest.approx(6.0, abs=0.1)
+    assert lost.pose_covariance[6] == pytest.approx(31.0, rel=0.05)
+    assert lost.velocity_covariance[11] ** 0.5 == pytest.approx(0.9, abs=0.01)
+    c.autopilot.lose_position(False)
+    c.run(0.1)
+    _, found = c.got("ODOMETRY")[-1]
+    assert found.x == pytest.approx(known.x) and found.velocity_covariance[0] ** 0.5 == pytest.approx(0.05)
+
+
 def test_a_pair_of_messages_can_replace_odometry(make):
     c = make(pair=True)
     c.run(0.5)

@@ -82,6 +82,13 @@ def test_without_states_the_node_brakes_by_dead_reckoning_and_hands_back(world):
     assert not obeyed_after(result, 1.5 + limits.state_age + limits.blind_time + 0.5)
 
 
+def test_a_lost_position_is_noticed_and_the_drone_handed_back(world):
+    lost = Fault("lose-position", 1.0)
+    result = fly(world, lost, onboard=ONBOARD.replace({"limits.velocity_std": 0.1, "limits.brake_time": 3.0}))
+    assert result.reason == "held", (result, result.log)
+    assert any("position or velocity is too uncertain" in line for line in result.log)
+
+
 def longest_gap(result: RigResult, begin: float, end: float) -> float:
     """Return the longest time between two obeyed setpoints from `begin` to `end` after the engagement [s]."""
     times = [time for time in obeyed_after(result, begin) if time <= end]

@@ -3,6 +3,7 @@
 - The loop: `node`, `interfaces` (to LiDAR, autopilot and observers), `periodic_loop`, `replanner`, `plan_schedule`,
   `dead_reckoning`, `goal_tracker`, `stop_controller`.
 - Safety: `failsafe_table` (what happens on which fault), `safety_machine`, `watchdog`, `failsafe_process`,
+  `readiness_log`,
   `safety_docs`.
 - LiDAR: `livox`, `sweep_buffer`, `host_clock`.
 - Autopilot: `mavlink`, `mavlink_parser`, `transport`, `frames`, `thrust`, `estimator_reset`.

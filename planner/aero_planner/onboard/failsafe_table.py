@@ -25,9 +25,12 @@ __all__ = [
     "DETECTION",
     "FAULTS",
     "HARMLESS_AT_REST",
+    "NOT_FLYING",
     "REACTIONS",
     "REACTION_OVERRIDES",
+    "THRESHOLDS",
     "TRANSITIONS",
+    "UNLOCATED",
     "Cause",
     "Inputs",
     "Reaction",
@@ -100,6 +103,12 @@ class Inputs:
     """True if the newest vehicle state holds neither NaN nor infinity."""
     plan_finite: bool
     """True if the newest plan holds neither NaN nor infinity."""
+    in_air: bool | None
+    """As reported by the autopilot; None if it does not report it."""
+    position_std: float
+    """Standard deviation of the position as estimated by the autopilot [m]; NaN if unknown."""
+    velocity_std: float
+    """The same for the velocity [m/s]."""
     inside_fence: bool
     loop_age: float
     """Time since the previous tick began; 0 at the first tick."""
@@ -112,13 +121,15 @@ class Inputs:
     stopping: bool = False
     """True once the node has been asked to stop."""
     seen_disarmed: bool = True
-    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next three fields."""
+    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next four fields."""
     state_time: float = 0.0
     """Time since the present state was entered [s]."""
     fault_time: float = 0.0
     """Time since the drone last followed a plan or waited at its goal [s]."""
     goal_new: bool = False
     """True if the goal differs from the one that was reached last."""
+    estimate_was_poor: bool = False
+    """True if ESTIMATE_POOR applied at the previous tick."""
 
 
 class Cause(enum.Enum):
@@ -131,12 +142,15 @@ class Cause(enum.Enum):
     LINK_LOST = "no heartbeat from the autopilot"
     STATE_STALE = "no vehicle state from the autopilot"
     STATE_NOT_FINITE = "the vehicle state contains NaN or infinity"
+    ESTIMATE_POOR = "the autopilot's position or velocity is too uncertain"
     OUTSIDE_FENCE = "outside the geofence"
     LOOP_STALLED = "the control loop stalled"
     CLOUD_STALE = "no points from the LiDAR: none arrive, or nothing is in range"
     PLAN_NOT_FINITE = "the plan contains NaN or infinity"
     PLAN_STALE = "no plan in time: the planner is late, hangs or fails"
     PLAN_UNSAFE = "no safe candidate, or a plan based on a stale cloud"
+    ON_GROUND = "the vehicle is on the ground, taking off or landing"
+    IN_AIR_UNKNOWN = "the autopilot does not report whether the vehicle is in the air"
     STOPPING = "the node was asked to stop"
     STATE_TIMEOUT = "no vehicle state for too long to continue by dead reckoning"
     LINK_TIMEOUT = "no heartbeat for too long to continue"
@@ -151,10 +165,13 @@ class Cause(enum.Enum):
 
 
 FAULTS = (
-    Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED,
-    Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
+    Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.ESTIMATE_POOR, Cause.OUTSIDE_FENCE,
+    Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
+
+NOT_FLYING = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN)
+"""Causes that, like the faults, prevent READY, but that do not disturb a flight."""
 
 REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
     # The controls of an unsafe plan are the planner's own braking candidate, chosen with regard to obstacles.
@@ -167,6 +184,9 @@ REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
 BLINDING = (Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE)
 """Faults that leave only dead reckoning."""
 
+UNLOCATED = (*BLINDING, Cause.ESTIMATE_POOR)
+"""Faults without a position to hold: the drone is braked, but it does not count as at rest."""
+
 HARMLESS_AT_REST = (Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE)
 """Faults that do not matter to a drone that waits at its goal."""
 
@@ -174,6 +194,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.LINK_LOST: ("limits.heartbeat_age",),
     Cause.STATE_STALE: ("limits.state_age",),
     Cause.STATE_NOT_FINITE: ("limits.state_age",),  # at the latest: a link that drops such states lets the state age
+    Cause.ESTIMATE_POOR: (),
     Cause.OUTSIDE_FENCE: (),
     Cause.LOOP_STALLED: ("limits.deadline",),
     Cause.CLOUD_STALE: ("limits.cloud_age",),
@@ -190,10 +211,28 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
 }
 """Settings whose sum is the time from the event to its detection. The reaction follows within one control period."""
 
+THRESHOLDS: dict[Cause, tuple[str, ...]] = {
+    Cause.ESTIMATE_POOR: ("limits.position_std", "limits.velocity_std"),
+    Cause.OUTSIDE_FENCE: ("limits.fence_*",),
+}
+"""Settings that define an event itself."""
+
+_RELEASE = 0.7
+"""Fraction of a limit below which a poor estimate counts as good again."""
+
 
 def _exceeds(age: float, limit: float) -> bool:
     """Return True if `age` exceeds `limit` or is NaN."""
     return not age <= limit
+
+
+def _estimate_is_poor(inputs: Inputs, limits: LimitSettings) -> bool:
+    """Return True if a standard deviation exceeds its limit; one that is unknown (NaN) does not.
+
+    An estimate that was poor must become better than the limit before it counts as good.
+    """
+    scale = _RELEASE if inputs.estimate_was_poor else 1.0
+    return inputs.position_std > scale * limits.position_std or inputs.velocity_std > scale * limits.velocity_std
 
 
 _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
@@ -204,26 +243,31 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.LINK_LOST: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age),
     Cause.STATE_STALE: lambda i, lim: _exceeds(i.state_age, lim.state_age),
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
+    Cause.ESTIMATE_POOR: _estimate_is_poor,
     Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence,
     Cause.LOOP_STALLED: lambda i, lim: _exceeds(i.loop_age, lim.deadline),
     Cause.CLOUD_STALE: lambda i, lim: _exceeds(i.cloud_age, lim.cloud_age),
     Cause.PLAN_NOT_FINITE: lambda i, _: not i.plan_finite,
     Cause.PLAN_STALE: lambda i, lim: _exceeds(i.plan_age, lim.plan_age),
     Cause.PLAN_UNSAFE: lambda i, _: i.plan_status != PlanStatus.OK,
+    Cause.ON_GROUND: lambda i, _: i.in_air is False,
+    Cause.IN_AIR_UNKNOWN: lambda i, _: i.in_air is None,
     Cause.STOPPING: lambda i, _: i.stopping,
     Cause.STATE_TIMEOUT: lambda i, lim: _exceeds(i.state_age, lim.state_age + lim.blind_time),
     Cause.LINK_TIMEOUT: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age + lim.blind_time),
     Cause.LOOP_TIMEOUT: lambda i, lim: _exceeds(i.loop_age, lim.deadline + lim.blind_time),
     Cause.BRAKE_TIMEOUT: lambda i, lim: i.state_time > lim.brake_time,
     Cause.HOLD_TIMEOUT: lambda i, lim: i.fault_time > lim.brake_time + lim.hold_time,
-    Cause.AT_REST: lambda i, lim: not _is_blind(i, lim) and i.speed <= lim.speed_stopped,
+    Cause.AT_REST: lambda i, lim: not _has_any(UNLOCATED, i, lim) and i.speed <= lim.speed_stopped,
     Cause.GOAL_REACHED: lambda i, lim: i.goal_distance <= lim.arrival_radius,
     # The drone drifts a little while it holds, so a goal that was reached is left at a larger distance.
     Cause.GOAL_MOVED: lambda i, lim: (
         _is_clear(i, lim) and i.goal_distance > (1.0 if i.goal_new else 2.0) * lim.arrival_radius
     ),
     Cause.ALL_CLEAR: lambda i, lim: _is_clear(i, lim),
-    Cause.STANDBY: lambda i, lim: _is_clear(i, lim) and not (i.armed and i.offboard),
+    Cause.STANDBY: lambda i, lim: (
+        _is_clear(i, lim) and not _has_any(NOT_FLYING, i, lim) and not (i.armed and i.offboard)
+    ),
 }
 
 
@@ -246,8 +290,8 @@ def _is_clear(inputs: Inputs, limits: LimitSettings) -> bool:
     return not inputs.stopping and not find_faults(inputs, limits)
 
 
-def _is_blind(inputs: Inputs, limits: LimitSettings) -> bool:
-    return any(cause_applies(fault, inputs, limits) for fault in BLINDING)
+def _has_any(causes: tuple[Cause, ...], inputs: Inputs, limits: LimitSettings) -> bool:
+    return any(cause_applies(cause, inputs, limits) for cause in causes)
 
 
 def blind_time_left(inputs: Inputs, limits: LimitSettings) -> float:
@@ -289,11 +333,11 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition((_S.ARRIVED, _S.HOLDING), Cause.STOPPING, _S.HANDED_BACK),
     # Faults that are present now.
     Transition((_S.READY,), Cause.STOPPING, _S.WAITING),
-    *(Transition((_S.READY,), fault, _S.WAITING) for fault in FAULTS),
+    *(Transition((_S.READY,), cause, _S.WAITING) for cause in (*FAULTS, *NOT_FLYING)),
     Transition((_S.FLYING,), Cause.STOPPING, _S.BRAKING),
     *(Transition((_S.FLYING,), fault, _S.BRAKING) for fault in FAULTS),
     *(Transition((_S.ARRIVED,), fault, _S.BRAKING) for fault in FAULTS if fault not in HARMLESS_AT_REST),
-    *(Transition((_S.HOLDING,), fault, _S.BRAKING) for fault in BLINDING),
+    *(Transition((_S.HOLDING,), fault, _S.BRAKING) for fault in UNLOCATED),
     # Recovery and progress.
     Transition((_S.BRAKING, _S.HOLDING), Cause.ALL_CLEAR, _S.FLYING),
     Transition((_S.BRAKING,), Cause.AT_REST, _S.HOLDING),

@@ -104,7 +104,33 @@ def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboar
             ok=not sample.armed or limits.join_armed,
             advice="Disarm: a node that starts in the air stays silent until the drone has landed.",
         ),
+        _check_landed_state(sample),
+        *_check_uncertainty(sample, onboard),
     ]
+
+
+def _check_landed_state(sample: VehicleSample) -> Check:
+    words = {None: "not reported", True: "in the air", False: "on the ground, taking off or landing"}
+    advice = (
+        "The node is READY only in the air, as reported by EXTENDED_SYS_STATE: let the autopilot send it, and set "
+        "mavlink.state_rate above 0 so that the node requests it."
+    )
+    return Check("landed state", words[sample.in_air], ok=sample.in_air is not None, advice=advice)
+
+
+def _check_uncertainty(sample: VehicleSample, onboard: OnboardConfig) -> Iterator[Check]:
+    limits = onboard.limits
+    quantities = (
+        ("position uncertainty", sample.position_std, limits.position_std, "m"),
+        ("velocity uncertainty", sample.velocity_std, limits.velocity_std, "m/s"),
+    )
+    for name, std, limit, unit in quantities:
+        if math.isnan(std):
+            advice = "A lost position would not be noticed: let the autopilot send ODOMETRY with its covariances."
+            yield Check(name, "not reported", ok=False, required=False, advice=advice)
+        else:
+            advice = f"The node flies with at most {limit:g} {unit}: wait for a better estimate, and check its sources."
+            yield Check(name, f"{std:.2f} {unit} (standard deviation)", ok=std <= limit, advice=advice)
 
 
 def _check_dropped(link: VehicleLink) -> Iterator[Check]:

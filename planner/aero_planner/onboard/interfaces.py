@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
@@ -80,6 +81,14 @@ class VehicleSample:
     """When the newest heartbeat arrived, host time [s]; -inf before the first."""
     resets: int = 0
     """Number of resets of the autopilot's estimator; positions before and after a reset are not comparable."""
+    in_air: bool | None = None
+    """True if the autopilot reports that the vehicle is in the air; False if it is on the ground, taking off or
+    landing; None if there is no recent report."""
+    position_std: float = math.nan
+    """Standard deviation of the position along its most uncertain axis, as the autopilot estimates it [m]; NaN if the
+    autopilot does not report it."""
+    velocity_std: float = math.nan
+    """The same for the velocity [m/s]."""
 
 
 class CommandSink(Protocol):
@@ -149,8 +158,8 @@ class PlanRecord(PlanResult):
     """A plan, its inputs, and the state of the node."""
 
     safety: State
-    faults: tuple[Cause, ...] = ()
-    """Faults that prevent flying the plan."""
+    missing: tuple[Cause, ...] = ()
+    """What keeps the drone from flying the plan, see `SafetyMachine.missing`."""
     late_ticks: int = 0
     """Number of deadlines that the control loop has missed since the start."""
     sweeps: int = 10

@@ -5,15 +5,19 @@ comes from SET_POSITION_TARGET_LOCAL_NED addressed to this component. The estima
 counter of ODOMETRY changes, when LOCAL_POSITION_NED, which has no counter, moves as no flight does
 (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message.
 
-Besides commands (`MavlinkSender`), only a heartbeat per second and requests for ODOMETRY are
+Whether the vehicle is in the air comes from EXTENDED_SYS_STATE. How uncertain the state is comes from the covariances
+of ODOMETRY; the other two messages have none.
+
+Besides commands (`MavlinkSender`), only a heartbeat per second and requests for messages are
 sent: nothing here can arm the vehicle or switch its mode.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,7 +38,9 @@ __all__ = ["MavlinkLink", "MavlinkSender", "load_dialect"]
 _ODOMETRY_TIMEOUT = 1.0  # [s] without ODOMETRY after which the other two messages are used
 _PAIR_TIMEOUT = 0.1  # [s] between the stamps of a position and an attitude that are used together
 _OVERTAKEN = 1.0  # [s] by which an attitude may be late and is ignored; more means that the clock was set
-_REQUEST_PERIOD = 2.0  # [s] between two requests for ODOMETRY
+_REQUEST_PERIOD = 2.0  # [s] between two requests for messages
+_LANDED_RATE = 5.0  # [Hz] of EXTENDED_SYS_STATE
+_LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
 _LIMIT = 1e6  # [m], [m/s]; larger values have no precision left in float32
 _BYTES_PER_POLL = 65_536  # bounds the time of a poll during a flood
@@ -131,7 +137,7 @@ class MavlinkLink(MavlinkSender):
         baud: Baud rate of a serial device [bit/s].
         system: System id of the autopilot and of this computer.
         component: Component id of this computer.
-        state_rate: ODOMETRY messages per second that are requested from the autopilot; 0 requests none.
+        state_rate: ODOMETRY messages per second that are requested from the autopilot; 0 requests no messages.
         clock: Host time [s].
 
     Raises:
@@ -170,7 +176,9 @@ class MavlinkLink(MavlinkSender):
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = self._heartbeat_sent = self._requested = -np.inf
-        self._odometry_count = 0
+        self._arrived: dict[str, int] = {}  # number of messages since the last request, by name
+        self._landed_state, self._landed_time = 0, -np.inf
+        self._position_std = self._velocity_std = math.nan
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
         self._estimate: EstimatorState | None = None
         self._origin: tuple[Any, ...] | None = None
@@ -216,6 +224,8 @@ class MavlinkLink(MavlinkSender):
         self._transport.accept_sender()
         if name == "HEARTBEAT":
             self._process_heartbeat(message)
+        elif name == "EXTENDED_SYS_STATE":
+            self._process_landed_state(message)
         elif name == "ODOMETRY":
             self._process_odometry(message)
         elif name == "ATTITUDE_QUATERNION":
@@ -232,15 +242,31 @@ class MavlinkLink(MavlinkSender):
             self.state = self._make_sample(self.state.time, self.state.state)
         elapsed = now - self._requested
         if self._state_rate > 0.0 and elapsed >= _REQUEST_PERIOD:
-            if self._odometry_count < 0.7 * self._state_rate * min(elapsed, 1e6):
-                self._request_odometry()
-            self._requested, self._odometry_count = now, 0
+            self._request_messages(min(elapsed, 1e6))
+            self._requested = now
+            self._arrived.clear()
 
-    def _request_odometry(self) -> None:
+    def _request_messages(self, elapsed: float) -> None:
+        """Request each message that has arrived at less than 70 % of its rate in the last `elapsed` seconds."""
         d = self._dialect
-        command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0
-        parameters = d.MAVLINK_MSG_ID_ODOMETRY, 1e6 / self._state_rate, *[0.0] * 5
-        self.send_message(d.MAVLink_command_long_message(self._system, *command, *parameters))
+        wanted = {
+            "ODOMETRY": (d.MAVLINK_MSG_ID_ODOMETRY, self._state_rate),
+            "EXTENDED_SYS_STATE": (d.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, _LANDED_RATE),
+        }
+        for name, (number, rate) in wanted.items():
+            if self._arrived.get(name, 0) < 0.7 * rate * elapsed:
+                command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0
+                parameters = number, 1e6 / rate, *[0.0] * 5
+                self.send_message(d.MAVLink_command_long_message(self._system, *command, *parameters))
+
+    def _process_landed_state(self, message: Any) -> None:
+        self._landed_state, self._landed_time = message.landed_state, self._time()
+        self._count_arrival("EXTENDED_SYS_STATE")
+        if self.state is not None:
+            self.state = self._make_sample(self.state.time, self.state.state)
+
+    def _count_arrival(self, name: str) -> None:
+        self._arrived[name] = self._arrived.get(name, 0) + 1
 
     def _process_odometry(self, message: Any) -> None:
         d = self._dialect
@@ -257,9 +283,10 @@ class MavlinkLink(MavlinkSender):
             velocity = rotate(attitude, velocity)
         time = self._clocks["ODOMETRY"].to_host(1e-6 * message.time_usec, arrival)
         origin = "ODOMETRY", message.frame_id, message.reset_counter
-        if self._set_state(origin, time, [message.x, message.y, message.z], velocity, attitude):
+        stds = _largest_std(message.pose_covariance), _largest_std(message.velocity_covariance)
+        if self._set_state(origin, time, [message.x, message.y, message.z], velocity, attitude, stds):
             self._odometry_time = arrival
-            self._odometry_count += 1
+            self._count_arrival("ODOMETRY")
 
     def _process_attitude(self, message: Any) -> None:
         stamp, attitude = 1e-3 * message.time_boot_ms, _normalized([message.q1, message.q2, message.q3, message.q4])
@@ -288,12 +315,18 @@ class MavlinkLink(MavlinkSender):
             self._estimate, self._detected_resets = estimate, resets
 
     def _set_state(
-        self, origin: tuple[Any, ...], time: float | None, position: ArrayLike, velocity: ArrayLike, attitude: ArrayLike
+        self,
+        origin: tuple[Any, ...],
+        time: float | None,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        attitude: ArrayLike,
+        stds: tuple[float, float] = (math.nan, math.nan),
     ) -> bool:
         """Accept a state in north-east-down; return False if it is unusable or not newer than the present one.
 
         `origin`, which begins with the message's name, identifies the local origin of the state. When it changes, the
-        estimator was reset.
+        estimator was reset. `stds` are the standard deviations of position and velocity; NaN stands for unknown.
         """
         p, v, q = world_from_ned(position), world_from_ned(velocity), attitude_from_ned(attitude)
         if time is None:
@@ -307,11 +340,18 @@ class MavlinkLink(MavlinkSender):
             return False
         self._resets += self._origin not in (None, origin)
         self._origin = origin
+        self._position_std, self._velocity_std = stds
         self.state = self._make_sample(time, VehicleState(p, v, q, time=time))
         return True
 
     def _make_sample(self, time: float, state: VehicleState) -> VehicleSample:
-        return VehicleSample(time, state, self._armed, self._offboard, self._heartbeat_time, self._resets)
+        in_air = None
+        if self._time() - self._landed_time <= _LANDED_TIMEOUT and self._landed_state:
+            in_air = self._landed_state == self._dialect.MAV_LANDED_STATE_IN_AIR
+        return VehicleSample(
+            time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
+            self._position_std, self._velocity_std,
+        )  # fmt: skip
 
     def _process_goal(self, message: Any) -> None:
         is_for_us = message.target_system in (0, self._system) and message.target_component in (0, self._component)
@@ -326,6 +366,15 @@ class MavlinkLink(MavlinkSender):
 
     def _drop(self, reason: str) -> None:
         self.dropped[reason] = self.dropped.get(reason, 0) + 1
+
+
+def _largest_std(covariance: Sequence[float]) -> float:
+    """Return the largest standard deviation of x, y and z in the upper triangle of a 6 x 6 matrix; NaN if unknown.
+
+    An autopilot that does not know a variance sends NaN or 0.
+    """
+    known = [variance for variance in (covariance[0], covariance[6], covariance[11]) if variance > 0.0]
+    return math.sqrt(max(known)) if known else math.nan
 
 
 def _normalized(quaternion: ArrayLike) -> NDArray[np.float64] | None:

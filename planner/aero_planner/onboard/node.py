@@ -34,6 +34,7 @@ from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.periodic_loop import PeriodicLoop
 from aero_planner.onboard.plan_schedule import PlanSchedule
+from aero_planner.onboard.readiness_log import ReadinessLog
 from aero_planner.onboard.replanner import ControlSnapshot, Replanner
 from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
 from aero_planner.onboard.settings import OnboardConfig, check_together
@@ -114,6 +115,7 @@ class Node:
             deadline=config.limits.deadline,
             blind_time=config.limits.blind_time,
         )
+        self._readiness = ReadinessLog()
         self.snapshot: ControlSnapshot | None = None
         self._sample: VehicleSample | None = None
         self._state_finite = True
@@ -193,6 +195,9 @@ class Node:
         self._report(now, motion, command if is_obeyed else None, follows_plan=reaction in AS_PLANNED)
         # Last, so that a flood of packets delays no command.
         self._read_points()
+        if self.state is State.WAITING:
+            reasons = [cause.value for cause in self.safety.missing()]
+            self._readiness.update(now, reasons if self.goal is not None else ["there is no goal", *reasons])
         if self._stopping and self.state not in COMMANDING:
             self._fell_silent.set()
         return reaction
@@ -205,7 +210,7 @@ class Node:
         record = PlanRecord(
             **vars(result),
             safety=self.state,
-            faults=self.safety.active_faults(),
+            missing=self.safety.missing(),
             late_ticks=self._loops["control"].statistics.missed,
             sweeps=self.config.lidar.sweeps,
         )
@@ -263,6 +268,9 @@ class Node:
             plan_status=PlanStatus.OK if plan is None else plan.status,
             state_finite=self._state_finite and (motion is None or motion.is_finite),
             plan_finite=self._replanner.is_finite,
+            in_air=None if latest is None else latest.in_air,
+            position_std=math.nan if latest is None else latest.position_std,
+            velocity_std=math.nan if latest is None else latest.velocity_std,
             inside_fence=is_inside_fence(position, self.config.limits),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,

@@ -13,6 +13,7 @@ from aero_planner.onboard.failsafe_table import (
     FAULTS,
     REACTION_OVERRIDES,
     REACTIONS,
+    THRESHOLDS,
     TRANSITIONS,
     Cause,
     Reaction,
@@ -54,7 +55,8 @@ def format_failsafes(config: OnboardConfig | None = None) -> str:
     lines = ["| event | in | then | reaction | within | setting |", "| --- | --- | --- | --- | --- | --- |"]
     for cause, paths in DETECTION.items():
         within = sum(float(config.get(path)) for path in paths) + 1.0 / config.rates.control
-        names = " + ".join(f"`{path}`" for path in paths)
+        thresholds = ", ".join(f"`{path}`" for path in THRESHOLDS.get(cause, ()))
+        names = " + ".join(f"`{path}`" for path in paths) or thresholds
         for target in State:
             rows = [row for row in TRANSITIONS if row.cause is cause and row.target is target]
             sources = [state.name for row in rows for state in row.sources if state in COMMANDING]

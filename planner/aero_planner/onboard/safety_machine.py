@@ -7,7 +7,18 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from aero_planner.onboard.failsafe_table import Cause, Inputs, Reaction, State, find_faults, next_state, reaction_to
+from aero_planner.onboard.failsafe_table import (
+    COMMANDING,
+    NOT_FLYING,
+    Cause,
+    Inputs,
+    Reaction,
+    State,
+    cause_applies,
+    find_faults,
+    next_state,
+    reaction_to,
+)
 from aero_planner.onboard.settings import LimitSettings
 
 __all__ = ["SafetyMachine", "StateChange"]
@@ -57,6 +68,13 @@ class SafetyMachine:
         """Return the faults found by the newest step, the most severe first."""
         return () if self.inputs is None else find_faults(self.inputs, self._limits)
 
+    def missing(self) -> tuple[Cause, ...]:
+        """Return what keeps the drone from flying a plan: the faults and, before a take-over, what READY needs."""
+        if self.inputs is None or self.state in COMMANDING:
+            return self.active_faults()
+        not_flying = [cause for cause in NOT_FLYING if cause_applies(cause, self.inputs, self._limits)]
+        return (*self.active_faults(), *not_flying)
+
     def step(self, now: float, inputs: Inputs) -> Reaction:
         """Process the inputs of one tick at the time `now` [s] and return the reaction that is due."""
         # Before the first heartbeat it is unknown whether the motors are armed.
@@ -69,6 +87,7 @@ class SafetyMachine:
             state_time=now - self._entered,
             fault_time=now - self._last_in_order,
             goal_new=inputs.goal_number != self._reached_goal,
+            estimate_was_poor=Cause.ESTIMATE_POOR in self.active_faults(),
         )
         target, cause = next_state(self.state, self.inputs, self._limits)
         if cause is not None:

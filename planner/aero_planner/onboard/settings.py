@@ -136,6 +136,14 @@ class LimitSettings(ParameterSection, section="limits"):
     plan_age: float = live(
         0.3, "s", 0.05, 2.0, "Age above which a plan is not flown any more.", label="Maximum plan age"
     )
+    position_std: float = live(
+        2.0, "m", 0.05, 100.0, "Standard deviation of the position, as the autopilot reports it, above which the drone "
+        "brakes.", label="Maximum position uncertainty",
+    )  # fmt: skip
+    velocity_std: float = live(
+        0.5, "m/s", 0.05, 20.0, "Standard deviation of the velocity, as the autopilot reports it, above which the "
+        "drone brakes.", label="Maximum velocity uncertainty",
+    )  # fmt: skip
     heartbeat_age: float = live(
         3.0, "s", 0.2, 10.0, "Time without a heartbeat after which the link counts as lost; PX4 sends one per second.",
         label="Heartbeat timeout",

@@ -276,7 +276,7 @@ def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
         "cloud_age": record.cloud_age,
         "sweeps": record.sweeps,
         "safety": record.safety.name,
-        "missing": [fault.value for fault in record.faults],
+        "missing": [cause.value for cause in record.missing],
         "late_ticks": record.late_ticks,
     }
     return encode(Kind.PLAN, values, arrays)

@@ -47,6 +47,8 @@ class SimulatedLink:
         self.dropped: dict[str, int] = {}
         self.resets = 0
         self.armed = self.offboard = False
+        self.in_air: bool | None = True
+        self.position_std, self.velocity_std = 0.2, 0.05
         self.alive = True
         """False if nothing arrives from the vehicle."""
         self.frozen = False
@@ -67,7 +69,10 @@ class SimulatedLink:
             VehicleState(motion.position, motion.velocity, motion.quaternion, None, motion.time)
         )  # fmt: skip
         time = before.time if before is not None and self.frozen else motion.time - simulation.state_delay
-        self.state = VehicleSample(time, state, self.armed, self.offboard, self._heartbeat, self.resets)
+        self.state = VehicleSample(
+            time, state, self.armed, self.offboard, self._heartbeat, self.resets, self.in_air,
+            self.position_std, self.velocity_std,
+        )  # fmt: skip
 
     def send(self, command: ArrayLike) -> None:
         values = np.array(command, dtype=np.float64)

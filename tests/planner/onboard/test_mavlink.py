@@ -56,9 +56,15 @@ class Peer:
                 return [m for m in messages if m.get_type() == name]
 
 
-def odometry(p=(0, 0, 0), q=(1, 0, 0, 0), v=(0, 0, 0), *, time=5.0, frame=1, child=1, resets=0):
+def odometry(
+    p=(0, 0, 0), q=(1, 0, 0, 0), v=(0, 0, 0), *, time=5.0, frame=1, child=1, resets=0, variances=(NAN21, NAN21)
+):
     values = [*map(float, p), list(map(float, q)), *map(float, v), 0.0, 0.0, 0.0]
-    return mavlink.MAVLink_odometry_message(int(1e6 * time), frame, child, *values, NAN21, NAN21, resets, 0)
+    return mavlink.MAVLink_odometry_message(int(1e6 * time), frame, child, *values, *variances, resets, 0)
+
+
+def landed_state(state):
+    return mavlink.MAVLink_extended_sys_state_message(0, state)
 
 
 def local_position(p, v, time):
@@ -168,7 +174,8 @@ def test_unusable_odometry_does_not_take_precedence(link, autopilot, clock, unus
         link.poll()
     autopilot.heartbeat()
     link.poll()
-    assert len(autopilot.received("COMMAND_LONG")) == 1
+    requested = [request.param1 for request in autopilot.received("COMMAND_LONG")]
+    assert mavlink.MAVLINK_MSG_ID_ODOMETRY in requested
 
 
 def test_resets_are_counted_with_the_state(link, autopilot, clock):
@@ -260,6 +267,45 @@ def test_heartbeats_report_arming_and_mode(link, autopilot, clock, base, mode, a
     assert link.state.heartbeat_time == clock.now
 
 
+@pytest.mark.parametrize(("landed", "in_air"), [(0, None), (1, False), (2, True), (3, False), (4, False)])
+def test_the_landed_state_is_reported_while_it_is_fresh(link, autopilot, clock, landed, in_air):
+    assert state_after(link, autopilot, odometry()) is not None and link.state.in_air is None
+    state_after(link, autopilot, landed_state(landed))
+    assert link.state.in_air is in_air
+    clock.now += 3.1
+    state_after(link, autopilot, odometry(time=8.1))
+    assert link.state.in_air is None
+
+
+def diagonal(x, y, z):
+    """Return the upper triangle of a covariance of which, as in PX4, only the diagonal is known."""
+    values = list(NAN21)
+    values[0], values[6], values[11] = x, y, z
+    return values
+
+
+@pytest.mark.parametrize(
+    ("pose", "velocity", "stds"),
+    [
+        (diagonal(0.04, 0.09, 0.01), diagonal(0.01, 0.01, 0.0625), (0.3, 0.25)),
+        (diagonal(4.0, math.nan, 0.0), diagonal(math.inf, 0.01, 0.01), (2.0, math.inf)),
+        (NAN21, [0.0] * 21, (math.nan, math.nan)),
+        (diagonal(-1.0, -1.0, -1.0), NAN21, (math.nan, math.nan)),
+    ],
+)
+def test_the_uncertainty_comes_from_the_covariances(link, autopilot, pose, velocity, stds):
+    state_after(link, autopilot, odometry(variances=(pose, velocity)))
+    np.testing.assert_allclose([link.state.position_std, link.state.velocity_std], stds, rtol=1e-6)
+
+
+def test_the_pair_of_messages_has_no_uncertainty(link, autopilot, clock):
+    state_after(link, autopilot, odometry(variances=(diagonal(1.0, 1.0, 1.0),) * 2))
+    clock.now += 2.0
+    pair = attitude((1, 0, 0, 0), (0, 0, 0), 7.0), local_position((0, 0, 0), (0, 0, 0), 7.0)
+    state_after(link, autopilot, *pair)
+    assert math.isnan(link.state.position_std) and math.isnan(link.state.velocity_std)
+
+
 def test_heartbeats_from_other_components_are_ignored(link, autopilot):
     state_after(link, autopilot, odometry())
     for system, component in [(255, 190), (1, 154), (2, 1)]:
@@ -335,11 +381,11 @@ def test_only_commands_heartbeats_and_requests_for_states_are_sent(link, autopil
 def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
     autopilot.heartbeat()
     link.poll()
-    (request,) = autopilot.received("COMMAND_LONG")
-    assert (request.param1, request.param2) == (mavlink.MAVLINK_MSG_ID_ODOMETRY, 10_000.0)
+    requests = {request.param1: request.param2 for request in autopilot.received("COMMAND_LONG")}
+    assert requests == {mavlink.MAVLINK_MSG_ID_ODOMETRY: 1e4, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2e5}
     for k in range(250):
         clock.now += 0.01
-        autopilot.send(odometry(time=5.0 + 0.01 * k))
+        autopilot.send(odometry(time=5.0 + 0.01 * k), *([landed_state(2)] if k % 20 == 0 else []))
         link.poll()
     autopilot.heartbeat()
     link.poll()

@@ -113,6 +113,24 @@ def test_without_goal_or_points_it_waits_in_silence(small_planner: Planner):
     assert simulation.node.state is State.WAITING
 
 
+def test_on_the_ground_it_waits_and_says_why(small_planner: Planner, caplog: pytest.LogCaptureFixture):
+    """Whatever the estimated height: the drone in the simulation is at 2 m."""
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    simulation.link.in_air = None
+    with caplog.at_level(logging.INFO):
+        simulation.run(2.0)
+        assert "not READY: the autopilot does not report whether the vehicle is in the air" in caplog.text
+        simulation.link.in_air = False
+        simulation.run(2.0)
+    assert caplog.text.count("not READY: the vehicle is on the ground, taking off or landing") == 1
+    simulation.link.armed = simulation.link.offboard = True
+    simulation.run(2.0)
+    assert states(simulation) == [] and not simulation.link.sent
+    simulation.link.offboard, simulation.link.in_air = False, True
+    simulation.run(0.1)
+    assert simulation.node.state is State.READY
+
+
 def test_the_planner_treats_the_bottom_of_the_fence_as_ground(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.fence_height_min": 0.7})
     simulation.run(0.3)
@@ -232,6 +250,18 @@ def test_it_hands_back_level_however_little_time_it_has(small_planner: Planner):
     np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
     upright = rotate(flight.motion.quaternion, [0.0, 0.0, 1.0])[2]
     assert upright > math.cos(math.radians(3.0))
+
+
+@pytest.mark.parametrize("lost", ["position", "velocity"])
+def test_a_lost_position_brakes_at_once_and_hands_back(flight: Simulation, lost: str):
+    limits, began = flight.node.config.limits, flight.now
+    setattr(flight.link, f"{lost}_std", 3.0)
+    flight.run(2 * PERIOD)
+    assert flight.node.state is State.BRAKING and since(flight, began, "BRAKING") <= 2 * PERIOD
+    flight.run(limits.brake_time)
+    assert states(flight)[2:] == ["BRAKING", "HANDED_BACK"]  # it holds no position that it does not know
+    np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
+    assert flight.motion.speed < 0.1 and clearance(flight) > 0.0
 
 
 def test_a_short_gap_in_the_states_is_bridged(flight: Simulation):

@@ -111,7 +111,7 @@ class StandingLink:
     def state(self) -> VehicleSample:
         now = time.monotonic()
         state = VehicleState(np.array([0.0, 0.0, 2.0]), self.velocity, np.array([1.0, 0.0, 0.0, 0.0]), None, now)
-        return VehicleSample(now, state, self.armed, self.offboard, now)
+        return VehicleSample(now, state, self.armed, self.offboard, now, in_air=True)
 
     def poll(self) -> None:
         if self.failing:

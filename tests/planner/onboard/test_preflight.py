@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import socket
 from pathlib import Path
 
@@ -37,7 +38,8 @@ def test_a_drone_in_order_passes(drone: Simulation):
     checks = run_checks(drone, goal=(18.0, 0.0, 2.0))
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
-        "vehicle state", "heartbeat", "vehicle mode", "LiDAR", "cloud", "packets", "deskewing", "position", "goal",
+        "vehicle state", "heartbeat", "vehicle mode", "landed state", "position uncertainty", "velocity uncertainty",
+        "LiDAR", "cloud", "packets", "deskewing", "position", "goal",
     }  # fmt: skip
     assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded
@@ -64,6 +66,24 @@ def test_only_the_faults_fail(drone: Simulation):
     checks = run_checks(drone)
     failed = [name for name, check in checks.items() if not check.ok]
     assert "position" in failed and "goal" not in failed  # on the ground, but outside; the goal came over the link
+
+
+def test_a_poor_estimate_fails_and_an_unknown_one_is_a_warning(drone: Simulation):
+    drone.link.position_std = 2.5
+    checks = run_checks(drone)
+    assert not checks["position uncertainty"].ok and checks["velocity uncertainty"].ok
+    assert checks["position uncertainty"].finding == "2.50 m (standard deviation)"
+    drone.link.position_std = drone.link.velocity_std = math.nan
+    checks = run_checks(drone)
+    for name in ("position uncertainty", "velocity uncertainty"):
+        assert checks[name].finding == "not reported" and not checks[name].ok and not checks[name].required
+
+
+@pytest.mark.parametrize(("in_air", "passes"), [(True, True), (False, True), (None, False)])
+def test_the_landed_state_must_be_reported(drone: Simulation, in_air: bool | None, passes: bool):
+    drone.link.in_air = in_air
+    check = run_checks(drone)["landed state"]
+    assert check.ok is passes and (passes or "EXTENDED_SYS_STATE" in check.advice)
 
 
 def test_unusable_messages_are_a_warning(drone: Simulation):

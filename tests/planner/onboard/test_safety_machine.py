@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from aero_planner import PlanStatus
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
-    BLINDING,
     COMMANDING,
     DETECTION,
     FAULTS,
     HARMLESS_AT_REST,
     REACTIONS,
     TRANSITIONS,
+    UNLOCATED,
     Cause,
     Inputs,
     Reaction,
@@ -49,6 +49,9 @@ WELL = Inputs(
     plan_status=PlanStatus.OK,
     state_finite=True,
     plan_finite=True,
+    in_air=True,
+    position_std=0.2,
+    velocity_std=0.05,
     inside_fence=True,
     loop_age=0.02,
     speed=3.0,
@@ -63,6 +66,9 @@ BREAKS: dict[str, dict[str, object]] = {
     "state gone": {"state_age": LIMITS.state_age + LIMITS.blind_time + 0.01},
     "state age unknown": {"state_age": math.nan},
     "state not finite": {"state_finite": False, "speed": math.nan, "goal_distance": math.nan},
+    "position uncertain": {"position_std": LIMITS.position_std + 0.01},
+    "velocity uncertain": {"velocity_std": math.inf},
+    "uncertainty still too large": {"velocity_std": 0.9 * LIMITS.velocity_std, "estimate_was_poor": True},
     "fence": {"inside_fence": False},
     "overrun": {"loop_age": LIMITS.deadline + 0.01},
     "loop gone": {"loop_age": LIMITS.deadline + LIMITS.blind_time + 0.01},
@@ -73,6 +79,8 @@ BREAKS: dict[str, dict[str, object]] = {
     "plan not finite": {"plan_finite": False},
     "unsafe": {"plan_status": PlanStatus.NO_SAFE_CANDIDATE},
     "stale for the planner": {"plan_status": PlanStatus.STALE_CLOUD},
+    "on the ground": {"in_air": False},
+    "landed state unknown": {"in_air": None},
 }
 
 
@@ -108,7 +116,9 @@ def is_well(inputs: Inputs) -> bool:
     )  # fmt: skip
     fresh = all(age <= limit for age, limit in ages)  # false for NaN
     right = inputs.state_finite and inputs.plan_finite and inputs.inside_fence and inputs.plan_status is PlanStatus.OK
-    return fresh and right and not inputs.stopping
+    scale = 0.7 if inputs.estimate_was_poor else 1.0
+    poor = inputs.position_std > scale * LIMITS.position_std or inputs.velocity_std > scale * LIMITS.velocity_std
+    return fresh and right and not poor and not inputs.stopping
 
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
@@ -126,12 +136,13 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     assert (reaction is Reaction.BRAKE_AS_PLANNED) == (target is State.BRAKING and only_unsafe)
     if target is State.READY:
         assert well and not ours  # a node that finds itself in OFFBOARD does not start
+        assert inputs.in_air is True  # nor one that finds itself on the ground
     if reaction is Reaction.HOLD and target is State.HOLDING:
-        assert not any(cause_applies(fault, inputs, LIMITS) for fault in BLINDING)
+        assert not any(cause_applies(fault, inputs, LIMITS) for fault in UNLOCATED)
     if state is State.HANDED_BACK:
         assert target is State.HANDED_BACK or not inputs.armed
     if target in COMMANDING and state not in COMMANDING:
-        assert state is State.READY and ours and well and inputs.seen_disarmed
+        assert state is State.READY and ours and well and inputs.seen_disarmed and inputs.in_air is True
 
 
 @pytest.mark.parametrize("state", State, ids=lambda state: state.name)
@@ -178,10 +189,13 @@ def test_persistent_faults_end_in_silence_or_at_rest():
             assert REACTIONS[chain[-1]] is Reaction.SILENT or resting
 
 
-SOURCES: tuple[str, ...] = ("link", "state", "cloud", "plan", "fence", "status", "nan state", "nan plan", "overrun")
+SOURCES: tuple[str, ...] = (
+    "link", "state", "estimate", "cloud", "plan", "fence", "status", "nan state", "nan plan", "overrun",
+)  # fmt: skip
 """Faults that last for a while."""
 CAUSES = {
-    "link": Cause.LINK_LOST, "state": Cause.STATE_STALE, "cloud": Cause.CLOUD_STALE, "plan": Cause.PLAN_STALE,
+    "link": Cause.LINK_LOST, "state": Cause.STATE_STALE, "estimate": Cause.ESTIMATE_POOR,
+    "cloud": Cause.CLOUD_STALE, "plan": Cause.PLAN_STALE,
     "fence": Cause.OUTSIDE_FENCE, "status": Cause.PLAN_UNSAFE, "nan state": Cause.STATE_NOT_FINITE,
     "nan plan": Cause.PLAN_NOT_FINITE, "overrun": Cause.LOOP_STALLED,
 }  # fmt: skip
@@ -226,6 +240,7 @@ class World:
                 plan_status=PlanStatus.NO_SAFE_CANDIDATE if "status" in broken else PlanStatus.OK,
                 state_finite="nan state" not in broken,
                 plan_finite="nan plan" not in broken,
+                position_std=5.0 if "estimate" in broken else 0.2,
                 inside_fence="fence" not in broken,
                 loop_age=LIMITS.deadline + 0.01 if "overrun" in broken else PERIOD,
                 speed=speed,
@@ -310,6 +325,48 @@ def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
         "READY", "FLYING", "ARRIVED", "FLYING", "ARRIVED", "FLYING", "WAITING",
     ]  # fmt: skip
     assert str(changes[-1]) == "FLYING -> WAITING: the vehicle was disarmed or left OFFBOARD"
+
+
+def test_a_drone_on_the_ground_is_never_ready():
+    safety = SafetyMachine(LIMITS)
+    ground = dataclasses.replace(WELL, armed=False, offboard=False, in_air=False)
+    now = run(safety, ground, 1.0, 0.0)
+    assert safety.state is State.WAITING and safety.missing() == (Cause.ON_GROUND,)
+    now = run(safety, dataclasses.replace(ground, armed=True, in_air=None), 1.0, now)
+    assert safety.state is State.WAITING and safety.missing() == (Cause.IN_AIR_UNKNOWN,)
+    now = run(safety, dataclasses.replace(WELL, in_air=False), 1.0, now)
+    assert safety.state is State.WAITING and safety.reaction is Reaction.SILENT  # in OFFBOARD, on the ground
+    now = run(safety, dataclasses.replace(WELL, offboard=False), 0.1, now)
+    assert safety.state is State.READY and safety.missing() == ()
+    now = run(safety, dataclasses.replace(WELL, offboard=False, in_air=False), 0.02, now)
+    assert safety.state is State.WAITING
+
+
+def test_a_landed_state_does_not_disturb_a_flight():
+    safety, now = flying()
+    for in_air in (False, None):
+        now = run(safety, dataclasses.replace(WELL, in_air=in_air), 1.0, now)
+        assert safety.state is State.FLYING and safety.missing() == ()
+
+
+def test_a_lost_position_brakes_until_it_is_clearly_found():
+    safety, now = flying()
+    now = run(safety, dataclasses.replace(WELL, velocity_std=LIMITS.velocity_std + 0.01), PERIOD, now)
+    assert safety.state is State.BRAKING and safety.reaction is Reaction.BRAKE
+    now = run(safety, dataclasses.replace(WELL, velocity_std=0.8 * LIMITS.velocity_std, speed=0.0), 0.1, now)
+    assert safety.state is State.BRAKING  # without a position to hold it is not at rest
+    now = run(safety, dataclasses.replace(WELL, velocity_std=0.6 * LIMITS.velocity_std), PERIOD, now)
+    assert safety.state is State.FLYING
+    now = run(safety, dataclasses.replace(WELL, velocity_std=0.8 * LIMITS.velocity_std), 1.0, now)
+    assert safety.state is State.FLYING
+    run(safety, dataclasses.replace(WELL, position_std=math.inf, speed=0.0), LIMITS.brake_time + 0.1, now)
+    assert safety.state is State.HANDED_BACK
+
+
+def test_an_unknown_uncertainty_is_no_fault():
+    safety, now = flying()
+    run(safety, dataclasses.replace(WELL, position_std=math.nan, velocity_std=math.nan), 1.0, now)
+    assert safety.state is State.FLYING
 
 
 def test_a_drone_that_is_armed_when_the_node_starts_is_left_alone():

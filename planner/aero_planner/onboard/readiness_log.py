@@ -1,0 +1,32 @@
+"""Log lines that say what is missing for READY."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Sequence
+
+__all__ = ["ReadinessLog"]
+
+_log = logging.getLogger(__name__)
+
+_SETTLING_TIME = 1.0
+"""Time for which the reasons must have stayed the same before they are logged [s]: at the start they change often."""
+
+
+class ReadinessLog:
+    """Logs why the node is not READY, once for each change of the reasons."""
+
+    def __init__(self) -> None:
+        self._reasons: tuple[str, ...] = ()
+        self._since = math.inf
+        self._logged: tuple[str, ...] = ()
+
+    def update(self, now: float, reasons: Sequence[str]) -> None:
+        """Log the reasons at the time `now` [s] if they are new and have settled; there may be none."""
+        if tuple(reasons) != self._reasons:
+            self._reasons, self._since = tuple(reasons), now
+        if self._reasons != self._logged and now - self._since >= _SETTLING_TIME:
+            self._logged = self._reasons
+            if self._reasons:
+                _log.info("not READY: %s", "; ".join(self._reasons))
