@@ -8,7 +8,9 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
@@ -68,6 +70,8 @@ class Dashboard:
         """Source of the last frame that was shown."""
         self.update_ms: deque[float] = deque(maxlen=300)
         """Durations of the last updates [ms]."""
+        self.eye: NDArray[np.float64] | None = None
+        """Position from which a picture will be rendered [m], shape [3]; None if only visitors look."""
         self._session = session
         self._limiter = UpdateRateLimiter()
         self._panels_due = 0.0
@@ -128,10 +132,12 @@ class Dashboard:
             self.source = frame.source
             for part in (*self.layers.values(), *self.panels):
                 changes += part.on_new_source(frame.source)
+        changes += self._camera.follow(frame)
+        eyes = self._camera.eyes if self.eye is None else [self.eye]
         for layer in self.layers.values():
             if layer.visible:
+                layer.eyes = eyes
                 changes += layer.update(frame)
-        changes += self._camera.follow(frame)
         now = time.monotonic()
         self._panels_outdated = now < self._panels_due
         if not self._panels_outdated:
@@ -150,12 +156,15 @@ class Dashboard:
         self.server.stop()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
+        self._camera.welcome(client)
         self.refresh()
 
         @client.camera.on_update
         def _(_: viser.CameraHandle) -> None:
             if self._camera.is_settling(client):
                 self.refresh()
+            elif self._sink is not None and not self._session.playing:
+                self._sink.put(None)  # other obstacles may hide the drone now
 
     def _show_newest(self, _: object) -> None:
         """Send the session's newest frame, on the sink's thread.

@@ -3,8 +3,8 @@
 Each layer has its own hue, in the scene, in the legend and in the status panel:
 
     rollouts   COST by Stage II cost, bright is good          chosen     green
-    cloud      VIRIDIS by height, or NEAR_TO_FAR by range     guides     blue
-    endpoints  grey before the refinement, yellow after       goal       rose
+    cloud      HEIGHT by height, or  NEAR_TO_FAR by range     guides     blue
+    endpoints  grey before the refinement, cyan after         goal       rose
     drone      white with an orange nose, orange trail        recording  violet
     cells      NEAR_TO_FAR by range                       directions VIRIDIS by free range
 """
@@ -41,11 +41,12 @@ PANEL: dict[int, Rgb] = {
 DRONE: Rgb = (236, 240, 246)
 DRONE_DARK: Rgb = (44, 50, 60)
 ROTOR: Rgb = (150, 200, 255)
-TRAIL: Rgb = (240, 151, 57)
+NOSE: Rgb = (240, 151, 57)
+TRAIL: Rgb = (214, 222, 234)
 CHOSEN: Rgb = (146, 228, 118)
 GUIDE: Rgb = (72, 149, 226)
 ENDPOINT: Rgb = (138, 150, 168)
-ANCHOR: Rgb = (230, 208, 74)
+ANCHOR: Rgb = (110, 214, 210)
 GOAL: Rgb = (246, 58, 118)
 RECORDED: Rgb = (178, 131, 227)
 SAMPLE: Rgb = (190, 204, 224)
@@ -65,6 +66,8 @@ VIRIDIS = _colormap("viridis")
 PLASMA = _colormap("plasma")
 COST = PLASMA[62:224]
 """Stage II cost from bad to good, without the ends, which are hard to see in the scene."""
+HEIGHT = VIRIDIS[70:]
+"""Height from low to high, without the dark end, which is hard to see on the ground."""
 NEAR_TO_FAR = _colormap("turbo")[20:236][::-1]
 """Range: red is near, blue is far, without the ends, which are too dark for the scene."""
 
@@ -87,6 +90,8 @@ _ACES_IN = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.
 _ACES_OUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
 _A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.432951, 0.238081
 _EXPOSURE = 1.0 / 0.6
+_MEDIUM_LIGHT = 0.45
+"""Light on a surface that faces the viewer, as a share of full light."""
 
 
 def unmapped(colors: ArrayLike) -> NDArray[np.uint8]:
@@ -95,13 +100,34 @@ def unmapped(colors: ArrayLike) -> NDArray[np.uint8]:
     The page takes vertex colours as linear light and applies the ACES film curve, which would turn them into pastels.
     This is the inverse, up to the end of the curve: the brightest colours come out slightly darker.
     """
+    return np.clip(255.0 * _light(colors), 0.0, 255.0).round().astype(np.uint8)
+
+
+def lit(colors: ArrayLike) -> NDArray[np.uint8]:
+    """Return the colours of instances of a mesh that make `colors` appear on the page, shape [..., 3].
+
+    The page takes them as linear light, like those of lines, and multiplies them by the light that falls on the mesh.
+    The inverse holds for a medium light; surfaces toward the sun come out brighter.
+    """
+    return np.clip(255.0 / _MEDIUM_LIGHT * _light(colors), 0.0, 255.0).round().astype(np.uint8)
+
+
+def linear(colors: ArrayLike) -> NDArray[np.uint8]:
+    """Return the colours of instances of a mesh that look like one mesh in `colors`, shape [..., 3]."""
+    return (255.0 * _linear(colors)).round().astype(np.uint8)
+
+
+def _linear(colors: ArrayLike) -> NDArray[np.float64]:
     shown = np.asarray(colors, dtype=np.float64) / 255.0
-    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-    y = np.clip(linear @ np.linalg.inv(_ACES_OUT).T, 0.0, 0.76)
+    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+
+
+def _light(colors: ArrayLike) -> NDArray[np.float64]:
+    """Return the linear light that the film curve turns into `colors`, shape [..., 3]."""
+    y = np.clip(_linear(colors) @ np.linalg.inv(_ACES_OUT).T, 0.0, 0.76)
     p, q, r = 1.0 - _C * y, _A - _D * y, -_B - _E * y
     v = (-q + np.sqrt(q * q - 4.0 * p * r)) / (2.0 * p)
-    light = v @ np.linalg.inv(_ACES_IN).T / _EXPOSURE
-    return np.clip(255.0 * light, 0.0, 255.0).round().astype(np.uint8)
+    return v @ np.linalg.inv(_ACES_IN).T / _EXPOSURE
 
 
 def as_rgb(colors: NDArray[np.uint8]) -> list[Rgb]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.scenes.mesh import Mesh, box_mesh
+from aero_viz.scenes.mesh import Mesh, box_mesh, joined_mesh
 
 __all__ = ["quadrotor"]
 
@@ -27,9 +27,9 @@ def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
     return {
         "body": (box_mesh(np.array(body)), palette.DRONE, None),
         "arms": (box_mesh(np.array([*arms, *motors, lidar])), palette.DRONE_DARK, None),
-        "rotor_rings": (_joined(rings[1:3]), palette.DRONE, None),
-        "nose": (_joined([*rings[:1], *rings[3:], nose]), palette.TRAIL, None),
-        "discs": (_joined(discs), palette.ROTOR, 0.25),
+        "rotor_rings": (joined_mesh(rings[1:3]), palette.DRONE, None),
+        "nose": (joined_mesh([*rings[:1], *rings[3:], nose]), palette.NOSE, None),
+        "discs": (joined_mesh(discs), palette.ROTOR, 0.25),
     }
 
 
@@ -42,9 +42,3 @@ def _ring(center: tuple[float, float, float], radius: float, width: float, sides
     return Mesh(
         (np.concatenate(((radius - width) * rim, radius * rim)) + center).astype(np.float32), faces.astype(np.int32)
     )
-
-
-def _joined(parts: list[Mesh]) -> Mesh:
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    faces = np.concatenate([part.faces + offset for part, offset in zip(parts, offsets, strict=True)])
-    return Mesh(np.concatenate([part.vertices for part in parts]), faces.astype(np.int32))

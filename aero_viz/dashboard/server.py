@@ -30,6 +30,12 @@ _STYLE = "".join(
         "div:has(>.mantine-Text-root>label:empty){display:none}",
         "div:has(>.mantine-Flex-root>div>.mantine-Text-root>label:empty){padding-bottom:1.1em!important}",
         "div:has(>.mantine-Text-root>label:empty)+div .mantine-NumberInput-root{display:none}",
+        # The active one of a group of buttons; an element before the group tells its number.
+        *(
+            f"div:has(>.aero-camera-{i})+div .mantine-Button-root:nth-child({i})"
+            f"{{background:{palette.css(palette.BRAND)};color:#fff}}"
+            for i in range(1, 5)
+        ),
     )
 )
 """Style sheet of the page, for the elements of Mantine that viser builds its controls from."""

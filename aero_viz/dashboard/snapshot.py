@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import PlannerConfig
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 from aero_viz.dashboard import Dashboard
-from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, orientation
-from aero_viz.dashboard.panels.camera import view as named_view
+from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, Viewpoints, orientation
 from aero_viz.dashboard.server import sky
 from aero_viz.errors import UserError
 from aero_viz.session import Session
@@ -98,6 +97,7 @@ def snapshot(
         stack.callback(dashboard.close)
         dashboard.show_only(layers)
         pose = _camera(session, camera)
+        dashboard.eye = np.asarray(pose[0], dtype=np.float64)
         # Playwright needs a thread without an event loop; that of a notebook has one.
         image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, pose, size).result()
     if path is not None:
@@ -131,8 +131,7 @@ def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tupl
     if isinstance(camera, str):
         if camera not in VIEWS:
             raise UserError(f"Unknown camera {camera!r}; known: {', '.join(VIEWS)}, or a position and a look-at.")
-        state = frame.observation.actual_state
-        return named_view(camera, np.asarray(state.position), np.asarray(frame.observation.goal.position))
+        return Viewpoints().find(camera, frame)
     position, look_at = (np.asarray(point, dtype=np.float64) for point in camera)
     if position.shape != (3,) or look_at.shape != (3,) or np.allclose(position, look_at):
         raise UserError("The camera must be a position and a look-at: two different points of three numbers each.")

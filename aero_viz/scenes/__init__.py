@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from aero_viz.scenes.generators import SCENES, SceneKind, density, forest, inclines, scene, verticals
 from aero_viz.scenes.maps import load_map
-from aero_viz.scenes.mesh import Mesh, world_meshes
+from aero_viz.scenes.mesh import Instances, Mesh, world_instances, world_meshes
 from aero_viz.scenes.rooms import double_wall_trap, pillars, random_clutter, wall
+from aero_viz.scenes.sight import SightLines
 from aero_viz.scenes.world import World
 
 __all__ = [
     "SCENES",
+    "Instances",
     "Mesh",
     "SceneKind",
+    "SightLines",
     "World",
     "density",
     "double_wall_trap",
@@ -23,5 +26,6 @@ __all__ = [
     "scene",
     "verticals",
     "wall",
+    "world_instances",
     "world_meshes",
 ]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.world import World
 
-__all__ = ["Mesh", "box_mesh", "world_meshes"]
+__all__ = ["SHAPES", "Instances", "Mesh", "box_mesh", "joined_mesh", "world_instances", "world_meshes"]
 
 _SIDES = 8
 _RINGS = 4
@@ -24,33 +24,73 @@ class Mesh:
     faces: NDArray[np.int32]
 
 
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """Copies of one mesh, each moved by x -> axes x + position."""
+
+    shape: Mesh
+    positions: NDArray[np.float64]
+    """[m], shape [n, 3], world frame."""
+    axes: NDArray[np.float64]
+    """Orthogonal columns whose lengths are the scales, shape [n, 3, 3]."""
+
+    @property
+    def scales(self) -> NDArray[np.float32]:
+        """Factors along the axes of the shape, shape [n, 3]."""
+        return np.linalg.norm(self.axes, axis=1).astype(np.float32)
+
+    @property
+    def rotations(self) -> NDArray[np.float64]:
+        """Rotation matrices, shape [n, 3, 3]."""
+        return self.axes / np.linalg.norm(self.axes, axis=1, keepdims=True)
+
+    def merged(self, rows: NDArray[np.int64] | slice = slice(None)) -> Mesh:
+        """Return one mesh of all copies, or of some."""
+        vertices = np.einsum("nij,vj->nvi", self.axes[rows], self.shape.vertices) + self.positions[rows, None]
+        first = np.arange(len(vertices)) * len(self.shape.vertices)
+        faces = self.shape.faces[None] + first[:, None, None]
+        return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.int32))
+
+
+def world_instances(world: World) -> dict[str, Instances]:
+    """Return the solids of a world by kind: "cylinders", "boxes" (without the ground) and "spheres".
+
+    Absent kinds are left out. The copies are in the order of the rows of the world.
+    """
+    kinds = {
+        "cylinders": Instances(SHAPES["cylinders"], world.cylinders[:, :3], _cylinder_axes(world.cylinders)),
+        "boxes": _boxes(world.boxes[~world.ground]),
+        "spheres": Instances(SHAPES["spheres"], world.spheres[:, :3], np.eye(3) * world.spheres[:, 3, None, None]),
+    }
+    return {kind: instances for kind, instances in kinds.items() if len(instances.positions)}
+
+
 def world_meshes(world: World) -> dict[str, Mesh]:
     """Return one merged mesh per kind of obstacle.
 
     Keys are "cylinders", "boxes" (without the ground), "ground", "spheres" and "triangles"; absent kinds are left out.
     """
-    ground, corners = world.ground, world.triangles.reshape(-1, 3).astype(np.float32)
-    parts = {
-        "cylinders": _instances(_unit_cylinder(), world.cylinders, _cylinder_axes(world.cylinders)),
-        "boxes": box_mesh(world.boxes[~ground]),
-        "ground": box_mesh(world.boxes[ground]),
-        "spheres": _instances(_unit_sphere(), world.spheres, np.eye(3) * world.spheres[:, 3, None, None]),
-        "triangles": Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3)),
-    }
+    corners = world.triangles.reshape(-1, 3).astype(np.float32)
+    parts = {kind: instances.merged() for kind, instances in world_instances(world).items()}
+    parts["ground"] = box_mesh(world.boxes[world.ground])
+    parts["triangles"] = Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
     return {kind: mesh for kind, mesh in parts.items() if len(mesh.faces)}
 
 
 def box_mesh(table: NDArray[np.float64]) -> Mesh:
     """Return one mesh of boxes, each given by its centre [m], size [m] and yaw [rad], shape [n, 7]."""
-    return _instances(_unit_box(), table, _box_axes(table))
+    return _boxes(table).merged()
 
 
-def _instances(shape: Mesh, table: NDArray[np.float64], axes: NDArray[np.float64]) -> Mesh:
-    """Merge n copies of `shape`, transformed by x -> axes x + the first three columns of the table; axes [n, 3, 3]."""
-    vertices = np.einsum("nij,vj->nvi", axes, shape.vertices) + table[:, None, :3]
-    first = np.arange(len(table)) * len(shape.vertices)
-    faces = shape.faces[None] + first[:, None, None]
-    return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.int32))
+def joined_mesh(parts: list[Mesh]) -> Mesh:
+    """Return one mesh of several."""
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+    faces = [part.faces + np.int32(offset) for part, offset in zip(parts, offsets, strict=True)]
+    return Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+
+
+def _boxes(table: NDArray[np.float64]) -> Instances:
+    return Instances(SHAPES["boxes"], table[:, :3], _box_axes(table))
 
 
 def _cylinder_axes(table: NDArray[np.float64]) -> NDArray[Any]:
@@ -100,3 +140,7 @@ def _unit_cylinder() -> Mesh:
 def _unit_sphere() -> Mesh:
     angle = np.pi * (np.arange(_RINGS + 1) / _RINGS - 0.5)
     return _surface_of_revolution([(float(np.cos(a)), float(np.sin(a))) for a in angle])
+
+
+SHAPES: dict[str, Mesh] = {"cylinders": _unit_cylinder(), "boxes": _unit_box(), "spheres": _unit_sphere()}
+"""Unit shape of each kind of solid: radius, height and edge lengths are 1."""

@@ -157,17 +157,50 @@ SOLIDS = {
 
 def test_solids_of_every_kind_are_drawn_while_the_world_has_them(server):
     layer = ObstacleLayer(server)
+    nodes = {**layer.solids, "triangles": layer.triangles}
 
-    def drawn(source: FlightSource) -> dict[str, np.ndarray]:
+    def drawn(source: FlightSource) -> set[str]:
         apply(layer.on_new_source(source.info))
         assert layer.available
-        return {shape: node.vertices for shape, node in layer.nodes.items() if node.visible}
+        return {kind for kind, node in nodes.items() if node.visible}
 
-    assert drawn(solid(**SOLIDS)).keys() == SOLIDS.keys()
-    assert drawn(solid(spheres=SOLIDS["spheres"])).keys() == {"spheres"}
-    triangle = drawn(solid(triangles=SOLIDS["triangles"]))
-    np.testing.assert_array_equal(triangle["triangles"].ravel(), SOLIDS["triangles"].ravel())
-    assert layer.nodes["triangles"].side == "double", "a mesh's triangles may face any way"
+    assert drawn(solid(**SOLIDS)) == SOLIDS.keys()
+    assert drawn(solid(spheres=SOLIDS["spheres"])) == {"spheres"}
+    np.testing.assert_array_equal(layer.solids["spheres"].batched_positions, SOLIDS["spheres"][:, :3])
+    assert drawn(solid(triangles=SOLIDS["triangles"])) == {"triangles"}
+    np.testing.assert_array_equal(layer.triangles.vertices.ravel(), SOLIDS["triangles"].ravel())
+    assert layer.triangles.side == "double", "a mesh's triangles may face any way"
+
+
+@pytest.mark.parametrize("kind", SOLIDS)
+def test_an_obstacle_is_faint_while_it_is_between_a_camera_and_the_drone(server, kind):
+    layer = ObstacleLayer(server)
+    session = Session(solid(**{kind: SOLIDS[kind]}))
+    frame = session.tick()
+    session.close()
+    apply(layer.on_new_source(frame.source))
+    for eye, is_faint in (((9.0, 0.0, -2.0), True), ((-4.0, 0.0, -2.0), False), ((5.0, 0.0, -2.0), True)):
+        layer.eyes = [np.array(eye)]
+        apply(layer.update(frame))
+        assert layer.faint.visible == is_faint
+        left = layer.triangles.faces.any() if kind == "triangles" else layer.solids[kind].batched_scales.any()
+        assert left != is_faint
+    layer.eyes = [np.array((-4.0, 0.0, -2.0)), np.array((9.0, 0.0, -2.0))]
+    apply(layer.update(frame))
+    assert layer.faint.visible, "one of two visitors would not see the drone"
+
+
+def test_points_between_a_camera_and_the_drone_are_left_out(server, frame):
+    layer = CloudLayer(server)
+    place = np.asarray(frame.observation.state.position)
+    eye = np.add(place, (-5.0, 0.0, 2.0))
+    hiding = np.linspace(eye, place, 50, dtype=np.float32)[5:-10]
+    behind = np.add(place, (3.0, 4.0, 0.0)).astype(np.float32)[None]
+    cloud = np.concatenate((hiding, behind))
+    shown = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, points=cloud))
+    layer.eyes = [eye]
+    changes = {name: value for _, name, value in layer.update(shown)}
+    np.testing.assert_array_equal(np.unique(changes["points"], axis=0), behind)
 
 
 @pytest.mark.parametrize(

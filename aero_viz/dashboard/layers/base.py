@@ -15,8 +15,22 @@ from aero_viz.dashboard import palette
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["Bar", "BarChart", "Change", "ColorKey", "ColorScale", "Layer", "Lines", "Option", "apply", "polylines"]
+__all__ = [
+    "Bar",
+    "BarChart",
+    "Change",
+    "ColorKey",
+    "ColorScale",
+    "Layer",
+    "Lines",
+    "Option",
+    "apply",
+    "polylines",
+    "to_see",
+]
 
+_DRONE_MARGIN, _PATH_MARGIN = 0.6, 0.15
+"""Distances that obstacles must keep from the view of the drone and of its plan, to stay solid [m]."""
 Change = tuple[Any, str, Any]
 """Handle, property, new value. All changes of an update are computed first and then assigned together."""
 
@@ -96,6 +110,8 @@ class Layer:
     def __init__(self, server: viser.ViserServer) -> None:
         self.available = True
         """True if the source provides what the layer draws."""
+        self.eyes: Sequence[NDArray[np.float64]] = ()
+        """Positions of the cameras of all visitors [m], each of shape [3], world frame."""
         self.options: tuple[Option, ...] = ()
         """Choices that the page offers for this layer."""
         self._root = server.scene.add_frame(f"/{self.name}", show_axes=False, visible=self.on_by_default)
@@ -182,3 +198,11 @@ class Lines:
 def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the segments of polylines, shape [..., n, 3] -> [m, 2, 3]."""
     return np.stack((vertices[..., :-1, :], vertices[..., 1:, :]), axis=-2).reshape(-1, 2, 3)
+
+
+def to_see(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what no obstacle must hide: places [m], shape [n, 3], and the distance to keep from the view of each."""
+    path = np.asarray(frame.plan.positions[int(frame.plan.best)], dtype=np.float64)
+    drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    path = path[np.linspace(0, len(path) - 1, 5).astype(int)[1:]]
+    return np.vstack((drone, path)), np.array([_DRONE_MARGIN, *[_PATH_MARGIN] * len(path)])

@@ -15,6 +15,7 @@ __all__ = ["CoarseCellLayer", "FineCellLayer"]
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
 _BORDER = palette.unmapped(palette.GRID_SECTION)
 _FREE = palette.unmapped(palette.VIRIDIS)
+_RANGE = palette.lit(palette.NEAR_TO_FAR)
 _SPHERE = 2.0
 """Radius at which the coarse cells are drawn [m]."""
 
@@ -53,7 +54,7 @@ class FineCellLayer(Layer):
             *changes,
             (self._node, "batched_positions", (self._direction * flat).astype(np.float32)),
             (self._node, "batched_scales", np.where(occupied, self._size * flat, 0.0).astype(np.float32)),
-            (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, palette.NEAR_TO_FAR)),
+            (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, _RANGE)),
         ]
 
     def legend(self, frame: Frame) -> list[ColorScale]:

@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option
+from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option, to_see
 from aero_viz.session.frame import Frame
 
 __all__ = ["CloudLayer"]
@@ -37,7 +37,7 @@ class CloudLayer(Layer):
         if self._shown is not None and self._shown[0] is cloud and self._shown[1] == self.color_by.value:
             return []
         self._shown = (cloud, self.color_by.value)
-        points = _thinned(cloud)
+        points = _padded(self._unobstructed(_thinned(cloud), frame))
         if not len(points):
             return [(self._node, "visible", False)]
         if self.color_by.value == "range":
@@ -47,22 +47,43 @@ class CloudLayer(Layer):
             colors = palette.colorize(ranges, 0.0, reach, palette.NEAR_TO_FAR)
             self._scale = ColorScale("cloud: range", "0 m", f"{reach:g} m and more", palette.NEAR_TO_FAR)
         else:
-            low, high = np.percentile(points[::16, 2], (2.0, 98.0))
-            high = max(high, low + 2.0)
-            colors = palette.colorize(points[:, 2], low, high, palette.VIRIDIS[20:])
-            self._scale = ColorScale("cloud: height", f"{low + 0.05:.1f} m", f"{high:.1f} m", palette.VIRIDIS[20:])
+            low, high = np.percentile(points[::16, 2], (5.0, 95.0))
+            high = max(high, low + 0.5)
+            colors = palette.colorize(points[:, 2], low, high, palette.HEIGHT)
+            self._scale = ColorScale(
+                "cloud: height", f"{low + 0.05:.1f} m and less", f"{high:.1f} m and more", palette.HEIGHT
+            )
         return [(self._node, "points", points), (self._node, "colors", colors), (self._node, "visible", True)]
+
+    def _unobstructed(self, points: NDArray[np.float32], frame: Frame) -> NDArray[np.float32]:
+        """Return the points without those between a camera and the drone or its plan."""
+        places, margins = to_see(frame)
+        keep = np.ones(len(points), dtype=bool)
+        for eye in self.eyes:
+            for place, margin in zip(places, margins, strict=True):
+                line, length = place - eye, float(np.linalg.norm(place - eye))
+                if length <= margin:
+                    continue
+                direction = (line / length).astype(np.float32)
+                offset = points - eye.astype(np.float32)
+                along = offset @ direction
+                across = np.einsum("ij,ij->i", offset, offset) - along**2
+                keep &= (along < 0.0) | (along > length - margin) | (across > margin**2)
+        return points if keep.all() else points[keep]
 
     def legend(self, frame: Frame) -> list[ColorScale]:
         return [] if self._scale is None else [self._scale]
 
 
 def _thinned(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return at most 24 000 finite points from all over the cloud, padded with the last one to a multiple of 4096."""
+    """Return at most 24 000 finite points from all over the cloud."""
     step = -(-len(cloud) // _MOST_POINTS)
     points = cloud[:: max(step, 1)]
     finite = np.isfinite(points[:, 0])
-    if not finite.all():
-        points = points[finite]
+    return points if finite.all() else points[finite]
+
+
+def _padded(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the points, padded with the last one to a multiple of 4096."""
     missing = -len(points) % _STEP if len(points) else 0
     return np.concatenate((points, np.repeat(points[-1:], missing, axis=0))) if missing else points

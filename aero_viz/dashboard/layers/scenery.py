@@ -2,55 +2,124 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import viser
+import viser.transforms
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines
-from aero_viz.scenes import world_meshes
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, to_see
+from aero_viz.scenes import Instances, Mesh, SightLines, world_instances, world_meshes
+from aero_viz.scenes.mesh import SHAPES, joined_mesh
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
 __all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer"]
 
-_SHAPES = ("cylinders", "boxes", "spheres", "triangles")
+_FAINT = 0.12
+"""Opacity of an obstacle that hides the drone or its plan."""
+_NO_FACES = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
+_NO_MESH = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+_NO_ROWS = np.zeros(0, np.int64)
 _MOST_PATH_SEGMENTS = 2048
 _RECORDED = palette.unmapped(palette.RECORDED)
 
 
 class ObstacleLayer(Layer):
-    """Obstacles of a synthetic world. The planner does not know them."""
+    """Obstacles of a synthetic world. The planner does not know them. Those that hide the drone are faint."""
 
     name, title = "obstacles", "Obstacles (ground truth)"
     keys = (ColorKey("obstacles", palette.OBSTACLE),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        degenerate, face = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
-        self.nodes = {
-            shape: scene.add_mesh_simple(
-                f"/obstacles/{shape}",
-                degenerate,
-                face,
-                color=palette.OBSTACLE,
-                material="toon5",
-                side="double" if shape == "triangles" else "front",  # the triangles of a mesh may face either way
-                visible=False,
+        self._sight: SightLines | None = None
+        self._instances: dict[str, Instances] = {}
+        self._surface = _NO_MESH
+        self._faded: dict[str, NDArray[np.int64]] = {}
+        style: Any = {"material": "toon5", "visible": False}
+        self.solids: dict[str, viser.BatchedMeshHandle] = {
+            kind: scene.add_batched_meshes_simple(
+                f"/obstacles/{kind}",
+                shape.vertices,
+                shape.faces.astype(np.uint32),
+                np.array([[1.0, 0.0, 0.0, 0.0]]),
+                np.zeros((1, 3)),
+                batched_scales=np.zeros((1, 3), np.float32),
+                batched_colors=palette.as_rgb(palette.linear([palette.OBSTACLE]))[0],
+                lod="off",
+                cast_shadow=False,
+                receive_shadow=False,
+                **style,
             )
-            for shape in _SHAPES
+            for kind, shape in SHAPES.items()
         }
+        style["color"] = palette.OBSTACLE
+        # The triangles of a mesh may face either way.
+        self.triangles = scene.add_mesh_simple("/obstacles/triangles", *_NO_FACES, side="double", **style)
+        self.faint = scene.add_mesh_simple("/obstacles/faint", *_NO_FACES, opacity=_FAINT, **style)
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         world = source.world
         self.available = world is not None
-        meshes = world_meshes(world) if world is not None else {}
-        changes: list[Change] = []
-        for shape, node in self.nodes.items():
-            mesh = meshes.get(shape)
-            if mesh is not None:
-                changes += [(node, "vertices", mesh.vertices), (node, "faces", mesh.faces.astype(np.uint32))]
-            changes.append((node, "visible", mesh is not None))
+        self._faded = {}
+        self._sight = None if world is None else SightLines(world)
+        self._instances = {} if world is None else world_instances(world)
+        self._surface = _NO_MESH if world is None else world_meshes(world).get("triangles", _NO_MESH)
+        changes: list[Change] = [
+            (self.faint, "visible", False),
+            (self.triangles, "visible", len(self._surface.faces) > 0),
+            (self.triangles, "vertices", self._surface.vertices),
+            (self.triangles, "faces", self._surface.faces.astype(np.uint32)),
+        ]
+        for kind, node in self.solids.items():
+            if (instances := self._instances.get(kind)) is not None:
+                wxyzs = viser.transforms.SO3.from_matrix(instances.rotations).wxyz
+                changes += [
+                    (node, "batched_positions", instances.positions.astype(np.float32)),
+                    (node, "batched_wxyzs", wxyzs.astype(np.float32)),
+                    (node, "batched_scales", instances.scales),
+                ]
+            changes.append((node, "visible", instances is not None))
         return changes
+
+    def update(self, frame: Frame) -> list[Change]:
+        """Replace the obstacles between a camera and the drone, or its plan, by faint ones."""
+        if self._sight is None:
+            return []
+        targets, radii = to_see(frame)
+        found = [self._sight.blocked_by(eye, targets, radii) for eye in self.eyes]
+        faded = {kind: np.unique(np.concatenate([rows[kind] for rows in found])) for kind in found[0]} if found else {}
+        if all(np.array_equal(rows, self._faded.get(kind, _NO_ROWS)) for kind, rows in faded.items()):
+            return []
+        self._faded = faded
+        return [*self._remaining(faded), *self._replaced(faded)]
+
+    def _remaining(self, faded: dict[str, NDArray[np.int64]]) -> list[Change]:
+        changes: list[Change] = []
+        for kind, instances in self._instances.items():
+            scales = instances.scales
+            scales[faded[kind]] = 0.0
+            changes.append((self.solids[kind], "batched_scales", scales))
+        faces = self._surface.faces.astype(np.uint32)
+        faces[faded["triangles"]] = 0
+        return [*changes, (self.triangles, "faces", faces)]
+
+    def _replaced(self, faded: dict[str, NDArray[np.int64]]) -> list[Change]:
+        parts = [instances.merged(faded[kind]) for kind, instances in self._instances.items()]
+        rows = self._surface.faces[faded["triangles"]]
+        parts.append(
+            Mesh(self._surface.vertices[rows.reshape(-1)], np.arange(rows.size, dtype=np.int32).reshape(-1, 3))
+        )
+        mesh = joined_mesh(parts)
+        if not len(mesh.faces):
+            return [(self.faint, "visible", False)]
+        return [
+            (self.faint, "vertices", mesh.vertices),
+            (self.faint, "faces", mesh.faces.astype(np.uint32)),
+            (self.faint, "visible", True),
+        ]
 
 
 class GroundLayer(Layer):

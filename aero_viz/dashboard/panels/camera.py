@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 import numpy as np
 import viser
@@ -11,31 +12,45 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
+from aero_viz.scenes import SightLines
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["FIELD_OF_VIEW", "VIEWS", "CameraPanel", "orientation", "view"]
+__all__ = ["FIELD_OF_VIEW", "MODES", "MODE_CLASS", "VIEWS", "CameraPanel", "Viewpoints", "orientation", "view"]
 
 FIELD_OF_VIEW = float(np.radians(58.0))
 """Vertical field of view [rad]."""
 VIEWS = ("follow", "top", "side")
+MODES = (*VIEWS, "free")
+MODE_CLASS = "aero-camera-"
+"""Class of the element before the buttons, followed by the number of the active one, from 1."""
+_HINT = (
+    "follow, top and side move with the drone and keep the distance and direction that you choose with the mouse; free "
+    "stays where it is. Every mode allows orbiting (left button), panning (right button) and zooming (wheel)."
+)
 _OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0)}
 """Position of the camera relative to the drone [m], per view; +x points to the goal."""
 _TARGET_DISTANCE = 1.6
 """Distance from the drone to the point that the camera looks at, toward the goal [m]."""
+_REACHES = (1.0, 0.8, 0.6, 0.45, 0.33, 0.25)
+"""Distances of a first view from the drone to try in turn, as a share of the full one."""
+_CLEARANCE = 0.15
+"""Smallest distance of a first view from an obstacle [m]."""
 _SETTLE_TIME = 1.5
 """Time for which a page that was just opened still moves its camera by itself [s]."""
 
 
-def view(
-    name: str, position: NDArray[np.float64], goal: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+Point = NDArray[np.float64]
+
+
+def view(name: str, position: Point, goal: Point, *, reach: float = 1.0) -> tuple[Point, Point]:
     """Return the camera position and look-at point of a named view.
 
     Args:
         name: one of `VIEWS`.
         position: position of the drone [m], shape [3], world frame.
         goal: position of the goal [m], shape [3], world frame.
+        reach: factor on the distance from the drone.
 
     Returns:
         Position and look-at point [m], each of shape [3], world frame.
@@ -44,32 +59,89 @@ def view(
     c, s = np.cos(heading), np.sin(heading)
     rotation = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
     target = position + rotation @ (_TARGET_DISTANCE, 0.0, 0.0)
-    return target + rotation @ np.array(_OFFSETS[name]) - rotation @ (_TARGET_DISTANCE, 0.0, 0.0), target
+    return position + reach * rotation @ np.array(_OFFSETS[name]), target
+
+
+class Viewpoints:
+    """First views of the named cameras, clear of the obstacles of a world."""
+
+    def __init__(self) -> None:
+        self._source: SourceInfo | None = None
+        self._sight: SightLines | None = None
+
+    def find(self, name: str, frame: Frame) -> tuple[Point, Point]:
+        """Return the camera position and look-at point of a named view of `frame`, see `view`.
+
+        "top" is as high as the cloud is wide, at most 24 m. The other cameras come closer to the drone where they
+        would be inside an obstacle or behind a wall.
+        """
+        position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+        goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
+        if name == "top":
+            return view(name, position, goal, reach=_width(frame) / _OFFSETS[name][2])
+        views = [view(name, position, goal, reach=reach) for reach in _REACHES]
+        return next((found for found in views if self._is_clear(frame.source, found[0], position)), views[0])
+
+    def _is_clear(self, source: SourceInfo, eye: Point, drone: Point) -> bool:
+        if source is not self._source:
+            self._source, self._sight = source, None if source.world is None else SightLines(source.world)
+        if self._sight is None:
+            return True
+        assert source.world is not None
+        blocking = self._sight.blocked_by(eye, drone[None], np.array([0.1]))
+        is_walled = len(blocking["boxes"]) + len(blocking["triangles"]) > 0
+        return not is_walled and float(source.world.distance(eye[None])[0]) > _CLEARANCE
+
+
+def _width(frame: Frame) -> float:
+    """Return the height from which "top" sees nearly the whole cloud [m]."""
+    points = frame.observation.points[::64]
+    points = points[np.isfinite(points[:, 0])]
+    if not len(points):
+        return _OFFSETS["top"][2]
+    across = points[:, :2] - np.asarray(frame.observation.actual_state.position, dtype=np.float32)[:2]
+    half = float(np.percentile(np.linalg.norm(across, axis=1), 90.0))
+    return float(np.clip(1.15 * half / np.tan(0.5 * FIELD_OF_VIEW), 5.0, _OFFSETS["top"][2]))
 
 
 class CameraPanel(Panel):
-    """Buttons for the camera mode.
+    """Buttons for the camera mode, for each visitor alone.
 
-    "follow" keeps the distance and direction that the viewer has chosen; "free" leaves the camera alone. Another source
-    moves every camera to its first view.
+    "follow", "top" and "side" keep the distance and direction that the visitor has chosen with the mouse; "free" leaves
+    the camera alone. Another source moves every camera to its first view.
     """
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._mode = "follow"
+        self.eyes: list[Point] = []
+        """Positions of all cameras after the last `follow` [m]."""
+        self._views = Viewpoints()
+        self._modes: dict[int, str] = {}
+        self._marks: dict[int, viser.GuiHtmlHandle] = {}
         self._settled: dict[int, float] = {}
         self.page.server.initial_camera.fov = FIELD_OF_VIEW
-        modes = gui.add_button_group(
-            "Camera", ("follow", "top", "side", "free"), hint="Every mode allows orbiting and zooming with the mouse."
-        )
+        self._buttons = gui.add_button_group("Camera", MODES, hint=_HINT)
 
-        @modes.on_click
-        async def _(_: viser.GuiEvent) -> None:
-            self._mode = modes.value
-            if self._mode in VIEWS:
-                self._settled.clear()
-            else:  # every camera stays where it is, even while it is still moving to another view
-                self._settled = dict.fromkeys(self._settled, -np.inf)
-            self.page.refresh()
+        @self._buttons.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self.select(event.client, self._buttons.value)
+
+    def welcome(self, client: viser.ClientHandle) -> None:
+        """Show a new visitor the mode of the visitor's camera."""
+        order = self._buttons.order - 0.5
+        self._marks[client.client_id] = client.gui.add_html(_mark(self._mode(client.client_id)), order=order)
+
+    def select(self, client: viser.ClientHandle, mode: str) -> None:
+        """Change the mode of one visitor's camera."""
+        number = client.client_id
+        self._modes[number] = mode
+        if (mark := self._marks.get(number)) is not None:
+            mark.content = _mark(mode)
+        if mode in VIEWS:
+            self._settled.pop(number, None)
+        else:  # the camera stays where it is, even while it is still moving to another view
+            self._settled[number] = -np.inf
+        self.page.refresh()
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self._settled.clear()
@@ -77,27 +149,46 @@ class CameraPanel(Panel):
 
     def follow(self, frame: Frame) -> list[Change]:
         """Return the changes that keep the cameras with the drone. Called for every frame."""
-        state = frame.observation.actual_state
-        position = np.asarray(state.position, dtype=np.float64)
-        goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
-        start, target = view(self._mode if self._mode in VIEWS else "follow", position, goal)
+        position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+        _, target = view("follow", position, np.asarray(frame.observation.goal.position, dtype=np.float64))
         changes: list[Change] = []
+        clients = self.page.server.get_clients()
+        self._forget_all_but(clients)
         if not self._settled:
             # The first view of pages that are opened from now on.
+            start, look_at = self._views.find("follow", frame)
             initial = self.page.server.initial_camera
-            changes += [(initial, "position", start), (initial, "look_at", target)]
-        for number, client in self.page.server.get_clients().items():
-            camera = client.camera
+            changes += [(initial, "position", start), (initial, "look_at", look_at)]
+        self.eyes = []
+        for number, client in clients.items():
+            camera, mode = client.camera, self._mode(number)
+            eye = np.asarray(camera.position, dtype=np.float64)
             if time.monotonic() < self._settled.setdefault(number, time.monotonic() + _SETTLE_TIME):
-                changes += [(camera, "position", start), (camera, "look_at", target)]
-            elif self._mode != "free":
+                eye, look_at = self._views.find(mode if mode in VIEWS else "follow", frame)
+                changes += [(camera, "position", eye), (camera, "look_at", look_at)]
+            elif mode != "free":
                 # Moving a camera also moves the point that it looks at.
-                changes.append((camera, "position", target + camera.position - camera.look_at))
+                eye = target + eye - camera.look_at
+                changes.append((camera, "position", eye))
+            self.eyes.append(eye)
         return changes
 
     def is_settling(self, client: viser.ClientHandle) -> bool:
         """Return True while the page still moves its camera to its first view."""
         return time.monotonic() < self._settled.get(client.client_id, np.inf)
+
+    def _mode(self, number: int) -> str:
+        return self._modes.get(number, MODES[0])
+
+    def _forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        for table in (self._modes, self._marks, self._settled):
+            for number in set(table) - set(clients):
+                table.pop(number, None)
+
+
+def _mark(mode: str) -> str:
+    """Return an empty element that tells the style sheet which button of the group is active."""
+    return f'<i class="{MODE_CLASS}{MODES.index(mode) + 1}"></i>'
 
 
 def orientation(position: NDArray[np.float64], look_at: NDArray[np.float64]) -> NDArray[np.float64]:
