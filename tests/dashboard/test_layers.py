@@ -183,7 +183,7 @@ def test_an_obstacle_is_faint_while_it_is_between_a_camera_and_the_drone(server,
         layer.eyes = [np.array(eye)]
         apply(layer.update(frame))
         assert layer.faint.visible == is_faint
-        left = layer.triangles.faces.any() if kind == "triangles" else layer.solids[kind].batched_scales.any()
+        left = np.any(layer.triangles.faces if kind == "triangles" else layer.solids[kind].batched_scales)
         assert left != is_faint
     layer.eyes = [np.array((-4.0, 0.0, -2.0)), np.array((9.0, 0.0, -2.0))]
     apply(layer.update(frame))
