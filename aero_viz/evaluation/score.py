@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import textwrap
 from dataclasses import dataclass
@@ -11,9 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.metrics import flight_results, judge_trajectory
+from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes import World
 
 __all__ = ["Trajectory", "load_trajectory", "score"]
@@ -116,9 +119,8 @@ def score(
 
 def _read_csv(path: Path) -> Trajectory:
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+        reader = csv.reader(io.StringIO(read_user_text(path, limit=TEXT_MAX), newline=""))
+        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not CSV text"
         raise UserError(f"Cannot read the trajectory {path}: {reason or error}.") from error

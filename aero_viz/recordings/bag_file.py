@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import mmap
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+
+from aero_viz.input_limits import BLOCK_MAX, LimitExceeded, ReadingBudget
+from aero_viz.recordings.file_bytes import FileBytes
 
 __all__ = [
     "HEAD_BYTES",
@@ -29,11 +31,13 @@ HEAD_BYTES = 4096
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """Start of a zstd frame, which holds a whole compressed file or one compressed message."""
 
-_MAX_DECOMPRESSED = 1 << 31
-"""A chunk that claims to be larger [bytes] is damaged, or an attempt to exhaust the memory."""
+_PIECE = 1 << 20
+"""Bytes that are decompressed at once where the size of the result is not known."""
 
-Buffer: TypeAlias = bytes | mmap.mmap
-"""Bytes that hold records: a decompressed chunk or the mapped file."""
+_Record = TypeVar("_Record")
+
+Buffer: TypeAlias = bytes | FileBytes
+"""Bytes that hold records: a chunk or the file."""
 
 ChunkPosition: TypeAlias = tuple[int | None, int, int]
 """Offset of the compressed chunk (None for the file itself), first byte of the message, and its last byte + 1."""
@@ -68,6 +72,9 @@ class BagFile(ABC):
 
     def __init__(self, path: Path):
         self.path = path
+        """File as the user knows it."""
+        self.budget_share = 1.0
+        """Share of the fixed allowances of a recording, see `ReadingBudget`, that this file may use."""
         self.problems: list[str] = []
         """Defects found by `scan`. Each completes the sentence "FILE is ..."."""
         self.truncated = False
@@ -107,24 +114,25 @@ def unwrap(data: bytes) -> bytes:
     """Return a message as it was published. With rosbag2's message compression each message is a zstd frame.
 
     A CDR message starts with a zero byte, so it cannot be mistaken for a zstd frame.
+
+    Raises:
+        ValueError: the frame is damaged or too large.
     """
     if not data.startswith(ZSTD_MAGIC):
         return data
-    return decompress("zstd", data, _MAX_DECOMPRESSED - 1, exact=False)
+    return _decompress_zstd(data, None)
 
 
-def decompress(compression: str, data: bytes, size: int, *, exact: bool = True) -> bytes:
-    """Decompress `data` to at most `size` bytes.
+def decompress(compression: str, data: bytes, size: int) -> bytes:
+    """Decompress a chunk of `size` bytes.
 
-    Raises ValueError if the compression is unknown, the size absurd, or, unless `exact` is False, the result is not
-    `size` bytes long.
+    Raises:
+        ValueError: the compression is unknown, the size absurd, or the result not `size` bytes long.
     """
-    if size >= _MAX_DECOMPRESSED:
+    if size > BLOCK_MAX:
         raise ValueError(f"a chunk claims a size of {size} bytes")
     if compression == "zstd":
-        import zstandard
-
-        raw = zstandard.ZstdDecompressor().stream_reader(data).read(size)
+        raw = _decompress_zstd(data, size)
     elif compression == "lz4":
         import lz4.frame
 
@@ -135,50 +143,100 @@ def decompress(compression: str, data: bytes, size: int, *, exact: bool = True) 
         raw = bz2.BZ2Decompressor().decompress(data, max_length=size)
     else:
         raise ValueError(f"unknown compression {compression!r}")
-    if exact and len(raw) != size:
+    if len(raw) != size:
         raise ValueError(f"a chunk decompresses to {len(raw)} bytes instead of {size}")
     return raw
+
+
+def _decompress_zstd(data: bytes, size: int | None) -> bytes:
+    """Decompress zstd frames to at most `size` bytes, or `BLOCK_MAX` if that is None."""
+    import zstandard
+
+    limit = BLOCK_MAX if size is None else size
+    try:
+        claimed = zstandard.get_frame_parameters(data).content_size
+        if claimed == size or (size is None and claimed <= limit):
+            return zstandard.ZstdDecompressor().decompress(data)  # allocates what the frame claims, at once
+        reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
+        parts: list[bytes] = []
+        while limit > 0 and (part := reader.read(min(limit, _PIECE))):
+            parts.append(part)
+            limit -= len(part)
+    except zstandard.ZstdError as error:
+        raise ValueError(f"a zstd frame is damaged ({error})") from error
+    if size is None and limit == 0:
+        raise ValueError(f"a message decompresses to more than {BLOCK_MAX} bytes")
+    return b"".join(parts)
 
 
 class ChunkedFile(BagFile):
     """A file of records, some of which are compressed chunks of records (MCAP and ROS 1).
 
-    The file is mapped into memory, not loaded. A scan touches only the headers of records and the heads of messages,
-    except that a compressed chunk has to be decompressed as a whole.
+    A scan touches only the headers of records and the heads of messages, except that chunks with a compression or a
+    checksum have to be read as a whole.
     """
 
     def __init__(self, path: Path):
         super().__init__(path)
-        with path.open("rb") as file:
-            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._bytes = FileBytes(path)
+        self._budget = ReadingBudget(len(self._bytes))
         # Neighbouring sweeps share a chunk. Two cover playback across the border between chunks.
         self._chunk = lru_cache(maxsize=2)(self._decompress_chunk)
+
+    def scan(self, types: Collection[str]) -> Iterator[Message]:
+        self._budget = ReadingBudget(len(self._bytes), self.budget_share)
+        try:
+            yield from self._scan(types)
+        except LimitExceeded as error:
+            self.problems.append(str(error))
+
+    @abstractmethod
+    def _scan(self, types: Collection[str]) -> Iterator[Message]:
+        """Yield what `scan` does. Raises LimitExceeded where the budget ends."""
 
     def read(self, position: ChunkPosition) -> bytes:
         """Return the message at a position found by `scan`. Raises ValueError if its chunk is damaged."""
         chunk, start, stop = position
-        return unwrap(self._map[start:stop] if chunk is None else self._chunk(chunk)[start:stop])
+        data = self._bytes.fresh(start, stop) if chunk is None else self._chunk(chunk)[start:stop]
+        if len(data) != stop - start:
+            raise ValueError(f"{self.path} has shrunk since it was opened")
+        return unwrap(data)
+
+    def limited(self, records: Iterator[_Record]) -> Iterator[_Record]:
+        """Yield records, and raise LimitExceeded where the time for the scan is up."""
+        for number, record in enumerate(records):
+            if number % 128 == 0:
+                self._budget.check_time()
+            yield record
 
     @abstractmethod
     def _decompress_chunk(self, offset: int) -> bytes:
         """Return the decompressed chunk at byte `offset`. Raises ValueError if it is damaged."""
 
     def message(
-        self, channel: Channel, time: int, position: ChunkPosition, buffer: Buffer, types: Collection[str]
+        self, channel: Channel, time: int, position: ChunkPosition, head: bytes, types: Collection[str]
     ) -> Message:
-        """Return the message at a position of `buffer`, with its head if it is one of `types`."""
+        """Return the message at a position, with its head if it is one of `types`.
+
+        Args:
+            channel: its channel.
+            time: its time of recording [ns].
+            position: where it is.
+            head: its first `HEAD_BYTES` bytes.
+            types: see `scan`.
+        """
         _, start, stop = position
         if channel.type not in types:
             return Message(channel, time, position, stop - start, b"")
-        head = buffer[start : min(stop, start + HEAD_BYTES)]
         if not head.startswith(ZSTD_MAGIC):
             return Message(channel, time, position, stop - start, head)
         try:
-            whole = unwrap(buffer[start:stop])
+            whole = self.read(position)
         except Exception:
             whole = b""
+        self._budget.take_bytes(len(whole))
         return Message(channel, time, position, len(whole), whole[:HEAD_BYTES])
 
     def close(self) -> None:
         self._chunk.cache_clear()
-        self._map.close()
+        self._bytes.close()

@@ -180,11 +180,11 @@ class _Scanner:
         except ValueError:
             topic.add_damaged("its bytes are damaged")
             return
-        if not all(pose.is_valid for pose in poses):
-            topic.add_damaged("its position or quaternion is not valid")
+        if defect := next((pose.defect for pose in poses if pose.defect), ""):
+            topic.add_damaged(defect)
         static = channel.topic.endswith("tf_static")
         for pose in poses:
-            if not pose.is_valid:
+            if pose.defect:
                 continue
             if pose.child and channel.type in (*TF_TYPES, TRANSFORM_STAMPED):
                 self.contents.transforms.add(

@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 
+from aero_viz.input_limits import SWEEP_POINTS_MAX
 from aero_viz.recordings.point_cloud2 import RawCloud
 from aero_viz.recordings.ros_messages import DamagedMessage
 
@@ -62,6 +63,8 @@ def _cloud(
             "itemsize": _POINT_SIZE,
         }
     )
+    if count > SWEEP_POINTS_MAX:
+        raise DamagedMessage(f"it has {count} points, more than {SWEEP_POINTS_MAX}")
     end = start + (count - 1) * step + _POINT_SIZE if count else start
     if end > len(message):
         raise DamagedMessage(f"it has {len(message)} bytes, but its points end at byte {end}")

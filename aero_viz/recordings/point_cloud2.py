@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_viz.input_limits import SWEEP_POINTS_MAX
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message
 
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
         raise DamagedMessage(
             f"{height} x {width} points of {cloud.point_step} bytes do not fit into {len(cloud.data)} bytes"
         )
+    if height * width > SWEEP_POINTS_MAX:
+        raise DamagedMessage(f"it has {height * width} points, more than {SWEEP_POINTS_MAX}")
     rows = np.ndarray((height, width), dtype, cloud.data, 0, (row_step, cloud.point_step))
     stamp = cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
     return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)

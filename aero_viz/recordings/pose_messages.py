@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from aero_viz.recordings.poses import SPEED_MAX
 from aero_viz.recordings.ros_messages import TF_TYPES, decode_message
 
 if TYPE_CHECKING:
@@ -48,15 +49,18 @@ class StampedPose(NamedTuple):
     """Position [m], quaternion (w, x, y, z), velocity in the child frame [m/s] (NaN if not recorded): ten numbers."""
 
     @property
-    def is_valid(self) -> bool:
-        """True if the position is finite, the quaternion has about unit length, and the names are printable."""
-        position, quaternion = self.values[:3], self.values[3:7]
-        return (
-            (self.parent + self.child).isprintable()
-            and all(map(math.isfinite, position))
-            and 0.5 < math.hypot(*quaternion) < 2.0  # unset quaternions are all zero
-            and max(map(abs, position)) < _MAX_COORDINATE
-        )
+    def defect(self) -> str:
+        """Reason why the pose cannot be used, empty if it can; completes "The pose cannot be used because ..."."""
+        position, quaternion, velocity = self.values[:3], self.values[3:7], self.values[7:]
+        if not (self.parent + self.child).isprintable():
+            return "a name in it is damaged"
+        if not all(abs(value) < _MAX_COORDINATE for value in position):  # NaN compares false
+            return "its position is not valid"
+        if not 0.5 < math.hypot(*quaternion) < 2.0:  # unset quaternions are all zero
+            return "its quaternion is not valid"
+        if any(abs(value) > SPEED_MAX for value in velocity):  # NaN is a velocity that was not recorded
+            return f"its velocity is beyond {SPEED_MAX:g} m/s"
+        return ""
 
 
 def decode_poses(data: bytes, type_name: str, encoding: str) -> list[StampedPose]:

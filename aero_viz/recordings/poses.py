@@ -11,7 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import rotate
 
-__all__ = ["POSE_TOLERANCE", "Pose", "RecordedPoses", "sort_poses"]
+__all__ = ["POSE_TOLERANCE", "SPEED_MAX", "Pose", "RecordedPoses", "sort_poses"]
+
+SPEED_MAX = 1e3
+"""A larger component of a velocity [m/s] is not that of a drone."""
 
 POSE_TOLERANCE = 0.1
 """Time before and after a pose for which it can be extrapolated [s]: one sweep of a 10 Hz LiDAR."""
@@ -62,6 +65,10 @@ class RecordedPoses:
         """[n] [s], increasing."""
         self.velocities: Array = _differences(t, self.positions)
         """[n, 3] [m/s], world frame."""
+        too_fast = (np.abs(self.velocities) > SPEED_MAX).any(axis=1)
+        self.velocities[too_fast] = 0.0
+        self.jumps = int(too_fast.sum())
+        """Number of poses whose velocity is set to zero, because the positions around them are impossibly far apart."""
         self.measured_velocity = False
         """True if the velocities were recorded, False if they are differences of the positions."""
         if body_velocities is not None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.errors import UserError
+from aero_viz.input_limits import ReadingBudget
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, decode_points
@@ -69,7 +70,7 @@ class Recording:
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
         self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
-        if not any(len(self.sweep(i).points) for i in range(len(self._entries))):
+        if not self._has_valid_point():
             advice = suggest_other_clouds(contents, cloud)
             raise UserError(
                 f"no sweep on {cloud.name} of {self.path} has a valid point: all are zero, not finite or beyond any "
@@ -103,6 +104,11 @@ class Recording:
         if source is not None:
             self.poses = source.poses.shifted(float(times[0] - start) * 1e-9)
             self.extrinsic = source.extrinsic
+
+    def _has_valid_point(self) -> bool:
+        """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
+        budget = ReadingBudget(0)
+        return any(budget.is_late or len(self.sweep(i).points) for i in range(len(self._entries)))
 
     @property
     def damage(self) -> str | None:

@@ -6,14 +6,17 @@ import struct
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
-from aero_viz.recordings.bag_file import Buffer, ChunkedFile, Message, decompress, make_channel
+from aero_viz.input_limits import BLOCK_MAX, LimitExceeded
+from aero_viz.recordings.bag_file import HEAD_BYTES, Buffer, ChunkedFile, Message, decompress, make_channel
 
 __all__ = ["ROS1_MAGIC", "Ros1File"]
 
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+_MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7
 _U32 = struct.Struct("<I")
+_HEADER_MAX = 1 << 20
+"""A record's header that is longer [bytes] is damaged; so is a description of a connection of 16 times this."""
 
 
 class _Record(NamedTuple):
@@ -34,17 +37,17 @@ class _Record(NamedTuple):
 class Ros1File(ChunkedFile):
     """One ROS 1 bag (wiki.ros.org/Bags/Format/2.0). It needs no index. Chunks may be plain, bz2 or lz4."""
 
-    def scan(self, types: Collection[str]) -> Iterator[Message]:
-        size, complete = len(self._map), True
-        for record in _records(self._map, len(ROS1_MAGIC), size):
+    _found = 0
+
+    def _scan(self, types: Collection[str]) -> Iterator[Message]:
+        size, complete, index = len(self._bytes), True, None
+        self._found, declared = 0, 0
+        for record in self.limited(_records(self._bytes, len(ROS1_MAGIC), size)):
             complete &= record.complete
-            if record.op == _BAG_HEADER:
+            if record.op == _BAG_HEADER and index is None:
                 index = int.from_bytes(record.header.get(b"index_pos", b"\1"), "little")
                 complete &= index <= size
-                # The index repeats the connections, which a damaged chunk would otherwise hide.
-                for connection in _records(self._map, index, size) if 0 < index < size else ():
-                    if connection.op == _CONNECTION and connection.complete:
-                        self._read_connection(self._map, connection)
+                declared = self._read_index(index) if 0 < index < size else 0
                 if index == 0:
                     self.problems.append(
                         "unindexed, because the recording was interrupted; `rosbag reindex` repairs it"
@@ -52,15 +55,33 @@ class Ros1File(ChunkedFile):
             elif record.op == _CHUNK:
                 yield from self._read_chunk(record, types)
             elif record.op == _CONNECTION and record.complete:
-                self._read_connection(self._map, record)
+                self._read_connection(self._bytes, record)
         self.truncated = not complete
+        if self._found < declared:
+            lost = declared - self._found
+            self.problems.append(f"incomplete: {lost} of the {declared} messages that its index counts are missing")
+
+    def _read_index(self, start: int) -> int:
+        """Read the connections, which a damaged chunk would hide, and return the number of messages in the file."""
+        messages = 0
+        for record in self.limited(_records(self._bytes, start, len(self._bytes))):
+            if record.op == _CONNECTION and record.complete:
+                self._read_connection(self._bytes, record)
+            elif record.op == _CHUNK_INFO and record.complete:
+                content = self._bytes[record.start : min(record.stop, record.start + _HEADER_MAX)]
+                messages += sum(count for _, count in struct.iter_unpack("<II", content[: len(content) // 8 * 8]))
+        return messages
 
     def _read_chunk(self, chunk: _Record, types: Collection[str]) -> Iterator[Message]:
         plain = chunk.header.get(b"compression", b"") == b"none"
         if not plain and not chunk.complete:
             return
         try:
-            buffer = self._map if plain else self._chunk(chunk.offset)
+            if not plain:
+                self._budget.take_bytes(_U32.unpack(chunk.header[b"size"])[0])
+            buffer = self._bytes if plain else self._chunk(chunk.offset)
+        except LimitExceeded:
+            raise
         except Exception:
             self.damaged += 1
             return
@@ -68,8 +89,9 @@ class Ros1File(ChunkedFile):
             offset, start, stop = None, chunk.start, chunk.stop
         else:
             offset, start, stop = chunk.offset, 0, len(buffer)
-        for record in _records(buffer, start, stop):
+        for record in self.limited(_records(buffer, start, stop)):
             if not record.complete:
+                self.damaged += chunk.complete
                 break
             try:
                 if record.op == _CONNECTION:
@@ -78,7 +100,10 @@ class Ros1File(ChunkedFile):
                     channel = self.channels[_U32.unpack(record.header[b"conn"])[0]]
                     seconds, nanoseconds = struct.unpack("<II", record.header[b"time"])
                     position = (offset, record.start, record.stop)
-                    yield self.message(channel, seconds * 10**9 + nanoseconds, position, buffer, types)
+                    head = buffer[record.start : min(record.stop, record.start + HEAD_BYTES)]
+                    message = self.message(channel, seconds * 10**9 + nanoseconds, position, head, types)
+                    self._found += 1
+                    yield message
             except (KeyError, struct.error):
                 self.damaged += 1
 
@@ -86,15 +111,18 @@ class Ros1File(ChunkedFile):
         try:
             number = _U32.unpack(record.header[b"conn"])[0]
             topic = record.header[b"topic"].decode()
-            type_name = _fields(buffer[record.start : record.stop])[b"type"].decode()
+            description = buffer[record.start : min(record.stop, record.start + 16 * _HEADER_MAX)]
+            type_name = _fields(description)[b"type"].decode()
             self.channels[number] = make_channel(topic, type_name, "ros1")
         except (KeyError, struct.error, ValueError):
             self.damaged += 1
 
     def _decompress_chunk(self, offset: int) -> bytes:
-        chunk = next(_records(self._map, offset, len(self._map)))
-        compression = chunk.header[b"compression"].decode()
-        return decompress(compression, self._map[chunk.start : chunk.stop], _U32.unpack(chunk.header[b"size"])[0])
+        chunk = next(_records(self._bytes, offset, len(self._bytes)))
+        compression, size = chunk.header[b"compression"].decode(), _U32.unpack(chunk.header[b"size"])[0]
+        if chunk.stop - chunk.start > BLOCK_MAX:
+            raise ValueError("a chunk is too large")
+        return decompress(compression, self._bytes.fresh(chunk.start, chunk.stop), size)
 
 
 def _records(buffer: Buffer, start: int, stop: int) -> Iterator[_Record]:
@@ -102,12 +130,13 @@ def _records(buffer: Buffer, start: int, stop: int) -> Iterator[_Record]:
     while start < stop:
         offset = start
         try:
-            (length,) = _U32.unpack_from(buffer, offset)
+            (length,) = _U32.unpack(buffer[offset : offset + 4])
             content = offset + 4 + length + 4
-            if content > stop:
+            if content > stop or length > _HEADER_MAX:
                 raise ValueError
-            header = _fields(buffer[offset + 4 : content - 4])
-            (size,) = _U32.unpack_from(buffer, content - 4)
+            raw = buffer[offset + 4 : content]
+            header = _fields(raw[:-4])
+            (size,) = _U32.unpack(raw[-4:])
             op = header[b"op"][0]
         except (KeyError, IndexError, ValueError, struct.error):
             yield _Record(-1, {}, offset, stop, stop, False)

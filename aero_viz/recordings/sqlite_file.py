@@ -7,41 +7,85 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
+from aero_planner.user_file import open_user_file
+from aero_viz.input_limits import BLOCK_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.bag_file import HEAD_BYTES, ZSTD_MAGIC, BagFile, Channel, Message, make_channel, unwrap
 
 __all__ = ["SQLITE_MAGIC", "SqliteFile"]
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
+_STEPS = 10_000
+"""Instructions of SQLite's machine between two looks at the clock."""
+_COLUMNS = {
+    "topics": {"id", "name", "type", "serialization_format"},
+    "messages": {"id", "topic_id", "timestamp", "data"},
+}
+
 
 class SqliteFile(BagFile):
-    """One SQLite file of rosbag2. A position is a row number. Heads are read without loading their messages."""
+    """One SQLite file of rosbag2. A position is a row number. Heads are read without loading their messages.
+
+    The schema of a database is a program: views, virtual tables and generated columns can make a query endless. Only
+    plain tables are read, and every query has a budget of time.
+    """
 
     def __init__(self, path: Path):
         super().__init__(path)
+        with open_user_file(path) as file:
+            self._size = file.seek(0, 2)
         # Without a write-ahead log nobody is writing; `immutable` then allows a read-only folder.
         log = path.with_name(path.name + "-wal")
         mode = "mode=ro" if log.exists() and log.stat().st_size else "mode=ro&immutable=1"
         # A session may play in another thread than the one that opened the file, but never in two at once.
         self._database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True, check_same_thread=False)
+        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, BLOCK_MAX)
+        for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "mmap_size = 0", "temp_store = MEMORY"):
+            self._database.execute(f"PRAGMA {pragma}")
+        self._start_budget()
+
+    def _start_budget(self) -> ReadingBudget:
+        """Give the following queries the time that the size of the file allows."""
+        budget = ReadingBudget(self._size, self.budget_share)
+        self._database.set_progress_handler(lambda: budget.is_late, _STEPS)
+        return budget
 
     def scan(self, types: Collection[str]) -> Iterator[Message]:
+        budget = self._start_budget()
         try:
+            self._check_tables()
             for row, topic, type_name, encoding in self._database.execute(
                 "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
             ):
                 self.channels[row] = make_channel(str(topic), str(type_name), str(encoding))
             # Reading the table in row order skips the pages of the messages and survives a damaged index.
             rows = self._database.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
-            for row, topic, time in rows:
+            for number, (row, topic, time) in enumerate(rows):
+                if number % 128 == 0:
+                    budget.check_time()
                 if topic in self.channels and isinstance(time, int):
-                    yield self._message(row, self.channels[topic], time, types)
+                    yield self._message(row, self.channels[topic], time, types, budget)
                 else:
                     self.damaged += 1
+        except LimitExceeded as error:
+            self.problems.append(str(error))
         except (sqlite3.Error, ValueError) as error:
             self.problems.append(f"damaged or truncated ({error}); only what precedes the damage is used")
 
-    def _message(self, row: int, channel: Channel, time: int, types: Collection[str]) -> Message:
+    def _check_tables(self) -> None:
+        """Raise ValueError unless the two tables of rosbag2 are plain tables."""
+        for table, columns in _COLUMNS.items():
+            kinds = self._database.execute(
+                "SELECT type, rootpage FROM sqlite_master WHERE name = ? COLLATE NOCASE", (table,)
+            ).fetchmany(2)
+            # Views and virtual tables have no pages of their own.
+            if len(kinds) != 1 or kinds[0][0] != "table" or not kinds[0][1]:
+                raise ValueError(f"it has no plain table {table!r}, as rosbag2 writes it")
+            plain = {row[1] for row in self._database.execute(f"PRAGMA table_xinfo({table})") if row[6] == 0}
+            if not columns <= plain:
+                raise ValueError(f"its table {table!r} lacks the plain column {min(columns - plain)!r}")
+
+    def _message(self, row: int, channel: Channel, time: int, types: Collection[str], budget: ReadingBudget) -> Message:
         if channel.type not in types:
             return Message(channel, time, row, 0, b"")
         try:
@@ -49,12 +93,17 @@ class SqliteFile(BagFile):
                 size, head = len(blob), blob.read(HEAD_BYTES)
             if not head.startswith(ZSTD_MAGIC):
                 return Message(channel, time, row, size, head)
-            whole = self.read(row)
-            return Message(channel, time, row, len(whole), whole[:HEAD_BYTES])
+            whole = self._read(row)
         except Exception:
             return Message(channel, time, row, 0, b"")
+        budget.take_bytes(len(whole))
+        return Message(channel, time, row, len(whole), whole[:HEAD_BYTES])
 
     def read(self, position: int) -> bytes:
+        self._start_budget()
+        return self._read(position)
+
+    def _read(self, position: int) -> bytes:
         try:
             (data,) = self._database.execute("SELECT data FROM messages WHERE id = ?", (position,)).fetchone()
             return unwrap(bytes(data))

@@ -7,12 +7,14 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import yaml
 
+from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
+from aero_viz.input_limits import METADATA_MAX
 from aero_viz.recordings.bag_file import ZSTD_MAGIC, BagFile
+from aero_viz.recordings.compressed_file import decompress_file
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
@@ -26,6 +28,7 @@ _READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
     ROS1_MAGIC: ("rosbag1", Ros1File),
     SQLITE_MAGIC: ("rosbag2-sqlite3", SqliteFile),
 }
+_METADATA_DEPTH = 20
 _SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
 
 
@@ -48,8 +51,10 @@ class Storage:
         formats: set[str] = set()
         try:
             for file in files:
-                name, bag = self._open(file)
+                with readable(file):
+                    name, bag = self._open(file)
                 self._stack.callback(bag.close)
+                bag.budget_share = 1.0 / len(files)
                 self.files.append(bag)
                 formats.add(f"rosbag2-{name}" if is_folder and name == "mcap" else name)
         except BaseException:
@@ -58,30 +63,33 @@ class Storage:
         self.format = "+".join(sorted(formats))
         """"mcap", "rosbag1", "rosbag2-mcap" or "rosbag2-sqlite3"."""
 
-    def _open(self, path: Path) -> tuple[str, BagFile]:
-        with path.open("rb") as file:
+    def _open(self, path: Path, packed: Path | None = None) -> tuple[str, BagFile]:
+        """Return the format of a file and its reader.
+
+        Args:
+            path: a recording, or one that rosbag2 compressed as a whole.
+            packed: the compressed file that `path` was made from, by which the user knows it.
+        """
+        with open_user_file(path) as file:
             start = file.read(max(map(len, _READERS)))
+        name = packed or path
         if not start:
-            raise UserError(f"{path} is empty: record or copy it again")
-        for magic, (name, reader) in _READERS.items():
+            raise UserError(f"{name} is empty: record or copy it again")
+        for magic, (format_name, reader) in _READERS.items():
             if start.startswith(magic):
-                return name, reader(path)
-        if start.startswith(ZSTD_MAGIC):
-            return self._open(self._decompressed(path))
+                bag = reader(path)
+                bag.path = name
+                return format_name, bag
+        if start.startswith(ZSTD_MAGIC) and packed is None:
+            content, problem = decompress_file(path, self._stack)
+            format_name, bag = self._open(content, path)
+            if problem:
+                bag.problems.append(problem)
+            return format_name, bag
         if start.startswith(b"#ROSBAG"):
             version = start.split(b"\n")[0].decode(errors="replace")
-            raise UserError(f"{path} is a bag of an old format ({version}): convert it with `rosbag fix`")
-        raise UserError(f"{path} is not a recording that AERO-Viz can read; it reads {SUPPORTED}")
-
-    def _decompressed(self, path: Path) -> Path:
-        """Return a temporary file with the content of a file that rosbag2 compressed as a whole."""
-        import zstandard
-
-        folder = self._stack.enter_context(TemporaryDirectory(prefix="aero-viz-"))
-        target = Path(folder) / path.with_suffix("").name
-        with path.open("rb") as source, target.open("wb") as sink:
-            zstandard.ZstdDecompressor().copy_stream(source, sink)
-        return target
+            raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`")
+        raise UserError(f"{name} is not a recording that AERO-Viz can read; it reads {SUPPORTED}")
 
     def close(self) -> None:
         """Close all files and remove the temporary ones."""
@@ -112,20 +120,51 @@ def open_storage(path: str | Path) -> Storage:
 
 
 def _open_folder(path: Path) -> Storage:
+    metadata = path / "metadata.yaml"
     try:
-        content = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
         # The files may have been moved since they were recorded, so only their names count.
-        names = [Path(str(name)).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        names = list(dict.fromkeys(Path(name).name for name in _relative_paths(metadata)))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(
-            f"{path / 'metadata.yaml'} is damaged ({_one_line(error)}): open the .mcap or .db3 file beside it instead"
+            f"{metadata} is damaged ({_one_line(error)}): open the .mcap or .db3 file beside it instead"
         ) from error
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
         raise UserError(
-            f"{path} lacks {', '.join(missing) or 'any storage file'} named in its metadata.yaml: copy it again"
+            f"{path} lacks {_list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again"
         )
     return Storage(path, [path / name for name in names], is_folder=True)
+
+
+def _relative_paths(metadata: Path) -> list[str]:
+    """Return the paths of the files that metadata.yaml lists.
+
+    Only the nodes on the way to them are looked at, and nothing is constructed: aliases cost nothing, and tags have no
+    meaning.
+
+    Raises:
+        ValueError, yaml.YAMLError: it is too large, or no text of this form.
+    """
+    with open_user_file(metadata) as file:
+        content = file.read(METADATA_MAX + 1)
+    if len(content) > METADATA_MAX:
+        raise ValueError(f"it is larger than {METADATA_MAX >> 20} MiB")
+    text, loader, depth = content.decode("utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader), 0
+    for event in yaml.parse(text, loader):  # composing nodes that are nested too deeply overflows libyaml's stack
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _METADATA_DEPTH:
+            raise ValueError(f"it is nested more than {_METADATA_DEPTH} deep")
+    node = yaml.compose(text, loader)
+    for key in ("rosbag2_bagfile_information", "relative_file_paths"):
+        entries = node.value if isinstance(node, yaml.MappingNode) else ()
+        node = next((value for name, value in entries if name.value == key), None)
+        if node is None:
+            raise ValueError(f"it has no {key}")
+    items = node.value if isinstance(node, yaml.SequenceNode) else [node]
+    names = [item.value for item in items if item.tag == "tag:yaml.org,2002:str"]
+    if len(names) < len(items) or not all(name.isprintable() and Path(name).name for name in names):
+        raise ValueError("its relative_file_paths are not a list of file names")
+    return names
 
 
 @contextmanager

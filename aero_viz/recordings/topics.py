@@ -13,14 +13,19 @@ from aero_viz.errors import UserError
 from aero_viz.recordings.clouds import CLOUD_TYPES
 from aero_viz.recordings.contents import CloudEntry, Contents, TopicContents
 from aero_viz.recordings.pose_messages import POSE_TYPES
-from aero_viz.recordings.poses import RecordedPoses
+from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
 from aero_viz.recordings.ros_messages import TF_TYPES
 from aero_viz.recordings.transforms import IDENTITY, Transform
+
+Array = NDArray[np.float64]
 
 __all__ = ["ChosenPoses", "PoseSource", "choose_cloud_topic", "choose_poses", "require_topics", "suggest_other_clouds"]
 
 _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
 """Types of messages that fit each role of a topic, and what to say about another type."""
+
+_FARTHEST_POSE = 1e5
+"""Distance from the median position along an axis [m] beyond which a pose is damaged."""
 
 _SUFFICIENT_COVERAGE = 0.5
 """Share of the sweeps that poses must cover for the search to end with them."""
@@ -146,15 +151,15 @@ def _read_poses(
         body = contents.transforms.moving_body(frame, stamped=stamped)
         if body is None:
             return None
-        poses = RecordedPoses((body.times - start) * 1e-9, *body.poses)
-        return PoseSource(topic.name, poses, body.extrinsic, "")
+        poses, notice = _without_outliers(topic.name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
+        return PoseSource(topic.name, poses, body.extrinsic, notice)
     if not len(topic.poses):
         return None
     rows = topic.poses.rows()
-    times = (topic.poses.times(stamped=stamped) - start) * 1e-9
-    poses = RecordedPoses(times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
+    times = np.asarray((topic.poses.times(stamped=stamped) - start) * 1e-9, np.float64)
+    poses, outliers = _without_outliers(topic.name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
     if not topic.child or topic.child == frame:
-        return PoseSource(topic.name, poses, IDENTITY, "")
+        return PoseSource(topic.name, poses, IDENTITY, outliers)
     extrinsic, notice = contents.transforms.between(topic.child, frame), ""
     if extrinsic is None:
         extrinsic = IDENTITY
@@ -162,7 +167,33 @@ def _read_poses(
             f"poses on {topic.name} are those of {topic.child!r}, clouds are in {frame!r}, and no static transform "
             "joins the two: they are assumed to be the same frame"
         )
-    return PoseSource(topic.name, poses, extrinsic, notice)
+    return PoseSource(topic.name, poses, extrinsic, "; ".join(filter(None, (outliers, notice))))
+
+
+def _without_outliers(
+    name: str, times: Array, positions: Array, quaternions: Array, velocities: Array | None = None
+) -> tuple[RecordedPoses, str]:
+    """Return the poses near the median position, and a notice about the others and about jumps, empty without any.
+
+    Args:
+        name: topic.
+        times, positions, quaternions, velocities: see `RecordedPoses`.
+    """
+    distance = np.abs(positions - np.median(positions, axis=0)).max(axis=1)
+    if distance.min() > _FARTHEST_POSE:  # two places that are far apart: keep the first one
+        distance = np.abs(positions - positions[0]).max(axis=1)
+    near = distance <= _FARTHEST_POSE
+    twists = None if velocities is None else velocities[near]
+    poses = RecordedPoses(times[near], positions[near], quaternions[near], twists)
+    notices = []
+    if not near.all():
+        notices.append(
+            f"{len(near) - int(near.sum())} of {len(near)} poses on {name} are left out: they lie more than "
+            f"{_FARTHEST_POSE / 1e3:g} km from the others"
+        )
+    if poses.jumps:
+        notices.append(f"the positions on {name} jump {poses.jumps} times, faster than {SPEED_MAX:g} m/s")
+    return poses, "; ".join(notices)
 
 
 def _find_topic(contents: Contents, name: str, role: str) -> TopicContents:

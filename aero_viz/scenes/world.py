@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config.parameter import did_you_mean
+from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
+from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes.primitives import DISTANCES, primitive_bounds, rotate_z
 
 if TYPE_CHECKING:
@@ -108,7 +110,7 @@ class World:
             UserError: the file cannot be read or does not describe a world. The message names file, key and row.
         """
         try:
-            return cls.from_dict(json.loads(Path(path).read_text(encoding="utf-8")))
+            return cls.from_dict(json.loads(read_user_text(path, limit=TEXT_MAX)))
         except OSError as error:
             raise UserError(f"Cannot read the world {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError as error:

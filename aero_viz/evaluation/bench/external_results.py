@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.score import load_trajectory, score
 from aero_viz.flight import FlightResult
+from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes import World
 
 __all__ = ["ExternalResults", "append_to_table", "load_external_results"]
@@ -119,9 +122,8 @@ def _check_columns(path: Path, columns: Sequence[str]) -> None:
 def _read_csv(path: Path) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
     """Return the names of the columns and the rows with their line numbers."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            return list(reader.fieldnames or ()), [(reader.line_num, row) for row in reader]
+        reader = csv.DictReader(io.StringIO(read_user_text(path, limit=TEXT_MAX), newline=""))
+        return list(reader.fieldnames or ()), [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not CSV text"
         raise UserError(f"Cannot read {path}: {reason or error}; {_FORMATS}.") from error

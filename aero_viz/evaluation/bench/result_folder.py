@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
+from aero_viz.input_limits import TEXT_MAX
 
 __all__ = ["append_flights", "open_folder", "read_folder"]
 
@@ -65,8 +67,10 @@ def read_folder(folder: Path) -> tuple[Header | None, Flights]:
         UserError: the files cannot be read.
     """
     try:
-        header = json.loads((folder / _HEADER).read_text(encoding="utf-8"))
-        lines = (folder / _FLIGHTS).read_text(encoding="utf-8").splitlines() if (folder / _FLIGHTS).exists() else []
+        header = json.loads(read_user_text(folder / _HEADER, limit=TEXT_MAX))
+        lines = (
+            read_user_text(folder / _FLIGHTS, limit=16 * TEXT_MAX).splitlines() if (folder / _FLIGHTS).exists() else []
+        )
     except FileNotFoundError:
         return None, []
     except (OSError, ValueError) as error:

@@ -21,6 +21,7 @@ from typing import TypeVar
 from aero_planner.config.parameter import ParameterInfo, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.yaml_entries import Entry, parse_entries
+from aero_planner.user_file import open_user_file
 
 __all__ = [
     "ONBOARD",
@@ -133,7 +134,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
         ValueError: the file can't be read, is not UTF-8, or is larger than 1 MiB.
     """
     try:
-        with Path(path).open("rb") as file:
+        with open_user_file(path) as file:
             content = file.read(_MAX_BYTES + 1)
         if len(content) > _MAX_BYTES:
             raise ValueError(f"{path} is larger than 1 MiB; give a configuration file.")

@@ -31,6 +31,7 @@ from typing import IO, Any
 import warp as wp
 
 from aero_planner.config import PlannerConfig
+from aero_planner.user_file import open_user_file
 from aero_planner.warp_init import find_device
 
 __all__ = [
@@ -167,7 +168,7 @@ def open_bundle(path: str | os.PathLike[str]) -> Bundle:
         if source.exists() and not source.is_file():
             raise ValueError("is neither a folder nor a whole tar file")
         unpacked = copy / "unpacked"
-        with source.open("rb") as file:
+        with open_user_file(source) as file:
             _unpack(file, unpacked)
         bundle = _check(unpacked, copy, str(path))
         shutil.rmtree(unpacked)
@@ -299,7 +300,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file() or path.is_symlink():
         raise ValueError(f"has no {MANIFEST}")
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         content = file.read(_MAX_MANIFEST_BYTES + 1)
     try:
         manifest = json.loads(content) if len(content) <= _MAX_MANIFEST_BYTES else None
@@ -336,7 +337,7 @@ def _digest(folder: Path, name: str, size: int, target: Path | None) -> str:
         raise ValueError(f"is damaged: {name} has {status.st_size} bytes, its manifest says {size}")
     digest = hashlib.sha256()
     with contextlib.ExitStack() as stack:
-        file = stack.enter_context(path.open("rb"))
+        file = stack.enter_context(open_user_file(path))
         output = None
         if target is not None:
             target.parent.mkdir(parents=True, exist_ok=True)

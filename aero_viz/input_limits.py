@@ -1,0 +1,97 @@
+"""Limits on what reading one file may cost, all in one place; docs/reliability.md explains them.
+
+Most of them grow with the size of the file, so that a long recording is read whole and a small file that claims or
+expands to gigabytes is refused.
+"""
+
+from __future__ import annotations
+
+import time
+
+__all__ = [
+    "BLOCK_MAX",
+    "CHECKSUM_MAX",
+    "MAP_POINTS_MAX",
+    "MAP_SPAN_MAX",
+    "METADATA_MAX",
+    "SWEEP_POINTS_MAX",
+    "TEXT_MAX",
+    "LimitExceeded",
+    "ReadingBudget",
+    "expansion_limit",
+]
+
+_MIB = 2**20
+
+BLOCK_MAX = 256 * _MIB
+"""Largest chunk or message after decompression [bytes]."""
+EXPANSION_BASE = 64 * _MIB
+"""A file may decompress to this [bytes] .."""
+EXPANSION_RATIO = 100
+""".. plus this many times its own size. Clouds compress two to ten times."""
+TIME_BASE = 3.0
+"""Reading a file may take this CPU time [s] .."""
+TIME_PER_BYTE = 5.0 / _MIB
+""".. plus this per byte of the file [s]. Small compressed poses, the slowest content, take a tenth of it."""
+CHECKSUM_MAX = 4096 * _MIB
+"""Bytes of uncompressed chunks whose checksums are verified while a file is opened, before any of it is played."""
+METADATA_MAX = _MIB
+"""Largest metadata.yaml [bytes]."""
+SWEEP_POINTS_MAX = 10_000_000
+"""Largest number of points in a cloud of a recording."""
+TEXT_MAX = 64 * _MIB
+"""Largest world or table in a text file [bytes]."""
+MAP_POINTS_MAX = 40_000_000
+"""Largest number of points in a map."""
+MAP_SPAN_MAX = 20_000.0
+"""Largest extent of a map along any axis [m]."""
+
+
+class LimitExceeded(Exception):
+    """Reading would cost more than the limits allow. The text completes the sentence "FILE is ..."."""
+
+
+def expansion_limit(stored: int, share: float = 1.0) -> int:
+    """Return the number of bytes to which `stored` bytes may decompress.
+
+    Args:
+        stored: size of the file [bytes].
+        share: share of the fixed allowance, for one of several files of a recording.
+    """
+    return int(share * EXPANSION_BASE) + EXPANSION_RATIO * stored
+
+
+class ReadingBudget:
+    """What one pass over a file may still cost.
+
+    Time is the CPU time of the calling thread: a busy machine does not cut a recording short.
+
+    Args:
+        stored: size of the file [bytes].
+        share: share of the fixed allowances, for one of several files of a recording.
+    """
+
+    def __init__(self, stored: int, share: float = 1.0) -> None:
+        self._bytes = expansion_limit(stored, share)
+        self._seconds = share * TIME_BASE + TIME_PER_BYTE * stored
+        self._start = time.thread_time()
+
+    def take_bytes(self, count: int) -> None:
+        """Count bytes that are about to be decompressed. Raises LimitExceeded if they are too many."""
+        self._bytes -= count
+        if self._bytes < 0:
+            raise LimitExceeded(
+                f"compressed more than {EXPANSION_RATIO} times, which no recording is: only what precedes is used"
+            )
+
+    @property
+    def is_late(self) -> bool:
+        """True if the time is up."""
+        return time.thread_time() - self._start > self._seconds
+
+    def check_time(self) -> None:
+        """Raise LimitExceeded if the time is up."""
+        if self.is_late:
+            raise LimitExceeded(
+                f"too costly to read, more than {self._seconds:.0f} s for its size: only what precedes is used"
+            )

@@ -1,0 +1,75 @@
+"""What a user can do with a file of each kind, done to the end. Each target takes a path, and returns or raises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from aero_planner.config.file import load_config
+from aero_planner.plan_inputs import check_inputs
+from aero_viz.errors import UserError
+from aero_viz.recordings import RecordingSource, inspect, open_recording
+from aero_viz.scenes import World, load_map
+from aero_viz.scenes.map_files import read_mesh, read_points
+
+__all__ = ["TARGETS"]
+
+_SWEEPS, _TICKS = 60, 20
+
+
+def recording(path: Path) -> None:
+    """Open and play a recording; every observation must be one that the planner takes."""
+    with open_recording(path) as opened:
+        assert np.isfinite(opened.sweep_times).all()
+        for k in range(min(len(opened.sweep_times), _SWEEPS)):
+            assert np.isfinite(opened.sweep(k).points).all()
+        source = RecordingSource(opened)
+        for _ in range(_TICKS):
+            seen = source.observe()
+            check_inputs(seen.state, seen.goal, seen.cloud_age, seen.ground_height, ())
+            source.advance()
+
+
+def report(path: Path) -> None:
+    """Inspect a recording."""
+    assert inspect(path).format_table()
+
+
+def points(path: Path) -> None:
+    """Read a map's triangles or points."""
+    found = read_mesh(path)
+    found = found if len(found) else read_points(path)
+    assert np.isfinite(found).all()
+
+
+def world(path: Path) -> None:
+    """Read a world and ask it for a distance."""
+    opened = World.load(path)
+    opened.distance([opened.start])
+
+
+def config(path: Path) -> None:
+    """Read a configuration."""
+    try:
+        load_config(path)
+    except ValueError as error:  # the planner's package has no UserError
+        raise UserError(str(error)) from error
+
+
+def map_world(path: Path) -> None:
+    """Make the world of a map, with start and goal."""
+    opened = load_map(path)
+    assert np.isfinite(list(islice(opened.start, 3))).all()
+
+
+TARGETS: dict[str, Callable[[Path], None]] = {
+    "recording": recording,
+    "report": report,
+    "points": points,
+    "map": map_world,
+    "world": world,
+    "config": config,
+}
