@@ -36,6 +36,7 @@ _DEFAULT_STATE_RATE = 50.0  # [Hz]
 _MAX_STATE_RATE = 250.0  # [Hz]
 _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram arrived
 _ODOMETRY, _EXTENDED_SYS_STATE = 331, 245
+_START_RADIUS = 0.2  # [m] from the start at which the take-off ends
 _ARMING_TIME = 1.5  # [s] after which a companion has received a heartbeat of a disarmed vehicle
 _POSITION_STD, _VELOCITY_STD = 0.2, 0.05  # [m], [m/s]; reported while the position is known
 # A lost position, after a flight of PX4 1.17 whose GNSS was switched off: in 13 s, its error grows to 6 m, and its
@@ -47,7 +48,7 @@ _PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVE
 
 
 class SimulatedAutopilot:
-    """An autopilot with its vehicle, which is fixed at its start until it is armed and then holds its position there.
+    """An autopilot with its vehicle, which is fixed until it is armed, and then takes off to its start and holds it.
 
     Args:
         model: model of the vehicle.
@@ -59,7 +60,8 @@ class SimulatedAutopilot:
         compensation: part of the curve that the autopilot compensates, PX4's THR_MDL_FAC.
         loss_time: time without setpoints after which the stream, and with it OFFBOARD, ends, PX4's COM_OF_LOSS_T [s].
         pair: send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY.
-        takeoff_time: time from arming until the autopilot reports that the vehicle is in the air [s].
+        ground: height on which the vehicle stands until it is armed [m]; None fixes it in the air, at its start.
+        takeoff_time: shortest time from arming until the autopilot reports that the vehicle is in the air [s].
         height_offset: error of the reported height [m].
         seed: seed of gusts and of faults on the connections.
 
@@ -86,11 +88,15 @@ class SimulatedAutopilot:
         compensation: float = 0.0,
         loss_time: float = 0.5,
         pair: bool = False,
+        ground: float | None = None,
         takeoff_time: float = 0.5,
         height_offset: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.vehicle = Vehicle(model, np.atleast_2d(start), [heading], period=PERIOD, device="cpu", seeds=[seed])
+        place = np.array(start, dtype=np.float64)
+        if ground is not None:
+            place[2] = ground
+        self.vehicle = Vehicle(model, place[None], [heading], period=PERIOD, device="cpu", seeds=[seed])
         self.mode, self.armed, self.frozen = Mode.HOLD, False, False
         self.setpoints: list[Setpoint] = []
         self.refused = 0
@@ -112,6 +118,7 @@ class SimulatedAutopilot:
         self._state_period = 1.0 / _DEFAULT_STATE_RATE
         self._next_state = self._next_heartbeat = 0.0
         self._landed_period, self._next_landed = math.inf, math.inf  # not sent before it is requested
+        self._on_ground = ground is not None
         self._takeoff_time, self._height_offset = takeoff_time, height_offset
         self._armed_at = self._companion_heard_at = self._lost_at = math.inf
         self._frozen_message: list[Any] = []
@@ -323,11 +330,15 @@ class SimulatedAutopilot:
                 self._send(message)
 
     def _landed_state(self) -> int:
-        """Return the landed state. Like PX4, it reports every vehicle that is not armed as being on the ground."""
-        d, airborne = self._dialect, self._now - self._armed_at >= self._takeoff_time
+        d, start = self._dialect, self._hold_position
         if not self.armed:
-            return d.MAV_LANDED_STATE_ON_GROUND
-        return d.MAV_LANDED_STATE_IN_AIR if airborne else d.MAV_LANDED_STATE_TAKEOFF
+            return d.MAV_LANDED_STATE_ON_GROUND if self._on_ground else d.MAV_LANDED_STATE_UNDEFINED
+        if self._now - self._armed_at < self._takeoff_time:
+            return d.MAV_LANDED_STATE_TAKEOFF
+        if self._on_ground and start is not None and np.linalg.norm(self.position - start) > _START_RADIUS:
+            return d.MAV_LANDED_STATE_TAKEOFF
+        self._on_ground = False
+        return d.MAV_LANDED_STATE_IN_AIR
 
     def _estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
         """Return position and velocity as the autopilot estimates them, and their standard deviations."""

@@ -39,6 +39,7 @@ PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max
 motors reach about z."""
 
 _HOST = "127.0.0.1"
+_STAND = 0.1  # [m] height of the vehicle's centre above the ground on which it stands
 
 
 def fly_rig(
@@ -99,6 +100,7 @@ def fly_rig(
             curve=onboard.thrust.curve,
             loss_time=loss_time,
             pair=state_pair,
+            ground=ground_below(world),
             seed=seed,
         )
         stack.callback(autopilot.close)
@@ -121,6 +123,19 @@ def fly_rig(
         flight.run()
         node.stop()
         return flight.result(seed, 1.0 / onboard.rates.control)
+
+
+def ground_below(world: World) -> float | None:
+    """Return the height of the surface below the start [m], or None if there is none within 20 m."""
+    place = world.start.astype(np.float64)
+    for _ in range(1000):
+        distance = float(world.distance(place[None])[0])
+        if distance < _STAND:
+            return float(place[2])
+        place[2] -= distance - 0.5 * _STAND
+        if place[2] < world.start[2] - 20.0:
+            break
+    return None
 
 
 def _rig_settings(lidar: LidarModel, lidar_port: int, mavlink_port: int) -> dict[str, Any]:

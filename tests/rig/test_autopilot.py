@@ -279,7 +279,7 @@ def request(c, number, rate):
 
 
 def test_the_landed_state_is_reported_on_request(make):
-    c = make(takeoff_time=0.5)
+    c = make(takeoff_time=0.5, ground=2.9)
     c.run(1.0)
     assert c.got("EXTENDED_SYS_STATE") == []
     request(c, 245, 10)
@@ -292,6 +292,19 @@ def test_the_landed_state_is_reported_on_request(make):
     assert set(on_ground) == {mavlink.MAV_LANDED_STATE_ON_GROUND}
     assert set(taking_off) <= {mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_ON_GROUND}
     assert set(in_air[1:]) == {mavlink.MAV_LANDED_STATE_IN_AIR}
+
+
+def test_the_vehicle_takes_off_from_the_ground_to_its_start(make):
+    c = make(ground=0.1)
+    request(c, 245, 10)
+    c.run(1.0)
+    np.testing.assert_allclose(c.autopilot.position, [1.0, 2.0, 0.1])
+    c.autopilot.arm()
+    c.run(1.0)
+    assert c.got("EXTENDED_SYS_STATE")[-1][1].landed_state == mavlink.MAV_LANDED_STATE_TAKEOFF
+    c.run(4.0)
+    np.testing.assert_allclose(c.autopilot.position, START, atol=0.1)
+    assert c.got("EXTENDED_SYS_STATE")[-1][1].landed_state == mavlink.MAV_LANDED_STATE_IN_AIR
 
 
 def test_the_pilot_arms_when_the_companion_must_have_seen_a_heartbeat(make):

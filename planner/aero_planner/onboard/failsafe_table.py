@@ -357,12 +357,15 @@ def next_state(state: State, inputs: Inputs, limits: LimitSettings) -> tuple[Sta
     return state, None
 
 
-def is_inside_fence(position: ArrayLike, limits: LimitSettings) -> bool:
-    """Return True if `position` [m], shape [3], world frame, lies inside the geofence; NaN never does."""
+def is_inside_fence(position: ArrayLike, limits: LimitSettings, *, ground: float = 0.0) -> bool:
+    """Return True if `position` [m], shape [3], world frame, lies inside the geofence; NaN never does.
+
+    `ground` is the height of the ground, world frame [m], from which the fence's heights count.
+    """
     x, y, z = np.asarray(position, dtype=np.float64).tolist()
     return (
         math.hypot(x, y) <= limits.fence_radius
-        and limits.fence_height_min <= z <= limits.fence_height_max
+        and limits.fence_height_min <= z - ground <= limits.fence_height_max
         and limits.fence_x_min <= x <= limits.fence_x_max
         and limits.fence_y_min <= y <= limits.fence_y_max
     )

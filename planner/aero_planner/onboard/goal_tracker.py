@@ -43,12 +43,15 @@ class GoalTracker:
         self._limits = limits
         self._received: NDArray[np.float64] | None = None
 
-    def update(self, goal: NDArray[np.float64] | None) -> None:
-        """Accept the link's goal if it is new; a goal outside the fence is refused and the present one is kept."""
+    def update(self, goal: NDArray[np.float64] | None, *, ground: float = 0.0) -> None:
+        """Accept the link's goal if it is new; a goal outside the fence is refused and the present one is kept.
+
+        `ground` is the height of the ground, world frame [m].
+        """
         if goal is None or (self._received is not None and np.array_equal(goal, self._received, equal_nan=True)):
             return
         self._received = np.array(goal, dtype=np.float64)
-        if is_inside_fence(goal, self._limits):
+        if is_inside_fence(goal, self._limits, ground=ground):
             self.goal, self.count = self._received, self.count + 1
             _log.info("the goal is %s", np.round(self.goal, 2).tolist())
         else:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.check_report import Check
 from aero_planner.onboard.failsafe_table import is_inside_fence
+from aero_planner.onboard.ground_tracker import GroundSource, GroundTracker
 from aero_planner.onboard.interfaces import PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import make_sweep_buffer
@@ -21,6 +22,7 @@ _POLL_PERIOD = 0.01  # [s]
 _MIN_STATE_RATE = 25.0  # [Hz]
 _MIN_POINTS = 1000  # per sweep
 _MAX_LOSS = 0.02  # fraction of packets
+_MIN_FLOOR = 1.0  # [m] above a ground that no distance sensor measures
 _MIN_PLACED = 0.8  # fraction of points
 
 
@@ -45,7 +47,7 @@ def check_inputs(
         clock: Host time [s].
         sleep: Waits for a time [s].
     """
-    sweeps = make_sweep_buffer(onboard)
+    sweeps, ground = make_sweep_buffer(onboard), GroundTracker()
     states, points, newest_point = 0, 0, -math.inf
     last: VehicleSample | None = None
     start = clock()
@@ -55,6 +57,9 @@ def check_inputs(
         if sample is not None and (last is None or sample.time > last.time):
             states += 1
             sweeps.add_pose(sample.time, sample.state.position, sample.state.quaternion)
+            if sample.in_air is False and not sample.armed:
+                ground.add_standing(float(np.asarray(sample.state.position)[2]))
+            ground.add_range(sample.time, sample.ground_height)
         last = sample
         for packet in lidar.poll():
             points += len(packet.times)
@@ -65,8 +70,10 @@ def check_inputs(
     duration = now - start
     per_sweep = points / duration * onboard.lidar.sweep_period
     checks = [*_check_vehicle(last, states / duration, now, onboard), *_check_dropped(link)]
-    checks += _check_points(lidar, points, per_sweep, now - newest_point, sweeps.dropped, onboard)
-    checks += _check_positions(last, goal if goal is not None else link.goal, onboard)
+    unplaced = sweeps.dropped + sweeps.waiting
+    checks += _check_points(lidar, points, per_sweep, now - newest_point, unplaced, onboard)
+    checks += [_check_ground(ground, onboard)] if last is not None else []
+    checks += _check_positions(last, goal if goal is not None else link.goal, ground.height, onboard)
     return checks
 
 
@@ -141,7 +148,7 @@ def _check_dropped(link: VehicleLink) -> Iterator[Check]:
 
 
 def _check_points(
-    lidar: PointSource, count: int, per_sweep: float, age: float, dropped: int, onboard: OnboardConfig
+    lidar: PointSource, count: int, per_sweep: float, age: float, unplaced: int, onboard: OnboardConfig
 ) -> list[Check]:
     counters = lidar.counters
     if not counters.packets:
@@ -151,7 +158,7 @@ def _check_points(
         )
         return [Check("LiDAR", "nothing arrived", ok=False, advice=advice)]
     loss = counters.lost / max(counters.packets + counters.lost, 1)
-    placed = 1.0 - dropped / max(count, 1)
+    placed = 1.0 - unplaced / max(count, 1)
     newest = f"the newest point is {1e3 * age:.0f} ms old" if count else "no points: covered, or nothing is in range"
     return [
         Check(
@@ -181,21 +188,35 @@ def _check_points(
     ]
 
 
-def _check_positions(sample: VehicleSample | None, goal: ArrayLike | None, onboard: OnboardConfig) -> list[Check]:
+def _check_ground(ground: GroundTracker, onboard: OnboardConfig) -> Check:
+    floor = onboard.limits.fence_height_min
+    finding = f"at a height of {ground.height:.2f} m, {ground.source.value}; the floor is {floor:g} m above it"
+    advice = (
+        f"The autopilot's height may be wrong by a metre, and no distance sensor measures it (DISTANCE_SENSOR): keep "
+        f"limits.fence_height_min at {_MIN_FLOOR:g} m or more."
+    )
+    is_certain = ground.source is GroundSource.RANGE or floor >= _MIN_FLOOR
+    return Check("ground", finding, ok=is_certain, required=False, advice=advice)
+
+
+def _check_positions(
+    sample: VehicleSample | None, goal: ArrayLike | None, ground: float, onboard: OnboardConfig
+) -> list[Check]:
     checks = []
     outside = "It lies outside the geofence; correct limits.fence_*."
     if sample is not None:
         position: NDArray[np.float64] = np.asarray(sample.state.position, dtype=np.float64)
         # On the ground the drone may be below the geofence.
-        lifted = np.array([*position[:2], max(position[2], onboard.limits.fence_height_min)])
-        is_inside = is_inside_fence(lifted, onboard.limits)
+        lifted = np.array([*position[:2], max(position[2], ground + onboard.limits.fence_height_min)])
+        is_inside = is_inside_fence(lifted, onboard.limits, ground=ground)
         checks.append(Check("position", _format_position(position), ok=is_inside, advice=outside))
     if goal is None:
         advice = "Give one with --goal, or send it from the ground station; until then the node waits."
         return [*checks, Check("goal", "none yet", ok=False, required=False, advice=advice)]
     goal = np.asarray(goal, dtype=np.float64)
     advice = "It lies outside the geofence; correct it or limits.fence_*."
-    return [*checks, Check("goal", _format_position(goal), ok=is_inside_fence(goal, onboard.limits), advice=advice)]
+    is_inside = is_inside_fence(goal, onboard.limits, ground=ground)
+    return [*checks, Check("goal", _format_position(goal), ok=is_inside, advice=advice)]
 
 
 def _format_position(position: NDArray[np.float64]) -> str:

@@ -89,6 +89,9 @@ class VehicleSample:
     autopilot does not report it."""
     velocity_std: float = math.nan
     """The same for the velocity [m/s]."""
+    ground_height: float = math.nan
+    """Height of the ground below the vehicle as its distance sensor measures it, world frame [m]; NaN without a recent
+    measurement."""
 
 
 class CommandSink(Protocol):

@@ -5,8 +5,8 @@ comes from SET_POSITION_TARGET_LOCAL_NED addressed to this component. The estima
 counter of ODOMETRY changes, when LOCAL_POSITION_NED, which has no counter, moves as no flight does
 (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message.
 
-Whether the vehicle is in the air comes from EXTENDED_SYS_STATE. How uncertain the state is comes from the covariances
-of ODOMETRY; the other two messages have none.
+EXTENDED_SYS_STATE tells whether the vehicle is in the air. A DISTANCE_SENSOR that looks down measures the height of the
+ground. The covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
 
 Besides commands (`MavlinkSender`), only a heartbeat per second and requests for messages are
 sent: nothing here can arm the vehicle or switch its mode.
@@ -40,6 +40,10 @@ _PAIR_TIMEOUT = 0.1  # [s] between the stamps of a position and an attitude that
 _OVERTAKEN = 1.0  # [s] by which an attitude may be late and is ignored; more means that the clock was set
 _REQUEST_PERIOD = 2.0  # [s] between two requests for messages
 _LANDED_RATE = 5.0  # [Hz] of EXTENDED_SYS_STATE
+_RANGE_RATE = 10.0  # [Hz] of DISTANCE_SENSOR
+_RANGE_TIMEOUT = 1.0  # [s] after which a measured distance counts no more
+_RANGE_MAX_TILT = 0.5  # [rad] beyond which a distance to the ground is not used
+_INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
 _LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
 _LIMIT = 1e6  # [m], [m/s]; larger values have no precision left in float32
@@ -179,6 +183,7 @@ class MavlinkLink(MavlinkSender):
         self._arrived: dict[str, int] = {}  # number of messages since the last request, by name
         self._landed_state, self._landed_time = 0, -np.inf
         self._position_std = self._velocity_std = math.nan
+        self._ground_height, self._range_time = math.nan, -np.inf
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
         self._estimate: EstimatorState | None = None
         self._origin: tuple[Any, ...] | None = None
@@ -226,6 +231,8 @@ class MavlinkLink(MavlinkSender):
             self._process_heartbeat(message)
         elif name == "EXTENDED_SYS_STATE":
             self._process_landed_state(message)
+        elif name == "DISTANCE_SENSOR":
+            self._process_distance(message)
         elif name == "ODOMETRY":
             self._process_odometry(message)
         elif name == "ATTITUDE_QUATERNION":
@@ -252,6 +259,7 @@ class MavlinkLink(MavlinkSender):
         wanted = {
             "ODOMETRY": (d.MAVLINK_MSG_ID_ODOMETRY, self._state_rate),
             "EXTENDED_SYS_STATE": (d.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, _LANDED_RATE),
+            "DISTANCE_SENSOR": (d.MAVLINK_MSG_ID_DISTANCE_SENSOR, _RANGE_RATE),
         }
         for name, (number, rate) in wanted.items():
             if self._arrived.get(name, 0) < 0.7 * rate * elapsed:
@@ -263,6 +271,21 @@ class MavlinkLink(MavlinkSender):
         self._landed_state, self._landed_time = message.landed_state, self._time()
         self._count_arrival("EXTENDED_SYS_STATE")
         if self.state is not None:
+            self.state = self._make_sample(self.state.time, self.state.state)
+
+    def _process_distance(self, message: Any) -> None:
+        self._count_arrival("DISTANCE_SENSOR")
+        now = self._time()
+        if self.state is None or now - self.state.time > _RANGE_TIMEOUT:
+            return
+        is_downward = message.orientation == self._dialect.MAV_SENSOR_ROTATION_PITCH_270
+        is_in_range = message.min_distance < message.current_distance < message.max_distance
+        upright = float(rotate(self.state.state.quaternion, [0.0, 0.0, 1.0])[2])
+        if not is_downward or not is_in_range or message.signal_quality == _INVALID_QUALITY:
+            return
+        if upright > math.cos(_RANGE_MAX_TILT):
+            height = float(np.asarray(self.state.state.position)[2])
+            self._ground_height, self._range_time = height - 1e-2 * message.current_distance * upright, now
             self.state = self._make_sample(self.state.time, self.state.state)
 
     def _count_arrival(self, name: str) -> None:
@@ -351,6 +374,7 @@ class MavlinkLink(MavlinkSender):
         return VehicleSample(
             time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
             self._position_std, self._velocity_std,
+            self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
         )  # fmt: skip
 
     def _process_goal(self, message: Any) -> None:

@@ -31,6 +31,7 @@ from aero_planner.onboard.failsafe_table import (
     is_inside_fence,
 )
 from aero_planner.onboard.goal_tracker import GoalTracker
+from aero_planner.onboard.ground_tracker import GroundTracker
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.periodic_loop import PeriodicLoop
 from aero_planner.onboard.plan_schedule import PlanSchedule
@@ -72,6 +73,7 @@ class Node:
         config: Configuration of the node.
         safety: The state machine, to be read only.
         schedule: The plans being flown, to be read only.
+        ground: Height of the ground, to be read only.
         snapshot: What the control loop knew at its newest tick; None before the first vehicle state.
         changes: The last transitions of the safety state.
         failures: Number of ticks of the control loop that raised an exception.
@@ -103,6 +105,7 @@ class Node:
         self._failsafe = failsafe
         self._vehicle = planner.config.vehicle
         self.schedule = PlanSchedule()
+        self.ground = GroundTracker()
         self._replanner = Replanner(planner, config, self.schedule, clock)
         self.safety = SafetyMachine(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle)
@@ -171,6 +174,8 @@ class Node:
             "lidar_lost": counters.lost,
             "lidar_bad": counters.bad,
             "points_dropped": self._replanner.dropped_points,
+            "ground_height": self.ground.height,
+            "ground_source": self.ground.source.name,
             "changes": [f"{change.time:.3f} {change}" for change in self.changes],
         }
 
@@ -238,13 +243,24 @@ class Node:
             if self._state_finite:
                 if previous is not None and sample.resets != previous.resets:
                     self._hold = None  # in the new estimate, the position to hold has other coordinates
+                    self.ground.clear()
                 self._sample = sample
                 self._reckoning.correct(sample)
                 self._replanner.add_arrival(sample)
                 self._notify(sample)
         elif sample is not None and previous is not None and sample.time == previous.time:
-            self._sample = sample  # a heartbeat has changed its flags
-        self._goals.update(self._link.goal)
+            self._sample = sample  # another message has changed its flags
+        if self._sample is not None and self._sample is not previous:
+            self._track_ground(self._sample, previous)
+        self._goals.update(self._link.goal, ground=self.ground.height)
+
+    def _track_ground(self, sample: VehicleSample, previous: VehicleSample | None) -> None:
+        if sample.in_air is False and not sample.armed:
+            self.ground.add_standing(float(np.asarray(sample.state.position)[2]))
+        elif previous is None or sample.ground_height != previous.ground_height:
+            self.ground.add_range(sample.time, sample.ground_height)
+        if (height := self._replanner.take_ground_height(sample.resets)) is not None:
+            self.ground.add_cloud(sample.time, height)
 
     def _read_points(self) -> None:
         for packet in self._lidar.poll():
@@ -271,7 +287,7 @@ class Node:
             in_air=None if latest is None else latest.in_air,
             position_std=math.nan if latest is None else latest.position_std,
             velocity_std=math.nan if latest is None else latest.velocity_std,
-            inside_fence=is_inside_fence(position, self.config.limits),
+            inside_fence=is_inside_fence(position, self.config.limits, ground=self.ground.height),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
             goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
@@ -301,7 +317,7 @@ class Node:
         """Report the end of a tick to planning thread, watchdog and failsafe process."""
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
-            self.snapshot = ControlSnapshot(self._sample, motion, self.goal, obeyed, follows_plan)
+            self.snapshot = ControlSnapshot(self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan)
         heartbeat = Heartbeat(now, motion, obeyed, self._upcoming_commands(now) if follows_plan else None)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
+from aero_planner.onboard.ground_plane import find_ground
 from aero_planner.onboard.interfaces import PlanResult, PointPacket, VehicleSample
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.settings import OnboardConfig
@@ -25,6 +26,8 @@ _log = logging.getLogger(__name__)
 
 _ARRIVALS = 4096
 """States and packets that wait for the planning thread; if it hangs, the oldest are dropped."""
+_GROUND_PERIOD = 1.0
+"""Time between two looks for the ground in the cloud [s]."""
 _STEP = 0.02
 """Time step of the prediction [s]."""
 
@@ -38,6 +41,8 @@ class ControlSnapshot:
     """Motion at the time of the tick."""
     goal: NDArray[np.float64] | None
     """[m], shape [3], world frame."""
+    ground: float
+    """Height of the ground, world frame [m]."""
     command: NDArray[np.float64] | None
     """Command that the drone obeys, shape [4]; None if it does not obey the node."""
     follows_plan: bool
@@ -73,7 +78,9 @@ class Replanner:
         self._next_cloud = -np.inf
         self._compensate = config.rates.compensate
         self._max_latency = 0.5 * config.limits.plan_age
-        self._ground_height = config.limits.fence_height_min
+        self._floor = config.limits.fence_height_min
+        self._ground: tuple[int, float] | None = None  # reset counter and height of a new measurement
+        self._next_ground = -np.inf
         self._schedule = schedule
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
@@ -108,21 +115,36 @@ class Replanner:
     def plan_once(self, snapshot: ControlSnapshot | None) -> PlanResult | None:
         """Update the cloud and plan if state, goal and cloud are available; return None if there is no new plan."""
         self._process_arrivals()
-        if snapshot is None or snapshot.goal is None:
+        if snapshot is None:
             return None
         start = self._clock()
         points, cloud_age = self._sweeps.cloud(start)
         if not np.isfinite(cloud_age) or start < self._next_cloud:
             return None
+        result = None if snapshot.goal is None else self._plan(snapshot, snapshot.goal, points, cloud_age, start)
+        if start >= self._next_ground:  # last, so that no plan waits for it
+            self._next_ground = start + _GROUND_PERIOD
+            height = find_ground(points, snapshot.motion.position)
+            self._ground = None if height is None else (self._resets, height)
+        return result
+
+    def _plan(
+        self,
+        snapshot: ControlSnapshot,
+        goal: NDArray[np.float64],
+        points: NDArray[np.float32],
+        cloud_age: float,
+        start: float,
+    ) -> PlanResult | None:
         state = self._predict_state(snapshot, start)
         try:
             # A Mid-360 does not see the ground below it, so the planner keeps out of everything below the geofence.
             plan = self._planner.plan(
                 state,
-                Goal(snapshot.goal),
+                Goal(goal),
                 points,
                 cloud_age=max(cloud_age, 0.0),
-                ground_height=self._ground_height,
+                ground_height=snapshot.ground + self._floor,
             )
         except (ValueError, RuntimeError, MemoryError) as error:
             self._count_failure(f"the planner failed: {error}")
@@ -152,12 +174,21 @@ class Replanner:
             time=start,
             state=state,
             measured=snapshot.sample.state,
-            goal=snapshot.goal,
+            goal=goal,
             points=points,
             cloud_age=cloud_age,
             plan=plan,
             plan_ms=1e3 * duration,
         )
+
+    def take_ground_height(self, resets: int) -> float | None:
+        """Return the height of the ground in the cloud, world frame [m], if it was measured since the last call.
+
+        Args:
+            resets: Present number of the estimator's resets; a height from before the last one is not returned.
+        """
+        measured, self._ground = self._ground, None
+        return measured[1] if measured is not None and measured[0] == resets else None
 
     def _count_failure(self, message: str) -> None:
         self.failures += 1

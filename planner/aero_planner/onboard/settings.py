@@ -169,12 +169,14 @@ class LimitSettings(ParameterSection, section="limits"):
         100.0, "m", 1.0, 1e5, "Largest horizontal distance from the local origin.", group="Geofence"
     )
     fence_height_min: float = live(
-        0.3, "m", -1e4, 1e4, "Smallest height above the local origin; a drone on the ground is below it.",
+        1.0, "m", -1e4, 1e4, "Smallest height above the ground, or above the local origin where the ground was not "
+        "found; the autopilot's own height may be wrong by a metre.",
         label="Minimum fence height", group="Geofence",
     )  # fmt: skip
     fence_height_max: float = live(
-        30.0, "m", -1e4, 1e4, "Largest height above the local origin.", label="Maximum fence height", group="Geofence"
-    )
+        30.0, "m", -1e4, 1e4, "Largest height above the ground, or above the local origin where the ground was not "
+        "found.", label="Maximum fence height", group="Geofence",
+    )  # fmt: skip
     fence_x_min: float = live(
         -1e5, "m", -1e5, 1e5, "Box around the local origin: smallest x (north).",
         label="Minimum fence x", group="Geofence",

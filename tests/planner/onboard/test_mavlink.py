@@ -306,6 +306,34 @@ def test_the_pair_of_messages_has_no_uncertainty(link, autopilot, clock):
     assert math.isnan(link.state.position_std) and math.isnan(link.state.velocity_std)
 
 
+def distance(centimetres, *, orientation=25, quality=0):
+    return mavlink.MAVLink_distance_sensor_message(
+        0, 20, 1000, centimetres, 0, 0, orientation, 0, 0.0, 0.0, [0.0] * 4, quality
+    )
+
+
+def test_the_height_of_the_ground_comes_from_a_sensor_that_looks_down(link, autopilot, clock):
+    state_after(link, autopilot, distance(150))
+    tilted = math.radians(10.0)
+    state_after(link, autopilot, odometry((0, 0, -2), (math.cos(tilted), math.sin(tilted), 0, 0)))
+    assert math.isnan(link.state.ground_height)
+    state_after(link, autopilot, distance(150))
+    assert link.state.ground_height == pytest.approx(2.0 - 1.5 * math.cos(2 * tilted))
+    for unusable in (distance(300, orientation=0), distance(1000), distance(20), distance(300, quality=1)):
+        state_after(link, autopilot, unusable)
+    state_after(link, autopilot, odometry((0, 0, -2.2), time=5.1))
+    assert link.state.ground_height == pytest.approx(2.0 - 1.5 * math.cos(2 * tilted))
+    clock.now += 1.1
+    state_after(link, autopilot, odometry((0, 0, -2), time=6.1))
+    assert math.isnan(link.state.ground_height)
+
+
+def test_a_distance_is_not_used_when_the_vehicle_is_tilted(link, autopilot):
+    half = math.radians(20.0)
+    state_after(link, autopilot, odometry((0, 0, -2), (math.cos(half), math.sin(half), 0, 0)), distance(150))
+    assert math.isnan(link.state.ground_height)
+
+
 def test_heartbeats_from_other_components_are_ignored(link, autopilot):
     state_after(link, autopilot, odometry())
     for system, component in [(255, 190), (1, 154), (2, 1)]:
@@ -382,14 +410,16 @@ def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
     autopilot.heartbeat()
     link.poll()
     requests = {request.param1: request.param2 for request in autopilot.received("COMMAND_LONG")}
-    assert requests == {mavlink.MAVLINK_MSG_ID_ODOMETRY: 1e4, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2e5}
+    wanted = {"ODOMETRY": 1e4, "EXTENDED_SYS_STATE": 2e5, "DISTANCE_SENSOR": 1e5}
+    assert requests == {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): period for name, period in wanted.items()}
     for k in range(250):
         clock.now += 0.01
         autopilot.send(odometry(time=5.0 + 0.01 * k), *([landed_state(2)] if k % 20 == 0 else []))
         link.poll()
     autopilot.heartbeat()
     link.poll()
-    assert autopilot.received("COMMAND_LONG") == []
+    (request,) = autopilot.received("COMMAND_LONG")
+    assert request.param1 == mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 
 
 def test_goals(link, autopilot):

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner, PlanStatus
-from aero_planner.onboard.failsafe_table import Reaction, State
+from aero_planner.onboard.failsafe_table import Cause, Reaction, State
+from aero_planner.onboard.ground_tracker import GroundSource
 from aero_planner.onboard.plan_schedule import ScheduledPlan
 from aero_planner.quaternions import rotate
 from tests.planner.onboard.conftest import Records
@@ -120,10 +121,10 @@ def test_on_the_ground_it_waits_and_says_why(small_planner: Planner, caplog: pyt
     with caplog.at_level(logging.INFO):
         simulation.run(2.0)
         assert "not READY: the autopilot does not report whether the vehicle is in the air" in caplog.text
-        simulation.link.in_air = False
+        simulation.link.in_air, simulation.link.armed = False, True
         simulation.run(2.0)
     assert caplog.text.count("not READY: the vehicle is on the ground, taking off or landing") == 1
-    simulation.link.armed = simulation.link.offboard = True
+    simulation.link.offboard = True
     simulation.run(2.0)
     assert states(simulation) == [] and not simulation.link.sent
     simulation.link.offboard, simulation.link.in_air = False, True
@@ -135,6 +136,43 @@ def test_the_planner_treats_the_bottom_of_the_fence_as_ground(small_planner: Pla
     simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.fence_height_min": 0.7})
     simulation.run(0.3)
     assert simulation.node.state is State.READY and simulation.planner.options["ground_height"] == 0.7
+
+
+def test_the_floor_lies_above_the_ground_that_the_distance_sensor_sees(small_planner: Planner):
+    """The autopilot's height is 0.6 m too large: by it alone, the drone would be 0.4 m above the floor of the fence."""
+    simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.fence_height_min": 1.6})
+    raised = np.array([0.0, 0.0, 0.6])
+    simulation.link.spoil = lambda state: dataclasses.replace(state, position=np.asarray(state.position) + raised)
+    simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, 1.5]))
+    simulation.run(0.3)
+    assert simulation.node.state is State.READY
+    simulation.link.ground_height = 0.6
+    for k in range(10):  # measured anew each time
+        simulation.link.ground_height = 0.6 + 0.001 * (k % 2)
+        simulation.run(0.1)
+    assert simulation.node.state is State.WAITING and Cause.OUTSIDE_FENCE in simulation.node.safety.missing()
+    assert simulation.planner.options["ground_height"] == pytest.approx(2.2, abs=0.01)
+    assert simulation.node.statistics()["ground_source"] == "RANGE"
+    simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, 1.7]))
+    simulation.run(0.2)
+    assert simulation.node.state is State.READY
+
+
+def test_the_ground_is_where_the_drone_stood(small_planner: Planner):
+    """PX4's height read 0.48 m on the ground."""
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    simulation.link.in_air = False
+    simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, 0.48]))
+    simulation.run(0.5)
+    assert simulation.node.ground.height == pytest.approx(0.48)
+    simulation.link.armed = simulation.link.in_air = True
+    for height, state in ((1.4, State.WAITING), (1.5, State.READY)):
+        simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, height]))
+        simulation.run(0.2)
+        assert simulation.node.state is state
+    simulation.link.resets += 1  # the origin has moved
+    simulation.run(0.1)
+    assert simulation.node.ground.source is GroundSource.ASSUMED
 
 
 def test_a_goal_over_the_link_replaces_the_first(small_planner: Planner):
@@ -346,7 +384,9 @@ def test_with_another_fault_it_does_not_brake_as_planned(flight: Simulation):
         return float(flight.link.sent[-1][1][3])
 
     flight.planner.spoil = lambda plan: dataclasses.replace(
-        plan, status=PlanStatus.NO_SAFE_CANDIDATE, controls=np.full_like(plan.controls, turning)
+        plan,
+        status=PlanStatus.NO_SAFE_CANDIDATE,
+        controls=np.broadcast_to([9.81, 0.0, 0.0, turning], np.shape(plan.controls)),
     )
     flight.plan_time = 0.0  # so that `run` ends exactly on time
     flight.run(0.3)

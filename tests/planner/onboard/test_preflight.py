@@ -39,7 +39,7 @@ def test_a_drone_in_order_passes(drone: Simulation):
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
         "vehicle state", "heartbeat", "vehicle mode", "landed state", "position uncertainty", "velocity uncertainty",
-        "LiDAR", "cloud", "packets", "deskewing", "position", "goal",
+        "LiDAR", "cloud", "packets", "deskewing", "ground", "position", "goal",
     }  # fmt: skip
     assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded
@@ -86,6 +86,19 @@ def test_the_landed_state_must_be_reported(drone: Simulation, in_air: bool | Non
     assert check.ok is passes and (passes or "EXTENDED_SYS_STATE" in check.advice)
 
 
+def test_a_low_floor_needs_a_distance_sensor(drone: Simulation):
+    low = OnboardConfig().replace({"limits.fence_height_min": 0.4})
+    check = run_checks(drone, low)["ground"]
+    assert not check.ok and not check.required and "DISTANCE_SENSOR" in check.advice
+    assert check.finding == "at a height of 0.00 m, assumed at the local origin; the floor is 0.4 m above it"
+    drone.link.in_air = False
+    check = run_checks(drone, low)["ground"]
+    assert not check.ok and check.finding.startswith("at a height of 2.00 m, where the drone stood before the flight")
+    drone.link.in_air, drone.link.ground_height = True, 0.3
+    check = run_checks(drone, low)["ground"]
+    assert check.ok and check.finding.startswith("at a height of 0.30 m, measured by the autopilot's distance sensor")
+
+
 def test_unusable_messages_are_a_warning(drone: Simulation):
     drone.link.dropped["ODOMETRY in frames 0 and 1"] = 300
     check = run_checks(drone)["unusable messages"]
@@ -110,6 +123,8 @@ def test_late_and_infrequent_states_fail(drone: Simulation):
     checks = run_checks(drone)
     assert not checks["vehicle state"].ok and checks["vehicle state"].finding.startswith("0 per second")
     assert "raise the autopilot's rate" in checks["vehicle state"].advice
+    # Points that wait for a pose in vain are not placed.
+    assert not checks["deskewing"].ok and checks["deskewing"].finding == "0 % of the points have a pose"
 
 
 def test_the_complete_report(tmp_path: Path):
