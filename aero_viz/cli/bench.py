@@ -8,7 +8,15 @@ from typing import Literal
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalInt, OptionalPath, flight_rules
+from aero_viz.cli.flags import (
+    ConfigFlags,
+    FlightFlags,
+    Inline,
+    OptionalInt,
+    OptionalPath,
+    RayFlag,
+    flight_rules,
+)
 from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.errors import UserError
 
@@ -29,6 +37,7 @@ def bench(
     output: OptionalPath = None,
     resume: bool = False,
     include: tuple[str, ...] = (),
+    ray: RayFlag = None,
     json: bool = False,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
     config_flags: Inline[ConfigFlags] = _CONFIG,
@@ -50,6 +59,7 @@ def bench(
         output: Folder of the results; by default results/NAME.
         resume: Continue with the results in the folder.
         include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
+        ray: Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS.
         json: Print one JSON object.
         flight_flags: The flight.
         config_flags: The planner's configuration.
@@ -59,10 +69,12 @@ def bench(
     from aero_viz.evaluation.bench.report import format_summaries, format_worlds, world_records, write_report
     from aero_viz.evaluation.bench.runner import BenchmarkInterrupted, run_benchmark
     from aero_viz.evaluation.bench.suites import BENCHMARKS
+    from aero_viz.evaluation.executor import open_executor
 
     benchmark, folder, config = BENCHMARKS[name], output or Path("results") / name, config_flags.load()
     is_changed = config != config_from_name(config_flags.config)
     external = load_external_results(include, benchmark)
+    executor = open_executor(ray, device=device)
     try:
         with progress_bar() as update_bar:
             run = run_benchmark(
@@ -80,6 +92,7 @@ def bench(
                 noise=flight_flags.state_noise(),
                 drone=flight_flags.drone_changes,
                 sensor=flight_flags.lidar_changes,
+                executor=executor,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
             )
         summaries = write_report(run, folder, external=external)
@@ -94,6 +107,8 @@ def bench(
         raise SystemExit(130) from None
     except RuntimeError as error:
         raise UserError(f"The benchmark cannot run on {device}: {error}") from error
+    finally:
+        executor.close()
     if json:
         summary = [line.to_dict() for line in summaries]
         print_json({**run.header, "output": str(folder), "summary": summary, "worlds": world_records(run)})

@@ -30,6 +30,7 @@ __all__ = [
     "OptionalPath",
     "OptionalText",
     "OutputPath",
+    "RayFlag",
     "RulesFlags",
     "WorldFlags",
     "WorldName",
@@ -56,6 +57,8 @@ OptionalInt = Annotated[int | None, _optional("INT")]
 OptionalPath = Annotated[Path | None, _optional("PATH")]
 OptionalPoint = Annotated[Point | None, _optional("X Y Z")]
 OptionalText = Annotated[str | None, _optional("STR")]
+RayFlag = Annotated[tuple[str, ...] | None, _optional("[ADDRESS]")]
+"""None without the flag; () or the address of a cluster with it."""
 
 
 def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:

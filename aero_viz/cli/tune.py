@@ -15,6 +15,8 @@ from aero_viz.cli.flags import (
     OptionalFloat,
     OptionalInt,
     OptionalPath,
+    OptionalText,
+    RayFlag,
     WorldFlags,
     WorldName,
 )
@@ -23,6 +25,7 @@ from aero_viz.errors import UserError
 
 __all__ = ["tune"]
 
+ObjectiveName = Literal["time", "clearance", "smoothness"]
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
 _WORLD = WorldFlags()
@@ -32,9 +35,15 @@ def tune(
     world: WorldName,
     *,
     over: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH[=LOW:HIGH]")] = (),
+    objective: Annotated[tuple[ObjectiveName, ...], tyro.conf.UseAppendAction] = (),
+    trials: int = 32,
     flights: int = 16,
-    rounds: int = 4,
+    rungs: int = 3,
+    generation: int = 16,
+    sampler: Literal["auto", "tpe", "cmaes", "nsga2", "random"] = "auto",
     check: OptionalInt = None,
+    storage: str = "sqlite:///results/tune.db",
+    study: OptionalText = None,
     output: OptionalPath = None,
     overwrite: bool = False,
     speed: OptionalFloat = None,
@@ -42,6 +51,7 @@ def tune(
     seed: int = 0,
     device: str = "cpu",
     batch: OptionalInt = None,
+    ray: RayFlag = None,
     json: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
@@ -49,17 +59,24 @@ def tune(
 ) -> None:
     """Search for better parameter values by flying, and check them in fresh worlds.
 
-    The incumbent, which is the given configuration, and 2^rounds candidates fly in the same worlds. The better half of
-    them stays after each round. Candidates are compared by the share of flights that arrive and, where that is equal,
-    by the mean time of those that do. Finally, the best candidate and the incumbent fly in fresh worlds. Ctrl-C ends
-    the search and keeps the best candidate so far.
+    Optuna proposes candidates in generations. They and the incumbent, which is the given configuration, fly in the same
+    worlds, which are divided into rungs. After each rung, candidates that are significantly worse than the best one are
+    given up. Candidates are compared by the share of flights that arrive and, where that is equal, by the objective.
+    Several objectives give a Pareto front. Finally, the best candidate and the incumbent fly in fresh worlds. Ctrl-C
+    ends the search and keeps the best candidate so far. The same command continues the search.
 
     Args:
         world: Scene, with a different seed for each flight, or file of a world (JSON), point-cloud map or mesh.
         over: Parameter to tune, by default from a quarter of its value to four times its value; may be repeated.
-        flights: Flights of a candidate that stays to the end, divided among the rounds.
-        rounds: Number of rounds; 4 start with 16 candidates, 6 with 64.
+        objective: What to improve besides arrivals, by default the time; may be repeated for a Pareto front.
+        trials: Number of candidates. A study that has fewer is continued.
+        flights: Number of worlds that a candidate flies in, unless it is given up.
+        rungs: Number of groups into which the worlds are divided.
+        generation: Number of candidates that are proposed at once.
+        sampler: Algorithm of Optuna that proposes candidates; auto is TPE, or NSGA-II for several objectives.
         check: Flights of the best candidate and of the incumbent in fresh worlds; by default twice --flights.
+        storage: Database of the studies, as a URL that Optuna understands, or memory to keep nothing.
+        study: Name of the study; by default derived from all options, so that the same command continues it.
         output: YAML file to write, for --config.
         overwrite: Replace the output file if it exists.
         speed: Speed limit [m/s]; overrides vehicle.speed_limit.
@@ -67,13 +84,15 @@ def tune(
         seed: First seed of the worlds, the LiDARs and all noise.
         device: Warp device, such as cpu or cuda:0.
         batch: Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
+        ray: Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS.
         json: Print one JSON object.
         world_flags: The world.
         flight_flags: The flight.
         config_flags: The planner's configuration, where the search starts.
     """
     from aero_planner.config.file import save_config
-    from aero_viz.evaluation.tune import parse_ranges
+    from aero_viz.evaluation.executor import open_executor
+    from aero_viz.evaluation.tune import FlightOptions, SearchOptions, parse_ranges
     from aero_viz.evaluation.tune import tune as search_parameters
     from aero_viz.scenes import SCENES
 
@@ -87,6 +106,7 @@ def tune(
     fixed_world = None if world in SCENES else world_flags.load(world, seed=seed)
     worlds = [fixed_world or world_flags.load(world, seed=seed + i) for i in range(flights + check_flights)]
     options = flight_flags.options(config, lidar=lidar)
+    executor = open_executor(ray, device=device)
     try:
         with progress_bar() as update_bar:
             tuning = search_parameters(
@@ -94,24 +114,27 @@ def tune(
                 ranges,
                 worlds[:flights],
                 worlds[flights:],
-                rounds=rounds,
-                seed=seed,
-                device=device,
+                search=SearchOptions(trials, generation, rungs, objective or ("time",), sampler, seed),
+                flight=FlightOptions(device=device, **options),
+                storage=None if storage == "memory" else storage,
+                study_name=study,
                 batch=batch,
+                executor=executor,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
-                **options,
             )
     except RuntimeError as error:
         raise UserError(f"The flights cannot run on {device}: {error}") from error
+    finally:
+        executor.close()
     if json:
-        content = {"scene": world, "seed": seed, "device": device, "flights": flights, "rounds": rounds}
+        content = {"scene": world, "seed": seed, "device": device, "flights": flights, "storage": storage}
         content["simulation"] = {name: value and dataclasses.asdict(value) for name, value in options.items()}
         print_json({**content, **tuning.to_dict(), "config": tuning.chosen.to_dict()})
     else:
         changed = {path: value for path, value in tuning.values(tuning.chosen).items() if value != config.get(path)}
         as_flags = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]
         print(tuning.format_table(), *([f"As flags: {' '.join(as_flags)}"] if as_flags else []), sep="\n")
-    if output is not None and tuning.compared:
+    if output is not None and tuning.best is not None:
         save_config(tuning.chosen, output)
         if not json:
             print(output)

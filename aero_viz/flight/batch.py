@@ -68,7 +68,8 @@ class FlightBatch:
         worlds: one per flight; repeat a World object to fly it several times.
         config: configuration of the planner: one for all flights, or one per flight with equal structure.
         device: Warp device.
-        seed: flight b has the LiDAR pattern, noise and samples of a single flight with seed + b.
+        seed: flight b has the LiDAR pattern, noise and samples of a single flight with seed + b, or with the b-th seed
+            if a sequence of B seeds is given.
         lidar: model of every LiDAR; None is the Livox Mid-360.
         vehicle: model of every drone; None is the vehicle that the first configuration assumes.
         rules: when flights end, and how many ticks are flown under one plan.
@@ -92,7 +93,7 @@ class FlightBatch:
         *,
         config: PlannerConfig | Sequence[PlannerConfig] | None = None,
         device: str = "cpu",
-        seed: int = 0,
+        seed: int | Sequence[int] = 0,
         lidar: LidarModel | None = None,
         vehicle: VehicleModel | None = None,
         rules: FlightRules | None = None,
@@ -106,11 +107,16 @@ class FlightBatch:
         configs = [config] * len(worlds) if isinstance(config, PlannerConfig) else list(config)
         names = {id(c): config_name_of(c) for c in configs} if config_names is None else {}
         self._config_names = [names[id(c)] for c in configs] if config_names is None else list(config_names)
-        for noun, values in (("configurations", configs), ("names of configurations", self._config_names)):
+        self._seeds = [seed + b for b in range(len(worlds))] if isinstance(seed, int) else list(seed)
+        per_flight = {
+            "configurations": configs,
+            "names of configurations": self._config_names,
+            "seeds": self._seeds,
+        }
+        for noun, values in per_flight.items():
             if len(values) != len(worlds):
                 raise ValueError(f"{len(values)} {noun} were given for {len(worlds)} flights; give one for each.")
         self._worlds = list(worlds)
-        self._seeds = [seed + b for b in range(len(worlds))]
         self._plan_ms: list[float] = []
         self._pending: list[tuple[wp.Event, wp.Event]] = []
         self.interrupted = False
@@ -122,7 +128,7 @@ class FlightBatch:
             )
         self._phase_step = rules.period / time_steps.pop()
 
-        self.planner = Planner(configs[0], device=device, seed=seed, batch=len(worlds), threads=threads)
+        self.planner = Planner(configs[0], device=device, seed=self._seeds, batch=len(worlds), threads=threads)
         if not isinstance(config, PlannerConfig):
             self.planner.configure(configs)
         self.simulator = Simulator(

@@ -51,12 +51,14 @@ class Planner:
     Args:
         config: parameters; `configure` changes them later. None means the default.
         device: "cpu" or a CUDA device such as "cuda:0".
-        seed: seed of the noise. Drone b of a batch draws the noise of a single planner with seed + b.
+        seed: seed of the noise. Drone b of a batch draws the noise of a single planner with seed + b, or with the b-th
+            seed if a sequence of B seeds is given.
         batch: None for one drone, or B drones that share every launch; arrays then have a leading axis B.
         threads: CPU threads for the heavy stages; None for one per core. The plan does not depend on it.
 
     Raises:
-        ValueError: the device does not exist, config is not a PlannerConfig, or batch or threads is less than 1.
+        ValueError: the device does not exist, config is not a PlannerConfig, batch or threads is less than 1, or the
+            number of seeds is not that of drones.
     """
 
     def __init__(
@@ -64,12 +66,15 @@ class Planner:
         config: PlannerConfig | None = None,
         *,
         device: str = "cpu",
-        seed: int = 0,
+        seed: int | Sequence[int] = 0,
         batch: int | None = None,
         threads: int | None = None,
     ) -> None:
         if batch is not None and batch < 1:
             raise ValueError(f"batch is {batch}; it must be None or at least 1.")
+        seeds = [seed + b for b in range(batch or 1)] if isinstance(seed, int) else [int(number) for number in seed]
+        if len(seeds) != (batch or 1):
+            raise ValueError(f"{len(seeds)} seeds were given for {batch or 1} drones; give one for each or an integer.")
         if config is not None and not isinstance(config, PlannerConfig):
             raise ValueError(
                 f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper')."
@@ -80,7 +85,7 @@ class Planner:
         self._tuning = CPU if self._device.is_cpu else CUDA
         self._batched = batch is not None
         self._batch = batch or 1
-        self._seed = int(seed)
+        self._seeds = seeds
         self._workers = 1 if self._device.is_cuda else (threads or os.cpu_count() or 1)
         self._config = config or PlannerConfig()
         self._allocate()
@@ -111,7 +116,7 @@ class Planner:
             wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
             wp.launch(fill_noise, (sizes.N, sizes.T), outputs=[work.noise])
         # Seeds may be of any size.
-        work.seed.assign((self._seed % 2**32 + np.arange(self._batch, dtype=np.int64)).astype(np.int32))
+        work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
         self.reset()
 
     def _make_pipeline(self) -> Pipeline:

@@ -14,7 +14,7 @@ from aero_viz.scenes import scene
 
 SMALL = ["--sampling.samples", "16", "--lidar.points-per-sweep", "1000"]
 CRIPPLED = ["--anchors.lookahead", "1", "--over", "anchors.lookahead=1:8", *SMALL]
-FEW = ["--flights", "2", "--rounds", "1", "--check", "1"]
+FEW = ["--flights", "2", "--rungs", "1", "--trials", "3", "--check", "1", "--storage", "memory"]
 
 
 def test_the_result_is_printed_written_and_can_be_flown(
@@ -26,7 +26,7 @@ def test_the_result_is_printed_written_and_can_be_flown(
     found = load_config(path)
     assert found.anchors.lookahead > 2.0 and found.sampling.samples == 16
     assert f"As flags: --anchors.lookahead {found.anchors.lookahead:g}\n{path}\n" in text
-    assert "incumbent, fresh worlds  1" in text and "best, fresh worlds       1" in text
+    assert "incumbent, fresh worlds  1 " in text and "best, fresh worlds       1 " in text
     assert "Warning: the difference is not significant" in text  # of a single flight
     assert run_json(capsys, "fly", short_poles, "--config", str(path), *SMALL)["flight_time_s"] < 4.0
 
@@ -46,8 +46,8 @@ def test_json_is_complete_and_flags_reach_the_flights(
     content = json.loads(text)
     assert code == 0 and text.count("\n") == 1
     assert content["over"] == [{"path": "costs.q_track", "low": 1.25, "high": 20.0}]
-    assert (content["best"], content["check"], content["interrupted"]) == (0, None, False)
-    assert [candidate["flights"] for candidate in content["candidates"]] == [2, 2, 2]
+    assert (content["best"]["trial"], content["check"], content["interrupted"]) == (None, None, False)
+    assert [candidate["flights"] for candidate in content["candidates"]] == [2, 2, 2, 2]
     assert content["simulation"]["rules"]["time_limit"] == 0.1 and content["simulation"]["vehicle"]["drag"] == 0.3
     assert content["simulation"]["lidar"]["points_per_sweep"] == 1000
     assert content["config"]["vehicle"]["speed_limit"] == 4.0 and content["config"]["costs"]["use_ground"] is True
@@ -62,10 +62,20 @@ def test_each_flight_of_a_scene_has_its_own_world(capsys: pytest.CaptureFixture[
     assert "inside an obstacle" in run_refused(capsys, "tune", "verticals", *place, *SMALL, *FEW)
 
 
+def test_the_same_command_continues_a_study(
+    capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path
+) -> None:
+    storage = f"sqlite:///{tmp_path}/studies/tune.db"
+    arguments = ["tune", short_poles, "--over", "costs.q-track", *SMALL, *FEW, "--rules.time-limit", "0.1"]
+    first, second = (run_json(capsys, *arguments, "--storage", storage, "--trials", trials) for trials in ("3", "5"))
+    assert second["study"] == first["study"] and second["candidates"][:4] == first["candidates"]
+    assert len(second["candidates"]) == 6
+
+
 def test_ctrl_c_writes_the_best_so_far(short_poles: str, tmp_path: Path) -> None:
     """A SIGINT during the check, when the search is complete."""
     path = tmp_path / "tuned.yaml"
-    few = ["--flights", "1", "--rounds", "1", "--check", "50"]
+    few = ["--flights", "1", "--rungs", "1", "--trials", "3", "--check", "50", "--storage", "memory"]
     code, printed, shown = run_in_terminal(
         "tune", short_poles, *CRIPPLED, *few, "--output", str(path), interrupt_at=lambda shown: "fresh worlds" in shown
     )
@@ -82,7 +92,7 @@ def test_ctrl_c_writes_the_best_so_far(short_poles: str, tmp_path: Path) -> None
         (["tune", "forest", "--over", "sampling.steps"], "sampling.steps is structural"),
         (["tune", "forrest", "--over", "costs.q_track"], "forest"),
         (["tune", "forest", "--over", "costs.q_track", "--flights", "-1"], "--flights and --check must be at least 1"),
-        (["tune", "forest", "--over", "costs.q_track", "--flights", "2"], "2 flights are fewer than 4 rounds"),
+        (["tune", "forest", "--over", "costs.q_track", "--flights", "2"], "2 flights cannot be divided into 3 rungs"),
         (["tune", "forest", "--over", "costs.q_track", "--device", "cuda:77"], "cuda:77"),
         (["tune", "forest", "--over", "costs.q_track", "--output", "/absent/a.yaml"], "folder /absent does not exist"),
         (["tune", "forest", "--over", "costs.q_track", "--output", "/"], "/ is a folder"),
@@ -99,7 +109,7 @@ def test_mistakes_are_reported_in_one_line(
 def test_help_explains_the_comparison_and_lists_every_documented_flag(capsys: pytest.CaptureFixture[str]) -> None:
     code, text, _ = run(capsys, "tune", "--help")
     assert code == 0
-    assert "by the share of flights that arrive and, where that is equal, by the mean time" in " ".join(text.split())
+    assert "by the share of flights that arrive and, where that is equal, by the objective" in " ".join(text.split())
     documentation = (Path(__file__).resolve().parents[2] / "docs" / "tuning.md").read_text(encoding="utf-8")
     flags = set(re.findall(r"--[a-z][a-z.-]*[a-z]", documentation))
     assert len(flags) > 10 and [flag for flag in flags if flag not in text] == ["--onboard"]  # of aero-planner run

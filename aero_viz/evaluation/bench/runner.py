@@ -8,18 +8,20 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, batch_progress, default_batch
-from aero_viz.evaluation.bench.machine import hardware, versions
+from aero_viz.evaluation.batching import Progress, default_batch
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
+from aero_viz.evaluation.executor import Executor, LocalExecutor
+from aero_viz.evaluation.machine import hardware, versions
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
+from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World, scene
 from aero_viz.scenes.passable import is_passable
 from aero_viz.sensors import LidarModel, lidar_model
@@ -64,7 +66,7 @@ class _PlannedFlight:
     row: Row
     index: int
     seed: int
-    """Seed of LiDAR and planner. Seeds are consecutive in the order of flying, as a batch requires."""
+    """Seed of LiDAR and planner."""
     world_seed: int
     config: PlannerConfig
     vehicle: VehicleModel
@@ -89,6 +91,7 @@ def run_benchmark(
     noise: StateNoise | None = None,
     drone: Mapping[str, float] | None = None,
     sensor: Mapping[str, Any] | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Fly the flights of a benchmark that are not in the folder `output` yet, and return all of its flights.
@@ -112,6 +115,7 @@ def run_benchmark(
         noise: noise of the state estimates; None flies with the true states.
         drone: differences from the vehicle that the planner assumes, by field of `VehicleModel`.
         sensor: differences from the named LiDAR models, by field of `LidarModel`.
+        executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
 
     Raises:
@@ -153,52 +157,106 @@ def run_benchmark(
     run = Run(benchmark, header, done)
     finished = {(flight["row"], flight["index"]) for flight in done}
     pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
+    executor = executor or LocalExecutor()
+    shards = [
+        _Shard(tuple(part), models[lidar or part[0].row.lidar], noise, rules.radius, device, executor.threads)
+        for part in _split_into_batches(pending, size)
+    ]
+    _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
+    return run
 
-    @cache  # rows share worlds, and a device keeps equal objects once
-    def load_world(name: str, count: int | None, seed: int) -> tuple[World, bool]:
-        world = scene(name, count=count, seed=seed)
-        return world, is_passable(world, radius=rules.radius)
 
-    number = 1 + max((flight["batch"] for flight in done), default=-1)
-    report = progress or (lambda finished, total, text: None)
+@dataclass(frozen=True)
+class _Shard:
+    """The flights of one batch and everything that they depend on."""
+
+    flights: tuple[_PlannedFlight, ...]
+    lidar: LidarModel
+    noise: StateNoise | None
+    radius: float
+    """Radius of the drone, for which a path is searched [m]."""
+    device: str
+    threads: int | None
+
+    @property
+    def label(self) -> str:
+        """Labels of the rows that the flights belong to."""
+        return " + ".join(dict.fromkeys(flight.row.label for flight in self.flights))
+
+
+def _fly_shards(run: Run, folder: Path, shards: Sequence[_Shard], executor: Executor, report: Progress) -> None:
+    """Fly shards, and write the results of each as soon as it has ended.
+
+    Raises:
+        BenchmarkInterrupted: Ctrl-C was pressed.
+    """
+    batch = 1 + max((flight["batch"] for flight in run.flights), default=-1)
+    ended = 0
+
+    def describe() -> None:
+        if ended < len(shards):
+            shard = shards[ended]
+            report(len(run.flights), run.total, f"{shard.label}: building {len(shard.flights)} worlds")
+
+    def follow(finished: int, flights: int, seconds: float) -> None:
+        text = f"{shards[ended].label}: {seconds:.1f} s, {finished} of {flights} finished"
+        report(len(run.flights) + finished, run.total, text)
+
     try:
-        for part in _split_into_batches(pending, size):
-            report(len(done), run.total, f"{part[0].row.label}: building {len(part)} worlds")
-            started = time.perf_counter()
-            found = [load_world(flight.row.scene, flight.row.count, flight.world_seed) for flight in part]
-            worlds, passable = zip(*found, strict=True)
-            flight_batch = _build(part, worlds, device=device, lidar=models[lidar or part[0].row.lidar], noise=noise)
-            built = time.perf_counter()
-            label = " + ".join(dict.fromkeys(flight.row.label for flight in part))
-            results = flight_batch.run(progress=batch_progress(report, label, before=len(done), total=run.total))
-            about_batch = {
-                "batch": number,
-                "batch_size": len(part),
-                "build_s": built - started,
-                "run_s": time.perf_counter() - built,
-            }
-            records = [
-                {
-                    "row": flight.row.label,
-                    "index": flight.index,
-                    "world_seed": flight.world_seed,
-                    **result.to_dict(),
-                    "passable": has_path,
-                    **about_batch,
-                }
-                for flight, result, has_path in zip(part, results, passable, strict=True)
-                if result.reason is not None  # after Ctrl-C some flights have not ended
-            ]
-            flight_batch.planner.close()
+        describe()
+        for index, (records, interrupted) in executor.map(_fly_shard, shards, progress=follow):
+            records = [{**record, "batch": batch + index} for record in records]
             append_flights(folder, records)
-            done += records
-            if flight_batch.interrupted:
+            run.flights.extend(records)
+            ended += 1
+            if interrupted:
                 raise KeyboardInterrupt
-            number += 1
-            report(len(done), run.total, part[-1].row.label)
+            report(len(run.flights), run.total, shards[index].label)
+            describe()
     except KeyboardInterrupt:
         raise BenchmarkInterrupted(run) from None
-    return run
+
+
+def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict[str, Any]], bool]:
+    """Fly one shard; return the records of the flights that ended, and whether Ctrl-C interrupted it.
+
+    Raises:
+        UserError: the flights do not fit each other.
+    """
+    started = time.perf_counter()
+    found = [
+        _load_world(flight.row.scene, flight.row.count, flight.world_seed, shard.radius) for flight in shard.flights
+    ]
+    worlds, passable = zip(*found, strict=True)
+    batch = _build(shard, worlds)
+    built = time.perf_counter()
+    results = batch.run(progress=progress)
+    about_batch = {
+        "batch_size": len(shard.flights),
+        "build_s": built - started,
+        "run_s": time.perf_counter() - built,
+    }
+    records = [
+        {
+            "row": flight.row.label,
+            "index": flight.index,
+            "world_seed": flight.world_seed,
+            **result.to_dict(),
+            "passable": has_path,
+            **about_batch,
+        }
+        for flight, result, has_path in zip(shard.flights, results, passable, strict=True)
+        if result.reason is not None  # after Ctrl-C some flights have not ended
+    ]
+    batch.planner.close()
+    return records, batch.interrupted
+
+
+@lru_cache(maxsize=4096)  # rows share worlds, and a device keeps equal objects once
+def _load_world(name: str, count: int | None, seed: int, radius: float) -> tuple[World, bool]:
+    """Return the world of a scene, and whether there is a path for a drone of this radius [m]."""
+    world = scene(name, count=count, seed=seed)
+    return world, is_passable(world, radius=radius)
 
 
 def _plan_flights(
@@ -236,33 +294,28 @@ def _plan_flights(
 
 
 def _split_into_batches(pending: Iterable[_PlannedFlight], size: int) -> Iterator[list[_PlannedFlight]]:
-    """Yield batches of flights with equal groups and consecutive seeds."""
-    for _, members in groupby(enumerate(pending), key=lambda item: (item[1].group, item[1].seed - item[0])):
-        group = [flight for _, flight in members]
+    """Yield batches of flights with equal groups."""
+    for _, members in groupby(pending, key=lambda flight: flight.group):
+        group = list(members)
         limit = group[0].row.batch or size
         for first in range(0, len(group), limit):
             yield group[first : first + limit]
 
 
-def _build(
-    part: Sequence[_PlannedFlight],
-    worlds: Sequence[World],
-    *,
-    device: str,
-    lidar: LidarModel,
-    noise: StateNoise | None,
-) -> FlightBatch:
+def _build(shard: _Shard, worlds: Sequence[World]) -> FlightBatch:
+    flights = shard.flights
     try:
         return FlightBatch(
             worlds,
-            config=[flight.config for flight in part],
-            device=device,
-            seed=part[0].seed,
-            lidar=lidar,
-            vehicle=part[0].vehicle,
-            rules=part[0].rules,
-            noise=noise,
-            config_names=[flight.row.label for flight in part],
+            config=[flight.config for flight in flights],
+            device=shard.device,
+            seed=[flight.seed for flight in flights],
+            lidar=shard.lidar,
+            vehicle=flights[0].vehicle,
+            rules=flights[0].rules,
+            noise=shard.noise,
+            config_names=[flight.row.label for flight in flights],
+            threads=shard.threads,
         )
     except ValueError as error:
-        raise UserError(f"Cannot fly {part[0].row.label!r}: {error}") from error
+        raise UserError(f"Cannot fly {flights[0].row.label!r}: {error}") from error

@@ -1,15 +1,31 @@
-"""Search for better parameters by flying: successive halving of a Latin hypercube (Jamieson and Talwalkar 2016).
+"""Search for better parameters by flying: Optuna proposes candidates, which fly in the same worlds.
 
-The search starts with 2^rounds candidates. In each round the remaining candidates and the incumbent fly in further
-worlds, the same for all, and the better half of the candidates stays. Candidates are compared by the share of flights
-that arrive and, where that is equal, by the mean time of those that do. Finally the best candidate and the incumbent
-fly in fresh worlds, because the winner of a search looks better in it than it is.
+Candidates are proposed in generations, so that a GPU flies many at once. The worlds are divided into rungs. After each,
+candidates that are significantly worse than the best one are given up. Candidates are compared by the share of flights
+that arrive and, where that is equal, by the mean of the objective. Finally the best candidate and the incumbent fly in
+fresh worlds, because the winner of a search looks better in it than it is.
 """
 
 from __future__ import annotations
 
-from aero_viz.evaluation.tune.search import tune
-from aero_viz.evaluation.tune.search_space import ParameterRange, draw_candidates, parse_ranges
-from aero_viz.evaluation.tune.tuning_result import Check, Score, TuningResult
+from aero_viz.evaluation.tune.candidate_flights import FlightOptions
+from aero_viz.evaluation.tune.objectives import Objective
+from aero_viz.evaluation.tune.search import SearchOptions, tune
+from aero_viz.evaluation.tune.search_space import ParameterRange, parse_ranges
+from aero_viz.evaluation.tune.study import DEFAULT_STORAGE, Sampler
+from aero_viz.evaluation.tune.tuning_result import Candidate, Check, Score, TuningResult
 
-__all__ = ["Check", "ParameterRange", "Score", "TuningResult", "draw_candidates", "parse_ranges", "tune"]
+__all__ = [
+    "DEFAULT_STORAGE",
+    "Candidate",
+    "Check",
+    "FlightOptions",
+    "Objective",
+    "ParameterRange",
+    "Sampler",
+    "Score",
+    "SearchOptions",
+    "TuningResult",
+    "parse_ranges",
+    "tune",
+]

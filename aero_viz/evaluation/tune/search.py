@@ -1,24 +1,56 @@
-"""The search: rounds of flights, after each of which the better half of the candidates stays."""
+"""The search: generations of candidates that Optuna proposes, flown through rungs of worlds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import dataclasses
+import hashlib
+import json
+import statistics
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, batch_progress, default_batch
-from aero_viz.evaluation.tune.search_space import ParameterRange, draw_candidates
-from aero_viz.evaluation.tune.tuning_result import Check, Score, TuningResult
-from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
+from aero_viz.evaluation.batching import Progress, default_batch
+from aero_viz.evaluation.executor import Executor, LocalExecutor
+from aero_viz.evaluation.machine import versions
+from aero_viz.evaluation.tune.candidate_flights import CandidateFlights, FlightOptions
+from aero_viz.evaluation.tune.objectives import Objective, flight_cost, front_values
+from aero_viz.evaluation.tune.search_space import ParameterRange
+from aero_viz.evaluation.tune.study import Sampler, dump_flights, flights_of, load_flights, open_study, save_flights
+from aero_viz.evaluation.tune.tuning_result import Candidate, Check, TuningResult
+from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World
-from aero_viz.sensors import LidarModel
 
-__all__ = ["tune"]
+if TYPE_CHECKING:
+    import optuna
 
-_MAX_ROUNDS = 10
+__all__ = ["SearchOptions", "tune"]
+
+_INCUMBENT = "incumbent"
+_MAX_CONTRADICTIONS = 1000
+"""Number of inconsistent proposals in a row before the search gives up."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchOptions:
+    """How to search. The results depend on these and on the flights, but not on batches or workers."""
+
+    trials: int = 32
+    """Number of candidates besides the incumbent."""
+    generation: int = 16
+    """Number of candidates that are proposed and flown at once."""
+    rungs: int = 3
+    """Number of groups of worlds; after each, candidates that are worse than the best one are given up."""
+    objectives: tuple[Objective, ...] = ("time",)
+    """What counts besides arrivals. Several give a Pareto front, without giving up candidates."""
+    sampler: Sampler = "auto"
+    """Algorithm that proposes candidates."""
+    seed: int = 0
+    """Seed of the sampler and of the flights through the first world."""
 
 
 def tune(
@@ -27,147 +59,283 @@ def tune(
     worlds: Sequence[World],
     fresh_worlds: Sequence[World],
     *,
-    rounds: int = 4,
-    seed: int = 0,
-    device: str = "cpu",
+    search: SearchOptions | None = None,
+    flight: FlightOptions | None = None,
+    storage: str | None = None,
+    study_name: str | None = None,
     batch: int | None = None,
-    lidar: LidarModel | None = None,
-    vehicle: VehicleModel | None = None,
-    rules: FlightRules | None = None,
-    noise: StateNoise | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> TuningResult:
     """Search for better parameter values by flying. Ctrl-C ends the search; the result is the best so far.
 
+    A study that the storage holds already is continued until it has `search.trials` candidates.
+
     Args:
         config: the incumbent.
         ranges: parameters to tune.
-        worlds: worlds of the search, divided evenly among the rounds. To fly in one several times, repeat the object.
+        worlds: worlds of the search. To fly in one several times, repeat the object.
         fresh_worlds: worlds of the check.
-        rounds: number of rounds. The first one has 2^rounds candidates besides the incumbent, the last one two.
-        seed: seed of candidates, LiDARs and planners. Each flight has a different seed, by the order of flying, so that
-            batches of any size give the same results.
-        device: Warp device.
+        search: how to search.
+        flight: options of all flights.
+        storage: URL of Optuna's storage; None keeps the study in memory.
+        study_name: name of the study; None derives one from all options.
         batch: largest number of simultaneous flights; None uses `default_batch`.
-        lidar: LiDAR model of all drones; None uses the Livox Mid-360.
-        vehicle: vehicle of all flights, whatever a candidate assumes; None uses the one that the incumbent assumes.
-        rules: when flights end.
-        noise: noise of the state estimates; None flies with the true states.
+        executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
 
     Raises:
-        UserError: a number is out of range, the ranges contradict each other, or no flight can arrive in a world.
+        UserError: a number is out of range, the ranges contradict each other, no flight can arrive in a world, or the
+            storage cannot be used.
         ValueError: an option does not fit the others.
     """
-    if not 1 <= rounds <= _MAX_ROUNDS:
-        raise UserError(f"The number of rounds is {rounds}; it must be in [1, {_MAX_ROUNDS}].")
-    if len(worlds) < rounds:
-        raise UserError(f"{len(worlds)} flights are fewer than {rounds} rounds; each round needs at least one.")
-    if not fresh_worlds or (batch is not None and batch < 1):
-        raise UserError("The number of flights in the check and the batch size must be at least 1.")
-    candidates = (config, *draw_candidates(config, ranges, 2**rounds, seed=seed))
-    highest_limit = max(candidate.vehicle.speed_limit for candidate in candidates)
+    search, flight = search or SearchOptions(), flight or FlightOptions()
+    if flight.vehicle is None:
+        flight = dataclasses.replace(flight, vehicle=VehicleModel.from_config(config))
+    _check(search, worlds, fresh_worlds, batch)
+    limits = [r.high for r in ranges if r.path == "vehicle.speed_limit"]
     for world in {id(world): world for world in (*worlds, *fresh_worlds)}.values():
-        refuse_impossible(world, rules=rules or FlightRules(), speed_limit=highest_limit)
-
-    ends = [len(worlds) * k // rounds for k in range(rounds + 1)]
-    per_round = ((end - start) * (2 ** (rounds - k) + 1) for k, (start, end) in enumerate(pairwise(ends)))
-    total = sum(per_round) + 2 * len(fresh_worlds)
-    flights = _Flights(
-        candidates,
-        (*worlds, *fresh_worlds),
-        size=batch or default_batch(device),
-        report=progress or (lambda finished, total, text: None),
-        total=total,
-        seed=seed,
-        device=device,
-        lidar=lidar,
-        vehicle=vehicle or VehicleModel.from_config(config),
-        rules=rules,
-        noise=noise,
+        refuse_impossible(world, rules=flight.rules or FlightRules(),
+                          speed_limit=max([config.vehicle.speed_limit, *limits]))  # fmt: skip
+    study = open_study(
+        _definition(config, ranges, worlds, search, flight),
+        objectives=search.objectives,
+        sampler=search.sampler,
+        generation=search.generation,
+        seed=search.seed,
+        storage=storage,
+        name=study_name,
     )
-    search_worlds, check_worlds = range(len(worlds)), range(len(worlds), len(worlds) + len(fresh_worlds))
-    remaining, check, interrupted = list(range(len(candidates))), None, False
+    flights = CandidateFlights(
+        (*worlds, *fresh_worlds),
+        seed=search.seed,
+        options=flight,
+        executor=executor or LocalExecutor(),
+        size=batch or default_batch(flight.device),
+        report=progress or (lambda finished, total, text: None),
+    )
+    searching = _Search(study, config, ranges, range(len(worlds)), search, flights)
+    check, interrupted = None, False
     try:
-        for start, end in pairwise(ends):
-            if start:
-                remaining = [0, *flights.rank(remaining[1:], range(start))[: len(remaining) // 2]]
-            flights.fly([(c, w) for w in range(start, end) for c in remaining], f"{len(remaining) - 1} candidates")
-        best = flights.rank(remaining, search_worlds)[0]
-        if best:
-            flights.fly([(c, w) for w in check_worlds for c in (0, best)], "fresh worlds")
-            check = Check.from_results(flights.results_of(0, check_worlds), flights.results_of(best, check_worlds))
+        searching.run(check_flights=2 * len(fresh_worlds))
+        best = searching.best()
+        if best.trial is not None:
+            check = _compare(flights, config, best.config, range(len(worlds), len(worlds) + len(fresh_worlds)))
     except KeyboardInterrupt:
         interrupted = True
-    compared = [w for w in search_worlds if all((c, w) in flights.results for c in remaining)]
     return TuningResult(
+        study=study.study_name,
         ranges=tuple(ranges),
-        candidates=candidates,
-        scores=tuple(Score.from_results(flights.results_of(c, search_worlds)) for c in range(len(candidates))),
-        best=flights.rank(remaining, compared)[0],
-        compared=len(compared),
+        objectives=search.objectives,
+        incumbent=config,
+        candidates=tuple(searching.candidates()),
+        best=searching.best() if searching.candidates() else None,
+        front=tuple(searching.front()),
         check=check,
         interrupted=interrupted,
     )
 
 
-class _Flights:
-    """Flies candidates through worlds and keeps the results.
+def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequence[World], batch: int | None) -> None:
+    if search.trials < 1 or search.generation < 1:
+        raise UserError("The number of trials and the size of a generation must be at least 1.")
+    if not 1 <= search.rungs <= max(len(worlds), 1):
+        raise UserError(
+            f"{len(worlds)} flights cannot be divided into {search.rungs} rungs; each needs at least one flight."
+        )
+    if not worlds or not fresh_worlds or (batch is not None and batch < 1):
+        raise UserError("The number of flights, of flights in the check, and the batch size must be at least 1.")
+
+
+def _definition(
+    config: PlannerConfig,
+    ranges: Sequence[ParameterRange],
+    worlds: Sequence[World],
+    search: SearchOptions,
+    flight: FlightOptions,
+) -> dict[str, Any]:
+    """Return everything that the flights of a candidate depend on. The number of trials may grow."""
+    digest = hashlib.sha256()
+    for world in worlds:
+        digest.update(json.dumps(world.to_dict()).encode())
+    return {
+        "world": worlds[0].name,
+        "worlds": digest.hexdigest(),
+        "over": [dataclasses.asdict(parameter) for parameter in ranges],
+        "search": {key: value for key, value in dataclasses.asdict(search).items() if key != "trials"},
+        "flight": dataclasses.asdict(flight),
+        "config": config.to_dict(),
+        "versions": versions(),
+    }
+
+
+def _compare(flights: CandidateFlights, incumbent: PlannerConfig, best: PlannerConfig, worlds: Sequence[int]) -> Check:
+    results = flights.fly([incumbent, best], worlds, "fresh worlds")
+    return Check.from_results([results[0, w] for w in worlds], [results[1, w] for w in worlds])
+
+
+class _Search:
+    """One run of the search over a study.
 
     Args:
-        candidates: configurations of the candidates.
-        worlds: all worlds.
-        size: largest number of simultaneous flights.
-        report: called as flights finish.
-        total: number of all flights.
-        seed: seed of the first flight.
-        options: options of `FlightBatch`.
+        study: finished candidates, and the sampler of new ones.
+        config: the incumbent.
+        ranges: parameters to tune.
+        worlds: indices of the worlds.
+        options: how to search.
+        flights: flies candidates.
     """
 
     def __init__(
         self,
-        candidates: Sequence[PlannerConfig],
-        worlds: Sequence[World],
-        *,
-        size: int,
-        report: Progress,
-        total: int,
-        seed: int,
-        **options: Any,
+        study: optuna.Study,
+        config: PlannerConfig,
+        ranges: Sequence[ParameterRange],
+        worlds: Sequence[int],
+        options: SearchOptions,
+        flights: CandidateFlights,
     ) -> None:
-        self.results: dict[tuple[int, int], FlightResult] = {}
-        """Results of the finished flights, by candidate and world."""
-        self._candidates, self._worlds, self._options = candidates, worlds, options
-        self._size, self._report, self._total, self._seed = size, report, total, seed
+        self._study, self._config, self._ranges, self._worlds = study, config, ranges, worlds
+        self._options, self._flights = options, flights
+        self._single = len(options.objectives) == 1
 
-    def fly(self, pairs: Sequence[tuple[int, int]], label: str) -> None:
-        """Fly pairs of candidate and world.
+    def run(self, *, check_flights: int) -> None:
+        """Fly the incumbent and generations of candidates until the study has all trials.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C was pressed. The results of the flights that had finished are kept.
+            KeyboardInterrupt: Ctrl-C was pressed. Candidates of the generation in flight are marked as failed.
         """
-        for first in range(0, len(pairs), self._size):
-            part = pairs[first : first + self._size]
-            self._report(len(self.results), self._total, label)
-            batch = FlightBatch(
-                [self._worlds[w] for _, w in part],
-                config=[self._candidates[c] for c, _ in part],
-                config_names=[str(c) for c, _ in part],
-                seed=self._seed,
-                **self._options,
+        missing = self._options.trials - len(self._finished())
+        size = len(self._worlds)
+        self._flights.total = max(missing, 0) * size + check_flights + size * (not self._has_incumbent())
+        if not self._has_incumbent():
+            self._fly_incumbent()
+        while (missing := self._options.trials - len(self._finished())) > 0:
+            self._fly_generation(min(missing, self._options.generation))
+
+    def candidates(self) -> list[Candidate]:
+        """Return the incumbent, if it has flown, and all candidates that have, those given up among them."""
+        incumbent = self._study.user_attrs.get(_INCUMBENT)
+        first = [] if incumbent is None else [self._candidate(None, self._config, load_flights(incumbent))]
+        return first + [self._candidate(t.number, self._config_at(t.params), flights_of(t)) for t in self._finished()]
+
+    def front(self) -> list[Candidate]:
+        """Return the candidates that no other one beats in all objectives; those given up are not among them."""
+        complete = [candidate for candidate in self.candidates() if candidate.is_complete]
+        return [one for one in complete if not any(_dominates(other, one) for other in complete)]
+
+    def best(self) -> Candidate:
+        """Return the best candidate: the incumbent where no other one is better."""
+        complete = [candidate for candidate in self.candidates() if candidate.is_complete]
+        return min(complete, key=lambda candidate: (candidate.values, candidate.trial is not None))
+
+    def _candidate(self, trial: int | None, config: PlannerConfig, flights: dict[int, FlightResult]) -> Candidate:
+        flown = tuple(flights[w] for w in sorted(flights))
+        return Candidate(trial, config, tuple(self._values(flown)), flown, is_complete=len(flown) == len(self._worlds))
+
+    def _finished(self) -> list[optuna.trial.FrozenTrial]:
+        """Return all trials that have flown, without the incumbent."""
+        trials = self._study.get_trials(deepcopy=False)
+        return [t for t in trials if t.state.name in ("COMPLETE", "PRUNED") and not t.user_attrs.get(_INCUMBENT)]
+
+    def _has_incumbent(self) -> bool:
+        return _INCUMBENT in self._study.user_attrs
+
+    def _fly_incumbent(self) -> None:
+        """Fly the incumbent. If it lies within the ranges, the sampler and the pruner learn of it."""
+        import optuna
+
+        flown = self._flights.fly([self._config], self._worlds, "incumbent")
+        flights = {w: flown[0, w] for w in self._worlds}
+        self._study.set_user_attr(_INCUMBENT, dump_flights(flights))
+        params = {r.path: float(self._config.get(r.path)) for r in self._ranges}
+        if all(r.low <= params[r.path] <= r.high for r in self._ranges):
+            trial = optuna.trial.create_trial(
+                values=self._values(list(flights.values())),
+                params=params,
+                distributions={r.path: _distribution(r) for r in self._ranges},
+                intermediate_values=self._costs(flights) if self._single else {},
+                user_attrs={_INCUMBENT: True},
             )
-            self._seed += len(part)
-            progress = batch_progress(self._report, label, before=len(self.results), total=self._total)
-            results = batch.run(progress=progress)
-            batch.planner.close()
-            self.results |= {pair: result for pair, result in zip(part, results, strict=True) if result.reason}
-            if batch.interrupted:
-                raise KeyboardInterrupt
+            self._study.add_trial(trial)
 
-    def results_of(self, candidate: int, worlds: Iterable[int]) -> list[FlightResult]:
-        """Return the results of a candidate's finished flights through these worlds."""
-        return [self.results[candidate, w] for w in worlds if (candidate, w) in self.results]
+    def _fly_generation(self, count: int) -> None:
+        remaining = dict(self._propose(count))
+        flights: dict[optuna.Trial, dict[int, FlightResult]] = {trial: {} for trial in remaining}
+        ends = [len(self._worlds) * k // self._options.rungs for k in range(self._options.rungs + 1)]
+        try:
+            for start, end in pairwise(ends):
+                trials, worlds = list(remaining), self._worlds[start:end]
+                flown = self._flights.fly(list(remaining.values()), worlds, f"{len(trials)} candidates")
+                for index, trial in enumerate(trials):
+                    flights[trial].update((w, flown[index, w]) for w in worlds)
+                    save_flights(trial, flights[trial])
+                    if self._single and self._is_given_up(trial, flights[trial], worlds):
+                        self._flights.total -= len(self._worlds) - end
+                        remaining.pop(trial)
+            for trial in remaining:
+                self._study.tell(trial, self._values(list(flights.pop(trial).values())))
+        except BaseException:
+            self._abandon(trial for trial in flights if trial in remaining)
+            raise
 
-    def rank(self, candidates: Iterable[int], worlds: Sequence[int]) -> list[int]:
-        """Return candidates, the best in these worlds first. Of equal ones, such as the incumbent, the first wins."""
-        return sorted(candidates, key=lambda c: (Score.from_results(self.results_of(c, worlds)).rank, c))
+    def _is_given_up(self, trial: optuna.Trial, flights: dict[int, FlightResult], worlds: Sequence[int]) -> bool:
+        """Report the flights of a rung to Optuna; end the trial if it is worse than the best one."""
+        import optuna
+
+        for world, cost in self._costs({w: flights[w] for w in worlds}).items():
+            trial.report(cost, world)
+        if len(flights) == len(self._worlds) or not trial.should_prune():
+            return False
+        self._study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+        return True
+
+    def _abandon(self, trials: Iterator[optuna.Trial]) -> None:
+        import optuna
+
+        for trial in trials:
+            with suppress(Exception):  # the first error is the one to report
+                self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
+
+    def _propose(self, count: int) -> Iterator[tuple[optuna.Trial, PlannerConfig]]:
+        """Yield trials and their configurations. Values that contradict each other are proposed again."""
+        import optuna
+
+        contradictions = 0
+        while count:
+            trial = self._study.ask({r.path: _distribution(r) for r in self._ranges})
+            try:
+                config = self._config_at(trial.params)
+            except ValueError as error:
+                self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
+                contradictions += 1
+                if contradictions == _MAX_CONTRADICTIONS:
+                    raise UserError(
+                        f"Hardly any values in the ranges are consistent: {error} Choose ranges that fit each other."
+                    ) from error
+                continue
+            contradictions, count = 0, count - 1
+            yield trial, config
+
+    def _config_at(self, params: dict[str, Any]) -> PlannerConfig:
+        return self._config.replace({r.path: r.round(params[r.path]) for r in self._ranges})
+
+    def _costs(self, flights: dict[int, FlightResult]) -> dict[int, float]:
+        return {world: flight_cost(flight, self._options.objectives[0]) for world, flight in flights.items()}
+
+    def _values(self, flights: Sequence[FlightResult]) -> list[float]:
+        if self._single:
+            return [statistics.fmean(flight_cost(flight, self._options.objectives[0]) for flight in flights)]
+        return front_values(flights, self._options.objectives)
+
+
+def _distribution(parameter: ParameterRange) -> optuna.distributions.FloatDistribution:
+    from optuna.distributions import FloatDistribution
+
+    return FloatDistribution(parameter.low, parameter.high, log=parameter.is_logarithmic)
+
+
+def _dominates(one: Candidate, other: Candidate) -> bool:
+    """Return True if a candidate is at least as good as another one in all objectives, and better in one."""
+    pairs = list(zip(one.values, other.values, strict=True))
+    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)

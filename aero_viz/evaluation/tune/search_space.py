@@ -1,21 +1,17 @@
-"""The search space: ranges of parameters, and the candidates drawn from them."""
+"""The search space: ranges of parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 
-__all__ = ["ParameterRange", "draw_candidates", "parse_ranges"]
+__all__ = ["ParameterRange", "parse_ranges"]
 
 _DEFAULT_FACTOR = 4.0
 """The default range is from the value divided by this factor to the value times this factor."""
-_MAX_HYPERCUBES = 100
-"""Number of Latin hypercubes to draw before giving up on ranges whose values contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -26,15 +22,13 @@ class ParameterRange:
     low: float
     high: float
 
-    def value_at(self, fraction: float) -> float:
-        """Return the value at a fraction of the range, rounded to four digits.
+    @property
+    def is_logarithmic(self) -> bool:
+        """True if the range spans a factor of 10 or more."""
+        return 0.0 < 10.0 * self.low <= self.high
 
-        The scale is logarithmic if the range spans a factor of 10 or more, and linear otherwise.
-        """
-        if 0.0 < 10.0 * self.low <= self.high:
-            value = self.low * (self.high / self.low) ** fraction
-        else:
-            value = self.low + fraction * (self.high - self.low)
+    def round(self, value: float) -> float:
+        """Return the value rounded to four digits, within the range."""
         return min(max(float(f"{value:.4g}"), self.low), self.high)
 
 
@@ -78,39 +72,3 @@ def parse_ranges(texts: Sequence[str], config: PlannerConfig) -> tuple[Parameter
             raise ValueError(f"{text!r} is an empty range; LOW must be less than HIGH.")
         ranges.append(parameter)
     return tuple(ranges)
-
-
-def draw_candidates(
-    config: PlannerConfig, ranges: Sequence[ParameterRange], count: int, *, seed: int
-) -> tuple[PlannerConfig, ...]:
-    """Return `count` configurations from a Latin hypercube. Values that contradict each other are drawn again.
-
-    Args:
-        config: values of all other parameters.
-        ranges: parameters to vary.
-        count: number of configurations.
-        seed: seed of the hypercube.
-
-    Raises:
-        UserError: hardly any values in the ranges are consistent.
-    """
-    from scipy.stats.qmc import LatinHypercube  # takes 0.5 s to import
-
-    hypercube = LatinHypercube(len(ranges), rng=np.random.default_rng(seed))
-    candidates: list[PlannerConfig] = []
-    contradiction = ""
-    for _ in range(_MAX_HYPERCUBES):
-        for point in hypercube.random(count):
-            values = {
-                parameter.path: parameter.value_at(float(fraction))
-                for parameter, fraction in zip(ranges, point, strict=True)
-            }
-            try:
-                candidates.append(config.replace(values))
-            except ValueError as error:
-                contradiction = str(error)
-            if len(candidates) == count:
-                return tuple(candidates)
-    raise UserError(
-        f"Hardly any values in the ranges are consistent: {contradiction} Choose ranges that fit each other."
-    )

@@ -10,11 +10,12 @@ from typing import Any, Literal
 
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.statistics import sign_test, wilson_interval
+from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.flight import FlightResult
 from aero_viz.text_table import format_table
 
-__all__ = ["Check", "Score", "TuningResult"]
+__all__ = ["Candidate", "Check", "Score", "TuningResult"]
 
 _SIGNIFICANCE = 0.05
 
@@ -36,12 +37,6 @@ class Score:
         flights = list(results)
         times = [flight.flight_time_s for flight in flights if flight.arrived]
         return cls(len(flights), len(times), statistics.fmean(times) if times else None)
-
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Sort key, smaller is better: first the share of flights that arrived, then the mean time."""
-        time = math.inf if self.flight_time_s is None else self.flight_time_s
-        return -self.arrived / max(self.flights, 1), time
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields and the 95 % Wilson interval of the share as plain values for JSON."""
@@ -96,19 +91,42 @@ class Check:
 
 
 @dataclass(frozen=True)
-class TuningResult:
-    """The candidates of a search and their scores."""
+class Candidate:
+    """A configuration and its flights in the worlds of the search."""
 
+    trial: int | None
+    """Number of the trial in Optuna's study; None for the incumbent."""
+    config: PlannerConfig
+    values: tuple[float, ...]
+    """What the search minimises, infinite where no flight arrived."""
+    flights: tuple[FlightResult, ...]
+    """One per world, in which it flew before it was given up."""
+    is_complete: bool
+    """True if it flew in all worlds."""
+
+    @property
+    def score(self) -> Score:
+        """Outcome of the flights."""
+        return Score.from_results(self.flights)
+
+
+@dataclass(frozen=True)
+class TuningResult:
+    """The candidates of a search, and the conclusion."""
+
+    study: str
+    """Name of Optuna's study."""
     ranges: tuple[ParameterRange, ...]
     """The tuned parameters."""
-    candidates: tuple[PlannerConfig, ...]
-    """The first one is the incumbent."""
-    scores: tuple[Score, ...]
-    """Score of each candidate in the worlds of the search that it flew in."""
-    best: int
-    """Index of the best candidate, 0 if none was better than the incumbent."""
-    compared: int
-    """Number of worlds in which all candidates that remained at the end have flown; fewer than all after Ctrl-C."""
+    objectives: tuple[Objective, ...]
+    """What counts besides arrivals."""
+    incumbent: PlannerConfig
+    candidates: tuple[Candidate, ...]
+    """The first one is the incumbent; empty if Ctrl-C came before it had flown."""
+    best: Candidate | None
+    """The best candidate, which is the incumbent if no other one is better; None without candidates."""
+    front: tuple[Candidate, ...]
+    """Candidates that no other one beats in all objectives. With one objective these are the best."""
     check: Check | None
     """None after Ctrl-C, or if the incumbent is the best."""
     interrupted: bool
@@ -117,7 +135,8 @@ class TuningResult:
     @property
     def chosen(self) -> PlannerConfig:
         """The best candidate, unless the check shows that the incumbent is better."""
-        return self.candidates[0 if self.check and self.check.verdict == "worse" else self.best]
+        keep = self.best is None or (self.check is not None and self.check.verdict == "worse")
+        return self.incumbent if self.best is None or keep else self.best.config
 
     def values(self, config: PlannerConfig) -> dict[str, float]:
         """Return the values of the tuned parameters in a configuration, by path."""
@@ -125,39 +144,47 @@ class TuningResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON."""
-        scored = zip(self.candidates, self.scores, strict=True)
         return {
+            "study": self.study,
             "over": [asdict(parameter) for parameter in self.ranges],
-            "candidates": [{"values": self.values(config), **score.to_dict()} for config, score in scored],
-            "best": self.best,
+            "objectives": list(self.objectives),
+            "candidates": [self._describe(candidate) for candidate in self.candidates],
+            "best": self.best and self._describe(self.best),
+            "front": [self._describe(candidate) for candidate in self.front],
             "chosen": self.values(self.chosen),
-            "compared": self.compared,
             "check": self.check and self.check.to_dict(),
             "interrupted": self.interrupted,
         }
 
     def format_table(self) -> str:
-        """Return a table of the incumbent and the best candidate, followed by the conclusions, as text."""
+        """Return a table of the incumbent and the best candidates, followed by the conclusions, as text."""
         header = ["", "flights", "arrived", "Wilson 95 %", "mean time", *(parameter.path for parameter in self.ranges)]
-        rows = [self._row("incumbent", 0, self.scores[0])]
-        if self.best:
-            rows.append(self._row("best", self.best, self.scores[self.best]))
-        if self.check:
-            rows.append(self._row("incumbent, fresh worlds", 0, self.check.incumbent))
-            rows.append(self._row("best, fresh worlds", self.best, self.check.best))
+        rows = [self._row("incumbent", c.score, c.config) for c in self.candidates[:1]]
+        if len(self.objectives) > 1:
+            rows += [self._row(f"front, trial {c.trial}", c.score, c.config) for c in self.front if c.trial is not None]
+        elif self.best and self.best.trial is not None:
+            rows.append(self._row(f"best, trial {self.best.trial}", self.best.score, self.best.config))
+        if self.check and self.best:
+            rows.append(self._row("incumbent, fresh worlds", self.check.incumbent, self.incumbent))
+            rows.append(self._row("best, fresh worlds", self.check.best, self.best.config))
         return "\n".join([format_table(rows, header=header), *self._conclusions()])
 
-    def _row(self, name: str, index: int, score: Score) -> list[str]:
+    def _describe(self, candidate: Candidate) -> dict[str, Any]:
+        means = [value if math.isfinite(value) else None for value in candidate.values]
+        about = {"trial": candidate.trial, "values": self.values(candidate.config), "objectives": means}
+        return {**about, "is_complete": candidate.is_complete, **candidate.score.to_dict()}
+
+    def _row(self, name: str, score: Score, config: PlannerConfig) -> list[str]:
         low, high = wilson_interval(score.arrived, score.flights)
         time = "-" if score.flight_time_s is None else f"{score.flight_time_s:.2f} s"
         interval = f"{100.0 * low:.0f} to {100.0 * high:.0f} %"
-        values = [f"{value:g}" for value in self.values(self.candidates[index]).values()]
+        values = [f"{value:g}" for value in self.values(config).values()]
         return [name, str(score.flights), str(score.arrived), interval, time, *values]
 
     def _conclusions(self) -> list[str]:
-        if not self.compared:
-            return ["No conclusion: the search was interrupted before all candidates had flown in the same world."]
-        if not self.best:
+        if self.best is None:
+            return ["No conclusion: the search was interrupted before the incumbent had flown."]
+        if self.best.trial is None:
             return ["No candidate was better than the incumbent."]
         if self.check is None:
             return [

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import signal
+from pathlib import Path
 from typing import Any
 
 import pytest
 from small_source import small_config, small_source
 
 from aero_viz.errors import UserError
-from aero_viz.evaluation.tune import ParameterRange, TuningResult, tune
+from aero_viz.evaluation.tune import FlightOptions, ParameterRange, SearchOptions, TuningResult, tune
 from aero_viz.flight import FlightRules
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
@@ -18,6 +19,9 @@ from aero_viz.sensors import LidarModel
 CRIPPLED = small_config().replace({"anchors.lookahead": 1.0})
 """With a look-ahead of 1 m the planner asks for a seventh of the speed that the drone can fly."""
 RANGE = ParameterRange("anchors.lookahead", 1.0, 8.0)
+SPARSE = LidarModel("sparse", points_per_sweep=1000)
+SHORT = FlightRules(time_limit=0.1)
+"""No flight arrives, so that all candidates are equal."""
 
 
 @pytest.fixture(scope="module")
@@ -27,21 +31,36 @@ def poles() -> World:
     return world
 
 
-def search(world: World, *, flights: int = 2, check: int = 6, **options: Any) -> TuningResult:
-    defaults: dict[str, Any] = {"rounds": 2, "lidar": LidarModel("sparse", points_per_sweep=1000)}
-    return tune(CRIPPLED, [RANGE], [world] * flights, [world] * check, **(defaults | options))
+def search(world: World, *, flights: int = 2, check: int = 1, **options: Any) -> TuningResult:
+    names = {field.name for field in dataclasses.fields(SearchOptions)}
+    changes = {name: options.pop(name) for name in list(options) if name in names}
+    how = dataclasses.replace(SearchOptions(trials=4, generation=4, rungs=1), **changes)
+    flight = FlightOptions(lidar=SPARSE, rules=options.pop("rules", None), device=options.pop("device", "cpu"))
+    ranges = options.pop("ranges", [RANGE])
+    return tune(CRIPPLED, ranges, [world] * flights, [world] * check, search=how, flight=flight, **options)
 
 
-def test_finds_a_better_value_that_holds_in_fresh_worlds(poles: World) -> None:
-    tuning = search(poles, seed=1)
-    assert tuning.best and tuning.chosen.anchors.lookahead > 2.0
-    assert tuning.check is not None and tuning.check.verdict == "better" and tuning.check.faster == 6
-    times = [score.flight_time_s for score in (tuning.check.incumbent, tuning.check.best)]
+def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World) -> None:
+    result = search(poles, check=6, seed=1)
+    assert result.best and result.best.trial is not None and result.chosen.anchors.lookahead > 2.0
+    assert result.check is not None and result.check.verdict == "better" and result.check.faster == 6
+    times = [score.flight_time_s for score in (result.check.incumbent, result.check.best)]
     assert times[0] and times[1] and times[1] < 0.7 * times[0]
-    # Four candidates fly in one world and the better two in the other one, too. The incumbent flies in both.
-    assert tuning.candidates[0] == CRIPPLED and tuning.scores[0].flights == 2
-    assert sorted(score.flights for score in tuning.scores[1:]) == [1, 1, 2, 2] and tuning.compared == 2
-    assert not tuning.interrupted
+    incumbent, *candidates = result.candidates
+    assert incumbent.config == CRIPPLED and incumbent.trial is None and len(candidates) == 4
+    assert result.front == (result.best,) and not result.interrupted
+
+
+def test_worse_candidates_are_given_up_after_a_rung(poles: World) -> None:
+    """The incumbent is good here, and most values of a wide range are bad."""
+    good = small_config().replace({"anchors.lookahead": 5.0})
+    ranges = [ParameterRange("anchors.lookahead", 0.5, 5.0)]
+    how = SearchOptions(trials=4, generation=4, rungs=2, seed=3)
+    result = tune(good, ranges, [poles] * 8, [poles], search=how, flight=FlightOptions(lidar=SPARSE))
+    flown = [len(candidate.flights) for candidate in result.candidates]
+    assert flown[0] == 8 and set(flown[1:]) <= {4, 8} and 4 in flown
+    given_up = [candidate for candidate in result.candidates if not candidate.is_complete]
+    assert all(candidate.score.flight_time_s is None or candidate.score.flight_time_s > 2.0 for candidate in given_up)
 
 
 def test_results_do_not_depend_on_the_batch_size(poles: World) -> None:
@@ -51,55 +70,119 @@ def test_results_do_not_depend_on_the_batch_size(poles: World) -> None:
         calls.append((finished, total))
 
     single, batched, other_seed = (
-        search(poles, flights=3, check=2, seed=seed, batch=batch, rules=FlightRules(time_limit=2.5), progress=note)
+        search(poles, seed=seed, batch=batch, rules=FlightRules(time_limit=2.5), progress=note)
         for seed, batch in ((5, 1), (5, 4), (6, 4))
     )
-    assert single == batched and single.to_dict() != other_seed.to_dict()
-    # Five flights in one world, three in each of two, and two in each of the two worlds of the check.
-    assert calls[0] == (0, 15) and (15, 15) in calls and max(calls) == (15, 15)
+    assert without_timing(single) == without_timing(batched) != without_timing(other_seed)
+    # Two flights of the incumbent, eight of candidates, and two of the check.
+    assert calls[0] == (0, 12) and max(calls) == (12, 12)
 
 
-@pytest.mark.parametrize(("rounds", "total"), [(4, 200), (6, 386)])
-def test_number_of_flights_is_the_documented_one(poles: World, rounds: int, total: int) -> None:
-    def end(finished: int, reported: int, text: str) -> None:
-        assert reported == total
-        raise KeyboardInterrupt
-
-    assert search(poles, flights=16, check=32, rounds=rounds, progress=end).interrupted
+def without_timing(result: TuningResult) -> Any:
+    strip = [
+        (c.trial, c.config, [dataclasses.replace(f, plan_ms_median=None) for f in c.flights]) for c in result.candidates
+    ]
+    return strip, result.check
 
 
-def test_incumbent_stays_the_best_if_no_candidate_is_better(poles: World) -> None:
-    """No flight arrives within 0.1 s: all candidates are equal, and there is nothing to check."""
-    tuning = search(poles, rules=FlightRules(time_limit=0.1))
-    assert (tuning.best, tuning.check, tuning.compared) == (0, None, 2) and tuning.chosen == CRIPPLED
-    assert all(score.arrived == 0 for score in tuning.scores)
+def test_the_incumbent_stays_the_best_if_no_candidate_is_better(poles: World) -> None:
+    result = search(poles, rules=SHORT)
+    assert result.best is not None and result.best.trial is None
+    assert result.check is None and result.chosen == CRIPPLED
+    assert all(candidate.score.arrived == 0 for candidate in result.candidates)
 
 
-@pytest.mark.parametrize(
-    ("pressed_at", "compared", "checked"), [(2, 0, False), (7, 1, False), (9, 2, False), (99, 2, True)]
-)
-def test_ctrl_c_keeps_the_best_candidate_so_far(poles: World, pressed_at: int, compared: int, checked: bool) -> None:
-    """The first round has five flights, the second one three; then comes the check."""
+def test_an_incumbent_outside_the_ranges_is_compared_too(poles: World) -> None:
+    result = search(poles, ranges=[ParameterRange("anchors.lookahead", 2.0, 8.0)], trials=2, generation=2)
+    assert result.candidates[0].config == CRIPPLED and result.best is not None and result.best.trial is not None
+
+
+def test_several_objectives_give_a_front_that_no_candidate_dominates(poles: World) -> None:
+    result = search(poles, objectives=("time", "smoothness"), trials=6, generation=6, seed=2)
+    assert len(result.candidates) == 7 and all(candidate.is_complete for candidate in result.candidates)
+    for point in result.front:
+        assert len(point.values) == 3
+        assert not any(
+            all(a <= b for a, b in zip(other.values, point.values, strict=True)) and other.values != point.values
+            for other in result.candidates
+        )
+    assert "front, trial" in result.format_table()
+
+
+@pytest.mark.parametrize("sampler", ["cmaes", "random", "nsga2"])
+def test_every_sampler_proposes_candidates_within_the_ranges(poles: World, sampler: str) -> None:
+    ranges = [RANGE, ParameterRange("costs.q_track", 1.0, 100.0)]
+    result = search(poles, ranges=ranges, sampler=sampler, trials=6, generation=3, flights=1, rules=SHORT)
+    values = {tuple(result.values(candidate.config).values()) for candidate in result.candidates[1:]}
+    assert len(result.candidates) == 7 and len(values) > 2
+    assert all(1.0 <= lookahead <= 8.0 and 1.0 <= q <= 100.0 for lookahead, q in values)
+
+
+def test_contradictory_values_are_proposed_again(poles: World) -> None:
+    ranges = [ParameterRange("costs.distance_min", 0.1, 1.0), ParameterRange("costs.distance_max", 0.1, 1.0)]
+    result = search(poles, ranges=ranges, flights=1, rules=SHORT)
+    assert len(result.candidates) == 5
+    assert all(c.config.costs.distance_min < c.config.costs.distance_max for c in result.candidates)
+    with pytest.raises(UserError, match=r"Hardly any values .* must be less than costs\.distance_max"):
+        search(poles, ranges=[ParameterRange("costs.distance_min", 2.0, 3.0)], flights=1, rules=SHORT)
+
+
+def test_a_study_on_disk_is_continued_and_holds_the_same_candidates(poles: World, tmp_path: Path) -> None:
+    storage = f"sqlite:///{tmp_path}/below/tune.db"
+    first = search(poles, rules=SHORT, storage=storage, trials=4)
+    flights: list[int] = []
+    more = search(
+        poles, rules=SHORT, storage=storage, trials=6, progress=lambda done, total, text: flights.append(total)
+    )
+    assert more.study == first.study and len(more.candidates) == 7 and more.candidates[:5] == first.candidates
+    assert flights[0] == 2 * 2 + 2  # two new candidates in two worlds, and the check
+    same = search(poles, rules=SHORT, storage=storage, trials=6)
+    assert same.candidates == more.candidates
+
+
+def test_a_study_with_other_options_is_refused(poles: World, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"storage": f"sqlite:///{tmp_path}/tune.db", "study_name": "mine", "rules": SHORT}
+    search(poles, flights=1, **options)
+    with pytest.raises(UserError, match=r"'mine' in sqlite:.* was made with other options \(search\)"):
+        search(poles, flights=1, seed=9, **options)
+
+
+@pytest.mark.parametrize(("pressed_at", "candidates"), [(0, 0), (2, 1), (4, 1), (10, 5)])
+def test_ctrl_c_keeps_the_candidates_that_have_flown(poles: World, pressed_at: int, candidates: int) -> None:
+    """The incumbent has two flights, and the generation eight; then comes the check."""
 
     def press(finished: int, total: int, text: str) -> None:
         if finished == pressed_at and "finished" in text:  # during a flight, not between two batches
             signal.raise_signal(signal.SIGINT)
 
-    tuning = search(poles, seed=1, batch=1, check=1, progress=press)
-    assert (tuning.compared, tuning.interrupted, tuning.check is not None) == (compared, not checked, checked)
-    assert bool(tuning.best) == (compared > 0)
-    assert compared == 0 or tuning.chosen.anchors.lookahead > 2.0
+    result = search(poles, seed=1, batch=1, progress=press)
+    assert result.interrupted and result.check is None and len(result.candidates) == candidates
+    assert (result.chosen != CRIPPLED) == (candidates == 5)
+
+
+def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path) -> None:
+    storage = f"sqlite:///{tmp_path}/tune.db"
+
+    def press(finished: int, total: int, text: str) -> None:
+        if finished == 3:
+            raise KeyboardInterrupt
+
+    assert search(poles, rules=SHORT, storage=storage, progress=press).interrupted
+    result = search(poles, rules=SHORT, storage=storage)
+    assert not result.interrupted and len(result.candidates) == 5
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"rounds": 0}, "The number of rounds is 0; it must be in [1, 10]"),
-        ({"rounds": 11}, "it must be in [1, 10]"),
-        ({"rounds": 3}, "2 flights are fewer than 3 rounds"),
+        ({"rungs": 0}, "cannot be divided into 0 rungs"),
+        ({"rungs": 3}, "2 flights cannot be divided into 3 rungs"),
+        ({"trials": 0}, "number of trials and the size of a generation must be at least 1"),
         ({"check": 0}, "at least 1"),
         ({"batch": 0}, "at least 1"),
         ({"device": "cuda:77"}, "'cuda:77' is not available"),
+        ({"sampler": "cmaes", "objectives": ("time", "clearance")}, "CMA-ES has one objective only"),
+        ({"storage": "nonsense://x"}, "Cannot open the storage nonsense://x"),
     ],
 )
 def test_options_out_of_range_are_refused(poles: World, options: dict[str, Any], message: str) -> None:
@@ -108,7 +191,7 @@ def test_options_out_of_range_are_refused(poles: World, options: dict[str, Any],
     assert message in str(caught.value)
 
 
-def test_world_in_which_no_flight_can_arrive_is_refused_before_the_first_flight(poles: World) -> None:
+def test_a_world_in_which_no_flight_can_arrive_is_refused_before_the_first_flight(poles: World) -> None:
     buried = dataclasses.replace(poles, goal=poles.cylinders[0, :3] + (0.0, 0.0, 2.0))
     with pytest.raises(UserError, match="inside an obstacle"):
-        tune(CRIPPLED, [RANGE], [poles], [buried], rounds=1)
+        tune(CRIPPLED, [RANGE], [poles] * 3, [buried])

@@ -9,7 +9,7 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.statistics import wilson_interval
-from aero_viz.evaluation.tune import Check, ParameterRange, Score, TuningResult
+from aero_viz.evaluation.tune import Candidate, Check, ParameterRange, Score, TuningResult
 from aero_viz.flight import FlightResult
 
 
@@ -26,16 +26,10 @@ def check(incumbent: list[float | None], best: list[float | None]) -> Check:
     return Check.from_results([flight(time) for time in incumbent], [flight(time) for time in best])
 
 
-def test_arrivals_count_before_time() -> None:
-    safe, fast, none = (
-        Score.from_results(map(flight, [9.0, 9.0])),
-        Score.from_results(map(flight, [2.0, None])),
-        Score.from_results([flight(None)]),
-    )
-    assert sorted([none, fast, safe], key=lambda score: score.rank) == [safe, fast, none]
-    assert Score.from_results(map(flight, [8.0, 9.0])).rank < safe.rank
-    assert (fast.flights, fast.arrived, fast.flight_time_s) == (2, 1, 2.0) and none.flight_time_s is None
-    assert (fast.to_dict()["success_low"], fast.to_dict()["success_high"]) == wilson_interval(1, 2)
+def test_a_score_counts_arrivals_and_their_mean_time() -> None:
+    score, none = Score.from_results(map(flight, [2.0, 3.0, None])), Score.from_results([flight(None)])
+    assert (score.flights, score.arrived, score.flight_time_s) == (3, 2, 2.5) and none.flight_time_s is None
+    assert (score.to_dict()["success_low"], score.to_dict()["success_high"]) == wilson_interval(2, 3)
 
 
 @pytest.mark.parametrize(
@@ -57,10 +51,18 @@ def test_verdict_is_that_of_a_sign_test(incumbent: list[float | None], best: lis
     assert check(incumbent, best).verdict == verdict
 
 
+def candidate(trial: int | None, times: list[float | None], value: float) -> Candidate:
+    config = PlannerConfig().replace({"costs.q_track": value})
+    return Candidate(trial, config, (0.0,), tuple(map(flight, times)), is_complete=True)
+
+
+INCUMBENT, BEST = candidate(None, [8.0, 8.0, None, None], 5.0), candidate(7, [6.0, 7.0, 6.5, 6.5], 7.5)
+
+
 def tuning(check: Check | None, **changes: object) -> TuningResult:
-    configs = tuple(PlannerConfig().replace({"costs.q_track": value}) for value in (5.0, 7.5))
-    scores = (Score(4, 2, 8.0), Score(4, 4, 6.5))
-    result = TuningResult((ParameterRange("costs.q_track", 1.0, 20.0),), configs, scores, 1, 4, check, False)
+    ranges = (ParameterRange("costs.q_track", 1.0, 20.0),)
+    candidates = (INCUMBENT, BEST)
+    result = TuningResult("s", ranges, ("time",), INCUMBENT.config, candidates, BEST, (BEST,), check, False)
     return dataclasses.replace(result, **changes)  # type: ignore[arg-type]
 
 
@@ -78,7 +80,7 @@ def test_table_shows_incumbent_and_best_and_warns() -> None:
     text = tuning(check([None, 8.0, 8.0], [7.0, 7.0, None])).format_table()
     assert [" ".join(line.split()) for line in text.splitlines()[1:5]] == [
         "incumbent 4 2 15 to 85 % 8.00 s 5",
-        "best 4 4 51 to 100 % 6.50 s 7.5",
+        "best, trial 7 4 4 51 to 100 % 6.50 s 7.5",
         "incumbent, fresh worlds 3 2 21 to 94 % 8.00 s 5",
         "best, fresh worlds 3 2 21 to 94 % 7.00 s 7.5",
     ]
@@ -86,9 +88,9 @@ def test_table_shows_incumbent_and_best_and_warns() -> None:
     assert "Warning: the difference is not significant" in text
     assert "Warning: the best candidate is significantly worse" in tuning(check([5.0] * 6, [None] * 6)).format_table()
     assert "Warning" not in tuning(check([None] * 6, [5.0] * 6)).format_table()
-    assert "No candidate was better" in tuning(None, best=0).format_table()
+    assert "No candidate was better" in tuning(None, best=INCUMBENT).format_table()
     assert "before the check" in tuning(None, interrupted=True).format_table()
-    assert "No conclusion" in tuning(None, best=0, compared=0, interrupted=True).format_table()
+    assert "No conclusion" in tuning(None, best=None, candidates=(), front=(), interrupted=True).format_table()
 
 
 def test_result_is_plain_json() -> None:

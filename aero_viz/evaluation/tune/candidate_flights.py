@@ -1,0 +1,126 @@
+"""The flights of candidates through worlds, in batches that an executor flies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from aero_planner import PlannerConfig
+from aero_viz.evaluation.batching import Progress
+from aero_viz.evaluation.executor import Executor
+from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
+from aero_viz.flight.batch import BatchProgress
+from aero_viz.scenes import World
+from aero_viz.sensors import LidarModel
+
+__all__ = ["CandidateFlights", "FlightOptions"]
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """What all flights of a search have in common."""
+
+    device: str = "cpu"
+    lidar: LidarModel | None = None
+    vehicle: VehicleModel | None = None
+    rules: FlightRules | None = None
+    noise: StateNoise | None = None
+
+
+@dataclass(frozen=True)
+class _Shard:
+    """One batch of flights."""
+
+    worlds: tuple[World, ...]
+    configs: tuple[PlannerConfig, ...]
+    seeds: tuple[int, ...]
+    options: FlightOptions
+    threads: int | None
+
+
+class CandidateFlights:
+    """Flies candidates through worlds.
+
+    Every candidate has the same seed in the same world, so that the LiDAR, the noise and the samples of the planner do
+    not make a difference between candidates.
+
+    Args:
+        worlds: all worlds. A world that occurs several times is flown with different seeds.
+        seed: seed of the first world; that of the next one is larger by one, and so on.
+        options: options of all flights.
+        executor: flies the batches.
+        size: largest number of simultaneous flights.
+        report: called as flights finish.
+
+    Attributes:
+        done: number of finished flights.
+        total: number of all flights that are expected.
+    """
+
+    def __init__(
+        self,
+        worlds: Sequence[World],
+        *,
+        seed: int,
+        options: FlightOptions,
+        executor: Executor,
+        size: int,
+        report: Progress,
+    ) -> None:
+        self._worlds, self._seed, self._options = worlds, seed, options
+        self._executor, self._size, self._report = executor, size, report
+        self.done = self.total = 0
+
+    def fly(
+        self, configs: Sequence[PlannerConfig], worlds: Sequence[int], label: str
+    ) -> dict[tuple[int, int], FlightResult]:
+        """Fly each configuration through each of these worlds; return the results by index of both.
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C was pressed.
+        """
+        pairs = [(c, w) for w in worlds for c in range(len(configs))]
+        parts = [pairs[first : first + self._size] for first in range(0, len(pairs), self._size)]
+        shards = [
+            _Shard(
+                tuple(self._worlds[w] for _, w in part),
+                tuple(configs[c] for c, _ in part),
+                tuple(self._seed + w for _, w in part),
+                self._options,
+                self._executor.threads,
+            )
+            for part in parts
+        ]
+        results: dict[tuple[int, int], FlightResult] = {}
+        self._report(self.done, self.total, label)
+
+        def follow(finished: int, flights: int, seconds: float) -> None:
+            text = f"{label}: {seconds:.1f} s, {finished} of {flights} finished"
+            self._report(self.done + finished, self.total, text)
+
+        for index, (flown, interrupted) in self._executor.map(_fly_shard, shards, progress=follow):
+            if interrupted:
+                raise KeyboardInterrupt
+            results.update(zip(parts[index], flown, strict=True))
+            self.done += len(flown)
+            self._report(self.done, self.total, label)
+        return results
+
+
+def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[FlightResult], bool]:
+    """Fly one batch; return the results, and whether Ctrl-C interrupted it."""
+    options = shard.options
+    batch = FlightBatch(
+        shard.worlds,
+        config=shard.configs,
+        seed=shard.seeds,
+        device=options.device,
+        lidar=options.lidar,
+        vehicle=options.vehicle,
+        rules=options.rules,
+        noise=options.noise,
+        threads=shard.threads,
+    )
+    results = batch.run(progress=progress)
+    batch.planner.close()
+    return results, batch.interrupted
