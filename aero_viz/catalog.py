@@ -10,6 +10,7 @@ from aero_viz.errors import UserError
 from aero_viz.session.source import Source
 
 if TYPE_CHECKING:
+    from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
     from aero_viz.scenes import World
 
 __all__ = ["is_map", "load_world", "open_source", "shipped_recordings"]
@@ -64,6 +65,8 @@ def open_source(
     lidar: str = "mid360",
     points_topic: str | None = None,
     pose_topic: str | None = None,
+    odometry: OdometryChoice = "none",
+    progress: OdometryProgress = lambda done, total: None,
     goal_ahead: float = 15.0,
 ) -> Source:
     """Open a scene, a world's JSON file, a map, or a recording.
@@ -75,6 +78,7 @@ def open_source(
         count: number of obstacles of a scene; None is its default.
         lidar: LiDAR model of a flight, see `aero_viz.sensors.lidar.lidar_model`.
         points_topic, pose_topic: topics of a recording; None finds them by type.
+        odometry, progress: see `aero_viz.recordings.open_recording`.
         goal_ahead: distance from the drone to the goal of a recording [m].
 
     Raises:
@@ -94,7 +98,9 @@ def open_source(
         return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
     from aero_viz.recordings import RecordingSource, open_recording
 
-    recording = open_recording(spec, points_topic=points_topic, pose_topic=pose_topic)
+    recording = open_recording(
+        spec, points_topic=points_topic, pose_topic=pose_topic, odometry=odometry, progress=progress
+    )
     try:
         return RecordingSource(recording, goal_ahead=goal_ahead)
     except Exception:

@@ -22,7 +22,9 @@ from aero_viz.cli.flags import (
     WorldFlags,
     WorldName,
 )
+from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
+from aero_viz.recordings.odometry import OdometryChoice
 
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
@@ -88,6 +90,7 @@ def play(
     *,
     points_topic: OptionalText = None,
     pose_topic: OptionalText = None,
+    odometry: OdometryChoice = "none",
     goal_ahead: float = 15.0,
     seed: int = 0,
     device: str = "cpu",
@@ -100,6 +103,8 @@ def play(
         recording: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file; by default a flight that ships.
         points_topic: Topic of the point clouds; by default it is found by its type.
         pose_topic: Topic of the poses; by default it is found by its type.
+        odometry: Estimate the motion from the sweeps: auto does so where no poses are recorded, by rko-lio with an IMU
+            and by kiss-icp without; the named methods also replace recorded poses. The result is cached.
         goal_ahead: Distance of the goal from the drone along the recorded path [m].
         seed: Seed of the planner's noise.
         device: Warp device of the planner.
@@ -123,8 +128,19 @@ def play(
         open_recording(recording)
 
     def opener(spec: str, *, seed: int) -> Source:
-        points, poses = (points_topic, pose_topic) if spec == recording else (None, None)
-        return open_source(spec, seed=seed, device=device, points_topic=points, pose_topic=poses, goal_ahead=goal_ahead)
+        if spec != recording:
+            return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead)
+        with progress_bar("estimating the motion", enabled=odometry != "none") as update_bar:
+            return open_source(
+                spec,
+                seed=seed,
+                device=device,
+                points_topic=points_topic,
+                pose_topic=pose_topic,
+                odometry=odometry,
+                progress=lambda done, total: update_bar(done, total, f"{done} of {total} sweeps"),
+                goal_ahead=goal_ahead,
+            )
 
     serve(recording, opener, config_flags.load(), page_flags, seed=seed, device=device)
 

@@ -1,4 +1,4 @@
-"""The verbs `aero-viz inspect`, `snapshot`, `world`, `export`, `parameters` and `doctor`."""
+"""The verbs `aero-viz snapshot`, `world`, `export`, `parameters` and `doctor`."""
 
 from __future__ import annotations
 
@@ -6,34 +6,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FileName, Inline, OptionalText, OutputPath, WorldFlags, WorldName
+from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
 
-__all__ = ["doctor", "export", "inspect", "parameters", "snapshot", "world"]
+__all__ = ["doctor", "export", "parameters", "snapshot", "world"]
 
 _CONFIG = ConfigFlags()
 _WORLD = WorldFlags()
-
-
-def inspect(
-    file: FileName,
-    *,
-    points_topic: OptionalText = None,
-    pose_topic: OptionalText = None,
-    json: bool = False,
-) -> None:
-    """Show what a recording contains and which parts can be played.
-
-    Args:
-        file: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file.
-        points_topic: Topic of the point clouds; by default it is found by its type.
-        pose_topic: Topic of the poses; by default it is found by its type.
-        json: Print one JSON object.
-    """
-    from aero_viz.recordings import inspect as inspect_recording
-
-    print_report(inspect_recording(file, points_topic=points_topic, pose_topic=pose_topic), as_json=json)
 
 
 def snapshot(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -56,6 +58,8 @@ class SensorLogOptions:
     """True writes /odometry and /tf at every tick."""
     plan_period: float | None = 0.2
     """Time between two plans in the file [s]; None writes no plan and no goal."""
+    hover: float = 0.0
+    """Time for which the drone hovers before it flies [s]."""
     duration: float = float("inf")
     """The flight is cut after this time [s]."""
 
@@ -96,11 +100,16 @@ def write_sensor_log(
         control_step=config.sampling.dt,
         seed=seed,
     )
-    session = Session(source, config=config, seed=seed)
     try:
-        with Path(path).open("wb") as file:
+        with contextlib.ExitStack() as stack:
+            file = stack.enter_context(Path(path).open("wb"))
             log = _SensorLog(Writer(file, compression=CompressionType.ZSTD), source, options, seed)
             source.simulator.observers.append(log.write_tick)
+            hover: Any = SimpleNamespace(command=source.simulator.vehicle.control.numpy().repeat(2, axis=0))
+            while source.simulator.time < options.hover - 1e-9:
+                source.advance(hover)
+            session = Session(source, config=config, seed=seed)
+            stack.callback(session.close)
             while source.outcome is None and source.simulator.time < options.duration:
                 frame = session.tick()
                 log.write_plan(frame.observation.goal, frame.plan)
@@ -109,8 +118,6 @@ def write_sensor_log(
             return result
     except OSError as error:
         raise UserError(f"Cannot write {path}: {error.strerror or error}.") from error
-    finally:
-        session.close()
 
 
 class _SensorLog:

@@ -81,6 +81,8 @@ class BagFile(ABC):
         """True if `scan` found that the end of the file is missing."""
         self.channels: dict[int, Channel] = {}
         """Channels found so far, by their number in the file."""
+        self.definitions: dict[str, str] = {}
+        """Definitions of types of ROS 2 messages that the file holds, as far as they were found."""
         self.damaged = 0
         """Number of records and chunks that could not be read."""
 

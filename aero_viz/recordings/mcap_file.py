@@ -215,6 +215,8 @@ class McapFile(ChunkedFile):
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
             self._schemas[schema.id] = schema.name
+            if schema.encoding == "ros2msg":
+                self.definitions[schema.name] = schema.data.decode()
         else:
             channel = ChannelRecord.read(stream)
             type_name = self._schemas.get(channel.schema_id, "")

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.input_limits import SWEEP_POINTS_MAX
-from aero_viz.recordings.ros_messages import DamagedMessage, decode_message
+from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
 
 if TYPE_CHECKING:
     from rosbags.typesys.stores.ros2_humble import sensor_msgs__msg__PointCloud2 as PointCloud2
 
-__all__ = ["POINT_CLOUD2", "DecodedPoints", "RawCloud", "decode_points", "read_point_cloud2"]
+__all__ = ["POINT_CLOUD2", "DecodedPoints", "RawCloud", "decode_points", "encode_point_cloud2", "read_point_cloud2"]
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 
@@ -114,6 +114,42 @@ def decode_points(cloud: RawCloud) -> DecodedPoints:
     if valid.all():
         return DecodedPoints(np.ascontiguousarray(points), times, 0)
     return DecodedPoints(points[valid], None if times is None else times[valid], int(len(valid) - valid.sum()))
+
+
+def encode_point_cloud2(
+    points: NDArray[np.float32], stamp: int, frame: str, *, times: NDArray[np.uint32] | None = None
+) -> bytes:
+    """Return a sensor_msgs/PointCloud2 as CDR.
+
+    Args:
+        points: [P, 3] [m].
+        stamp: [ns].
+        frame: frame of the coordinates.
+        times: time of each point after the stamp [P] [ns], None if it is not known.
+    """
+    names = ["x", "y", "z"] if times is None else ["x", "y", "z", "t"]
+    rows = np.empty(len(points), [(name, "<u4" if name == "t" else "<f4") for name in names])
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[:, axis]
+    if times is not None:
+        rows["t"] = times
+    time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
+    make_field = message_type("sensor_msgs/msg/PointField")
+    fields = [
+        make_field(name=name, offset=4 * i, datatype=6 if name == "t" else 7, count=1) for i, name in enumerate(names)
+    ]
+    message = message_type(POINT_CLOUD2)(
+        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=frame),
+        height=1,
+        width=len(rows),
+        fields=fields,
+        is_bigendian=False,
+        point_step=rows.itemsize,
+        row_step=rows.nbytes,
+        data=np.frombuffer(rows.tobytes(), np.uint8),
+        is_dense=True,
+    )
+    return encode_message(message, POINT_CLOUD2)
 
 
 def _point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:

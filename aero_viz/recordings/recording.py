@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,16 @@ from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest_other_clouds
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
-__all__ = ["PointSweep", "Recording", "open_recording"]
+if TYPE_CHECKING:
+    from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
+
+__all__ = ["NO_POSES", "PointSweep", "Recording", "open_recording"]
+
+NO_POSES = (
+    "no poses are recorded: the sensor is assumed to stand still; --odometry auto estimates its motion from the sweeps, "
+    "and --poses FILE reads it from a file"
+)
+"""Notice for a recording without poses."""
 
 _CACHED_SWEEPS = 4
 
@@ -82,7 +91,7 @@ class Recording:
         start = entries[0].time
         source, stamped, covered = choose_poses(contents, entries, pose_topic)
         if source is None:
-            self.problems.append("no poses are recorded: the sensor is assumed to stand still")
+            self.problems.append(NO_POSES)
         elif not covered.all():
             self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~covered))} of {len(entries)}")
         if not stamped:
@@ -96,6 +105,10 @@ class Recording:
         self._entries = [kept[i] for i in order]
         self.sweep_times: NDArray[np.float64] = (times - times[0]) * 1e-9
         """Times of the playable sweeps [n] [s] from the first one, ascending."""
+        self.start = int(times[0])
+        """Stamp of the first playable sweep [ns]."""
+        self.cloud_frame = kept[0].frame
+        """Frame of the clouds."""
         self.pose_topic = source.topic if source else None
         self.poses: RecordedPoses | None = None
         """Motion of the body, None if no poses are recorded."""
@@ -109,6 +122,17 @@ class Recording:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
         budget = ReadingBudget(0)
         return any(budget.is_late or len(self.sweep(i).points) for i in range(len(self._entries)))
+
+    def use_poses(self, poses: RecordedPoses, name: str, problems: Iterable[str]) -> None:
+        """Play with other poses than the recorded ones.
+
+        Args:
+            poses: motion of the body, in the time of this recording.
+            name: name of their origin, in place of a topic.
+            problems: notices for the user about them.
+        """
+        self.poses, self.pose_topic = poses, name
+        self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
 
     @property
     def damage(self) -> str | None:
@@ -147,7 +171,14 @@ class Recording:
         self.close()
 
 
-def open_recording(path: str | Path, *, points_topic: str | None = None, pose_topic: str | None = None) -> Recording:
+def open_recording(
+    path: str | Path,
+    *,
+    points_topic: str | None = None,
+    pose_topic: str | None = None,
+    odometry: OdometryChoice = "none",
+    progress: OdometryProgress = lambda done, total: None,
+) -> Recording:
     """Open an MCAP file, a rosbag2 folder, a .db3 file or a ROS 1 bag.
 
     One pass over the file reads the poses and finds the sweeps; a sweep is read when it is asked for.
@@ -157,17 +188,51 @@ def open_recording(path: str | Path, *, points_topic: str | None = None, pose_to
         points_topic: topic of the sweeps; None chooses the one with the most clouds.
         pose_topic: topic of the poses; None chooses the first one of Odometry, PoseStamped,
             PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps.
+        odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
+            replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
+        progress: called while poses are estimated.
 
     Raises:
-        UserError: the recording cannot be played.
+        UserError: the recording cannot be played, or its motion cannot be estimated.
     """
     storage = open_storage(path)
     try:
         with readable(storage.path):
-            return Recording(storage, read_contents(storage), points_topic, pose_topic)
+            contents = read_contents(storage)
+            recording = Recording(storage, contents, points_topic, pose_topic)
+            if odometry != "none" and (recording.poses is None or odometry != "auto"):
+                _add_odometry(recording, storage, contents, odometry, progress)
+            return recording
     except BaseException:
         storage.close()
         raise
+
+
+def _add_odometry(
+    recording: Recording, storage: Storage, contents: Contents, choice: OdometryChoice, progress: OdometryProgress
+) -> None:
+    """Estimate the motion of a recording, unless it is in the cache, and use it."""
+    from aero_viz.recordings.imu import read_imu
+    from aero_viz.recordings.odometry import choose_method, estimate_motion
+    from aero_viz.recordings.odometry_cache import load_motion, motion_key, save_motion
+
+    imu = read_imu(storage.files)
+    method = choose_method(choice, imu, timed=any(recording.sweep(i).point_times is not None for i in (0, -1)))
+    files = [file.path for file in storage.files]
+    key = motion_key(files, method, recording.points_topic, recording.pose_topic)
+    motion = load_motion(key)
+    if motion is None:
+        body = recording.cloud_frame if recording.extrinsic is IDENTITY else None
+        mount = contents.transforms.between(body, imu.frame) if imu and body else None
+        motion = estimate_motion(
+            recording, method, imu, imu_mount=mount or IDENTITY, start=recording.start, progress=progress
+        )
+        if imu and mount is None and imu.frame != body:
+            notice = f"no static transform joins the IMU's frame {imu.frame!r} and that of the body: assumed to be the same"
+            motion = motion._replace(problems=(*motion.problems, notice))
+        save_motion(key, motion)
+    source = f"poses are estimated by {motion.method}, {motion.ms_per_sweep:.0f} ms a sweep"
+    recording.use_poses(motion.poses(), f"odometry by {motion.method}", [source, *motion.problems])
 
 
 def _format_ranges(indices: Iterable[int]) -> str:

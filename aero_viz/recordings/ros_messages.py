@@ -8,7 +8,16 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-__all__ = ["ENCODINGS", "TF_TYPES", "DamagedMessage", "decode_message"]
+__all__ = [
+    "ENCODINGS",
+    "TF_TYPES",
+    "DamagedMessage",
+    "decode_message",
+    "encode_message",
+    "message_definition",
+    "message_type",
+    "ros1_to_cdr",
+]
 
 ENCODINGS = ("cdr", "ros1")
 """Encodings of messages that can be decoded."""
@@ -42,6 +51,34 @@ def decode_message(data: bytes | memoryview, type_name: str, encoding: str) -> A
             return store.deserialize_ros1(view, type_name)
         return store.deserialize_cdr(view, type_name)
     except Exception as error:  # the decoders that rosbags generates fail in many ways on damaged bytes
+        raise DamagedMessage("its bytes are damaged") from error
+
+
+def message_type(type_name: str) -> Any:
+    """Return rosbags' dataclass of a type of ROS 2."""
+    return _typestore("cdr").types[type_name]
+
+
+def message_definition(type_name: str) -> str | None:
+    """Return the definition of a type of ROS 2 with all types in it, None if the type is not known."""
+    store = _typestore("cdr")
+    return store.generate_msgdef(type_name, ros_version=2)[0] if type_name in store.types else None
+
+
+def encode_message(message: Any, type_name: str) -> bytes:
+    """Return a message of ROS 2 as CDR."""
+    return bytes(_typestore("cdr").serialize_cdr(message, type_name))
+
+
+def ros1_to_cdr(data: bytes, type_name: str) -> bytes:
+    """Return a message of ROS 1 as one of ROS 2.
+
+    Raises:
+        DamagedMessage: the bytes are not such a message.
+    """
+    try:
+        return bytes(_typestore("cdr").ros1_to_cdr(data, type_name))
+    except Exception as error:  # as in decode_message
         raise DamagedMessage("its bytes are damaged") from error
 
 

@@ -19,6 +19,7 @@ __all__ = [
     "invert_transform",
     "multiply",
     "quaternion_from_angles",
+    "quaternion_of_matrix",
     "rotate",
     "rotation_matrix",
     "rotation_vector",
@@ -113,6 +114,23 @@ def quaternion_from_angles(roll: float, pitch: float, yaw: float) -> Array:
     half = [0.5 * math.radians(angle) for angle in (roll, pitch, yaw)]
     x, y, z = ([math.cos(a), *(math.sin(a) * axis)] for a, axis in zip(half, np.eye(3), strict=True))
     return multiply(z, multiply(y, x))
+
+
+def quaternion_of_matrix(matrix: ArrayLike) -> Array:
+    """Return the unit quaternions [.., 4] of rotation matrices [.., 3, 3], with w >= 0."""
+    m = np.asarray(matrix, dtype=np.float64)
+    r = {(i, j): m[..., i, j] for i in range(3) for j in range(3)}
+    # Four times the products of the components; the row with the largest diagonal has the smallest rounding error.
+    ww, xx = 1.0 + r[0, 0] + r[1, 1] + r[2, 2], 1.0 + r[0, 0] - r[1, 1] - r[2, 2]
+    yy, zz = 1.0 - r[0, 0] + r[1, 1] - r[2, 2], 1.0 - r[0, 0] - r[1, 1] + r[2, 2]
+    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    rows = np.stack([ww, wx, wy, wz, wx, xx, xy, xz, wy, xy, yy, yz, wz, xz, yz, zz], axis=-1)
+    rows = rows.reshape(*m.shape[:-2], 4, 4)
+    best = np.argmax(np.stack([ww, xx, yy, zz], axis=-1), axis=-1)
+    q = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
 def compose_transforms(

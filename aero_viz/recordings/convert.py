@@ -1,0 +1,249 @@
+"""Writing a recording, or a part of it, as ROS 2 MCAP that Foxglove, RViz and rosbags open."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from aero_planner import VehicleState
+from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, Encoded, pose_messages
+from aero_viz.errors import UserError
+from aero_viz.recordings.bag_file import BagFile, Channel, Message
+from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.contents import read_contents
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
+from aero_viz.recordings.recording import Recording
+from aero_viz.recordings.ros_messages import (
+    ENCODINGS,
+    TF_TYPES,
+    decode_message,
+    encode_message,
+    message_definition,
+    message_type,
+    ros1_to_cdr,
+)
+from aero_viz.recordings.storage import open_storage, readable
+
+__all__ = ["ConvertReport", "convert"]
+
+_ODOMETRY_TOPICS = ("/odometry", "/tf")
+
+
+@dataclasses.dataclass(frozen=True)
+class ConvertReport:
+    """A report on what was written."""
+
+    path: str
+    messages: int
+    """Number of messages written."""
+    topics: dict[str, int]
+    """Number of messages written, by topic."""
+    left_out: dict[str, str]
+    """Reasons why topics are not in the file, by topic."""
+    bytes: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain values for JSON."""
+        return dataclasses.asdict(self)
+
+    def format_table(self) -> str:
+        """Return the report as text for a terminal."""
+        lines = [f"{self.path}: {self.messages} messages on {len(self.topics)} topics, {self.bytes / 1e6:.1f} MB"]
+        return "\n".join([*lines, *(f"note: {topic} is left out: {reason}" for topic, reason in self.left_out.items())])
+
+
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    start: float = 0.0,
+    end: float = float("inf"),
+    topics: Collection[str] = (),
+    decimate: int = 1,
+    recording: Recording | None = None,
+    progress: Callable[[float, float], None] = lambda done, total: None,
+) -> ConvertReport:
+    """Write the messages of a recording with their stamps and times of recording. An existing file is replaced.
+
+    Messages of ROS 1 become those of ROS 2, and Livox's own clouds PointCloud2.
+
+    Args:
+        source: recording.
+        target: MCAP file to write; it appears when it is complete.
+        start, end: only messages between these times after the first message are written [s].
+        topics: only these topics are written; none means all.
+        decimate: one of so many points of a cloud is kept.
+        recording: the opened recording, if its estimated poses are to be written as /odometry and /tf.
+        progress: called with the time reached and the duration [s].
+
+    Raises:
+        UserError: the recording cannot be read, the file cannot be written, an option is out of range, or nothing is
+            left to write.
+    """
+    target = Path(target)
+    if decimate < 1:
+        raise UserError(f"--decimate must be at least 1, not {decimate}")
+    if not start < end:
+        raise UserError(f"--start {start:g} must be before --end {end:g}")
+    storage = open_storage(source)
+    try:
+        with readable(storage.path):
+            contents = read_contents(storage)
+        if any(file.path.resolve() == target.resolve() for file in storage.files):
+            raise UserError(f"{target} is the recording itself: give another name to write to")
+        unknown = sorted(set(topics) - {topic.name for topic in contents.topics})
+        if unknown:
+            names = ", ".join(topic.name for topic in contents.topics)
+            raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}")
+        first = contents.first or 0
+        window = (first + start * 1e9, first + end * 1e9)
+        partial = target.with_name(target.name + ".part")
+        try:
+            with partial.open("wb") as file:
+                output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
+                if recording is not None and recording.poses is not None:
+                    output.write_poses(recording, window)
+                for bag in storage.files:
+                    output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
+                output.finish()
+            if not output.counts:
+                reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
+                raise UserError(f"nothing of {source} is left to write: {reasons}")
+            partial.replace(target)
+        except OSError as error:
+            raise UserError(f"Cannot write {target}: {error.strerror or error}.") from error
+        finally:
+            partial.unlink(missing_ok=True)
+        return ConvertReport(
+            str(target), sum(output.counts.values()), output.counts, output.left_out, target.stat().st_size
+        )
+    finally:
+        storage.close()
+
+
+class _Output:
+    """Writes messages as ROS 2 (CDR).
+
+    Args:
+        writer: a new MCAP writer.
+        decimate: one of so many points is kept.
+    """
+
+    def __init__(self, writer: Writer, decimate: int) -> None:
+        self.counts: dict[str, int] = {}
+        self.left_out: dict[str, str] = {}
+        self._writer, self._decimate = writer, decimate
+        self._channels: dict[tuple[str, str], int] = {}
+        self._own_poses = False
+        writer.start(profile="ros2", library="aero-viz")
+
+    def copy(
+        self, bag: BagFile, window: tuple[float, float], topics: Collection[str], progress: Callable[[int], None]
+    ) -> None:
+        """Write the messages of a file."""
+        for message in bag.scan(()):
+            channel = message.channel
+            if (topics and channel.topic not in topics) or not window[0] <= message.time <= window[1]:
+                continue
+            if channel.topic in self.left_out:
+                continue
+            if self._own_poses and channel.topic in _ODOMETRY_TOPICS:
+                self.left_out[channel.topic] = "the estimated poses take its place"
+                continue
+            progress(message.time)
+            self._copy_message(bag, message)
+
+    def _copy_message(self, bag: BagFile, message: Message) -> None:
+        channel = message.channel
+        kind = TF_TYPES[0] if channel.type in TF_TYPES else channel.type
+        kind = POINT_CLOUD2 if kind in CLOUD_TYPES else kind
+        definition = _definition(kind) or bag.definitions.get(channel.type)
+        if channel.encoding not in ENCODINGS:
+            self.left_out[channel.topic] = f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1"
+        elif definition is None or (channel.encoding == "ros1" and not _definition(kind)):
+            self.left_out[channel.topic] = f"the type {channel.type} is not known here"
+        else:
+            try:
+                data = self._converted(bag.read(message.position), channel)
+            except ValueError:
+                return  # a damaged message; `inspect` counts them
+            self._add(Encoded(channel.topic, kind, data), message.time, definition)
+
+    def _converted(self, data: bytes, channel: Channel) -> bytes:
+        if channel.type == POINT_CLOUD2 and self._decimate > 1:
+            cdr = ros1_to_cdr(data, POINT_CLOUD2) if channel.encoding == "ros1" else data
+            return _thinned(decode_message(cdr, POINT_CLOUD2, "cdr"), self._decimate)
+        if channel.type in CLOUD_TYPES and channel.type != POINT_CLOUD2:
+            cloud = read_cloud(data, channel.type, channel.encoding)
+            rows = cloud.rows.reshape(-1)[:: self._decimate]
+            points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
+            return encode_point_cloud2(points, cloud.stamp, cloud.frame, times=rows["time"].astype(np.uint32))
+        if channel.encoding == "ros1":
+            return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
+        return data
+
+    def write_poses(self, recording: Recording, window: tuple[float, float]) -> None:
+        """Write the poses of a recording as /odometry and /tf, and the frame of the clouds as that of the body."""
+        poses = recording.poses
+        assert poses is not None
+        self._own_poses = True
+        written = 0
+        for i, time in enumerate(poses.times):
+            stamp = recording.start + round(1e9 * float(time))
+            if window[0] <= stamp <= window[1]:
+                state = VehicleState(
+                    poses.positions[i] + poses.offset, poses.velocities[i], poses.quaternions[i], time=float(time)
+                )
+                for message in pose_messages(state, stamp):
+                    self._add(message, stamp, DEFINITIONS[message.kind])
+                written += 1
+        if written and recording.cloud_frame != BODY:
+            stamp = max(recording.start, round(window[0]))
+            data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, stamp)
+            self._add(Encoded("/tf_static", TF_TYPES[0], data), stamp, DEFINITIONS[TF_TYPES[0]])
+
+    def _add(self, message: Encoded, time: int, definition: str) -> None:
+        key = (message.topic, message.kind)
+        if key not in self._channels:
+            schema = self._writer.register_schema(message.kind, "ros2msg", definition.encode())
+            self._channels[key] = self._writer.register_channel(message.topic, "cdr", schema)
+        self._writer.add_message(self._channels[key], time, message.data, time)
+        self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
+
+    def finish(self) -> None:
+        """Write the index."""
+        self._writer.finish()
+
+
+def _definition(kind: str) -> str | None:
+    return DEFINITIONS.get(kind) or message_definition(kind)
+
+
+def _thinned(cloud: Any, step: int) -> bytes:
+    """Return a PointCloud2 with every `step`-th point and all its fields, in one row."""
+    size, row = cloud.point_step, cloud.row_step or cloud.width * cloud.point_step
+    if cloud.height * row > len(cloud.data) or cloud.width * size > row:
+        raise ValueError("the points do not fit into the message")
+    table = np.frombuffer(cloud.data, np.uint8, cloud.height * row).reshape(cloud.height, row)
+    points = table[:, : cloud.width * size].reshape(-1, size)[::step]
+    changes = {"height": 1, "width": len(points), "row_step": points.size, "data": points.reshape(-1)}
+    return encode_message(dataclasses.replace(cloud, **changes), POINT_CLOUD2)
+
+
+def _static_transform(parent: str, child: str, pose: Any, stamp: int) -> bytes:
+    time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
+    x, y, z = map(float, pose.position)
+    w, i, j, k = map(float, pose.quaternion)
+    transform = message_type("geometry_msgs/msg/Transform")(
+        translation=message_type("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
+        rotation=message_type("geometry_msgs/msg/Quaternion")(x=i, y=j, z=k, w=w),
+    )
+    stamped = message_type("geometry_msgs/msg/TransformStamped")(
+        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=parent), child_frame_id=child, transform=transform
+    )
+    return encode_message(message_type(TF_TYPES[0])(transforms=[stamped]), TF_TYPES[0])

@@ -1,0 +1,69 @@
+"""Estimated motions, kept in the user's cache folder under the hash of the recording."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from aero_viz.recordings.odometry import Motion
+
+__all__ = ["cache_folder", "load_motion", "motion_key", "save_motion"]
+
+_VERSION = 1
+"""Changes when the estimate of the same file would change."""
+_WHOLE = 64 << 20
+"""A file up to this size is hashed as a whole, of a larger one only `_SAMPLES` blocks of `_BLOCK` bytes [bytes]."""
+_SAMPLES, _BLOCK = 64, 1 << 20
+
+
+def cache_folder() -> Path:
+    """Return the folder for estimated motions: below XDG_CACHE_HOME, or ~/.cache where that is unset."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "aero-viz" / "odometry"
+
+
+def motion_key(files: Iterable[Path], *settings: object) -> str:
+    """Return the name under which the motion is kept: a hash of the files' contents and of the settings."""
+    digest = hashlib.blake2b(repr((_VERSION, settings)).encode(), digest_size=16)
+    for path in files:
+        size = path.stat().st_size
+        digest.update(str(size).encode())
+        with path.open("rb") as file:
+            if size <= _WHOLE:
+                digest.update(file.read())
+                continue
+            for i in range(_SAMPLES):
+                file.seek((size - _BLOCK) * i // (_SAMPLES - 1))
+                digest.update(file.read(_BLOCK))
+    return digest.hexdigest()
+
+
+def load_motion(key: str) -> Motion | None:
+    """Return the motion that was kept under a name, None if there is none or it cannot be read."""
+    try:
+        with np.load(cache_folder() / f"{key}.npz", allow_pickle=False) as data:
+            arrays = [data[name] for name in ("times", "positions", "quaternions")]
+            problems = tuple(str(text) for text in data["problems"])
+            return Motion(str(data["method"]), *arrays, float(data["ms_per_sweep"]), problems)
+    except Exception:  # a damaged cache is no reason to fail: the motion is estimated again
+        return None
+
+
+def save_motion(key: str, motion: Motion) -> None:
+    """Keep a motion under a name. Does nothing if the folder cannot be written."""
+    folder = cache_folder()
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
+            try:
+                np.savez_compressed(file, **motion._asdict() | {"problems": np.array(motion.problems, dtype=str)})
+                file.close()
+                os.replace(file.name, folder / f"{key}.npz")
+            except BaseException:
+                os.unlink(file.name)
+                raise
