@@ -44,16 +44,16 @@ class Matches(NamedTuple):
 
 def match(surface: NDArray[np.floating], points: NDArray[np.floating]) -> Matches:
     """Return the points [P, 3] [m] that have a flat piece of the cloud `surface` [S, 3] [m] next to them."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     empty = Matches(np.zeros(0, np.intp), np.zeros((0, _SURFACE_POINTS), np.intp), np.zeros((0, 3)), np.zeros(0))
     if len(surface) < _SURFACE_POINTS or not len(points):
         return empty
-    far, index = cKDTree(surface).query(points, k=_SURFACE_POINTS, distance_upper_bound=_MAX_DISTANCE)
+    far, index = KDTree(surface).query(points, k=_SURFACE_POINTS, distance_upper_bound=_MAX_DISTANCE)
     query = np.flatnonzero(np.isfinite(far).all(axis=1))
     if not len(query):
         return empty
-    index = index[query]
+    index = np.asarray(index)[query]
     patch = surface[index].astype(np.float64)
     centre = patch.mean(axis=1)
     spread = np.einsum("nki,nkj->nij", patch - centre[:, None], patch - centre[:, None]) / _SURFACE_POINTS
@@ -92,7 +92,8 @@ def fit_of_sweeps(recording: Recording, poses: RecordedPoses) -> list[tuple[floa
     """Return times [s] and the shares of the points then that lie on surfaces of the five sweeps before."""
     count = len(recording.sweep_times)
     found = []
-    for index in np.unique(np.linspace(_SWEEPS_BEFORE, count - 1, _CHECKS).astype(int)) if count > 2 else ():
+    first = min(_SWEEPS_BEFORE, max(count - 1, 1))
+    for index in np.unique(np.linspace(first, count - 1, _CHECKS).astype(int)) if count > first else ():
         before = range(max(0, index - _SWEEPS_BEFORE), index)
         surface = np.concatenate([place(thin(recording.sweep(i), 10_000), poses) for i in before])
         matches = match(surface, place(thin(recording.sweep(int(index)), _QUERIES), poses))

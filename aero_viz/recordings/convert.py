@@ -106,7 +106,7 @@ def convert(
         try:
             with partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
-                if recording is not None and recording.poses is not None:
+                if recording is not None and recording.poses is not None and not recording.has_own_poses:
                     output.write_poses(recording, window)
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
@@ -244,6 +244,8 @@ def _static_transform(parent: str, child: str, pose: Any, stamp: int) -> bytes:
         rotation=message_type("geometry_msgs/msg/Quaternion")(x=i, y=j, z=k, w=w),
     )
     stamped = message_type("geometry_msgs/msg/TransformStamped")(
-        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=parent), child_frame_id=child, transform=transform
+        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=parent),
+        child_frame_id=child,
+        transform=transform,
     )
     return encode_message(message_type(TF_TYPES[0])(transforms=[stamped]), TF_TYPES[0])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import os
+import sys
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import compose_transforms, conjugate, multiply, quaternion_of_matrix, rotation_matrix
+from aero_planner.quaternions import quaternion_of_matrix, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.poses import RecordedPoses
@@ -35,7 +40,7 @@ _MAX_SPEED, _MAX_ACCELERATION = 40.0, 60.0
 """A drone is slower, and brakes and accelerates less; an estimate beyond them is wrong [m/s], [m/s^2]."""
 _MAX_LOST = 0.1
 """Share of sweeps without a pose beyond which the odometry has failed."""
-_MIN_FIT = 0.6
+_MIN_FIT = 0.5
 """Share of points that must lie on surfaces seen by the sweeps before, or else the estimate has probably drifted."""
 
 
@@ -73,7 +78,9 @@ def choose_method(choice: OdometryChoice, imu: ImuSamples | None, *, timed: bool
     """
     lacking = "no sensor_msgs/Imu" if imu is None else "" if timed else "no time per point"
     if choice == "rko-lio" and lacking:
-        raise UserError(f"--odometry rko-lio needs an IMU and a time per point, and {lacking} is recorded: use kiss-icp")
+        raise UserError(
+            f"--odometry rko-lio needs an IMU and a time per point, and {lacking} is recorded: use kiss-icp"
+        )
     if choice == "auto":
         return "kiss-icp" if lacking else "rko-lio"
     return choice
@@ -111,7 +118,8 @@ def estimate_motion(
     for index in range(count):
         sweep = recording.sweep(index)
         began = time.perf_counter()
-        matrix = register(sweep) if len(sweep.points) else None
+        with _silent_stdout():
+            matrix = register(sweep) if len(sweep.points) else None
         ms.append(1e3 * (time.perf_counter() - began))
         end = sweep.time + (float(sweep.point_times.max()) if sweep.point_times is not None else 0.0)
         if matrix is not None and np.isfinite(matrix).all() and (not times or end > times[-1]):
@@ -163,6 +171,7 @@ class _RkoLio:
             from rko_lio.rko_lio_pybind import InputError
         except ImportError as error:
             raise _not_installed("rko-lio", error) from error
+        _silence_exit()
         config = LIOConfig(min_range=_MIN_RANGE, max_range=_MAX_RANGE, voxel_size=_RKO_VOXEL)
         self._lio, self._failure = LIO(config), InputError
         self._imu, self._start, self._next = imu, start, 0
@@ -183,6 +192,31 @@ class _RkoLio:
         except self._failure:
             return None
         return self._lio.pose() @ self._level
+
+
+@contextlib.contextmanager
+def _silent_stdout() -> Iterator[None]:
+    """Discard what the native libraries print, which would end up between the lines of a report."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+@cache
+def _silence_exit() -> None:
+    """Discard what rko-lio prints when the process ends."""
+
+    def discard() -> None:
+        sys.stdout.flush()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+    atexit.register(discard)
 
 
 def _not_installed(name: str, error: ImportError) -> UserError:
@@ -226,7 +260,8 @@ def _signs_of_failure(motion: Motion, count: int) -> list[str]:
     velocity = np.diff(motion.positions, axis=0) / steps[:, None]
     speed = np.linalg.norm(velocity, axis=1)
     change = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / steps[1:]
-    wrong = np.append(speed > _MAX_SPEED, False) | np.concatenate([[False, False], change > _MAX_ACCELERATION])[: len(speed) + 1]
+    wrong = speed > _MAX_SPEED
+    wrong[1:] |= change > _MAX_ACCELERATION
     if wrong.any():
         first = motion.times[int(np.flatnonzero(wrong)[0])]
         problems.append(

@@ -8,6 +8,7 @@ import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +48,11 @@ def load_motion(key: str) -> Motion | None:
     """Return the motion that was kept under a name, None if there is none or it cannot be read."""
     try:
         with np.load(cache_folder() / f"{key}.npz", allow_pickle=False) as data:
-            arrays = [data[name] for name in ("times", "positions", "quaternions")]
-            problems = tuple(str(text) for text in data["problems"])
-            return Motion(str(data["method"]), *arrays, float(data["ms_per_sweep"]), problems)
+            arrays = {name: data[name] for name in ("times", "positions", "quaternions")}
+            problems = tuple(map(str, data["problems"]))
+            return Motion(
+                method=str(data["method"]), ms_per_sweep=float(data["ms_per_sweep"]), problems=problems, **arrays
+            )
     except Exception:  # a damaged cache is no reason to fail: the motion is estimated again
         return None
 
@@ -61,7 +64,8 @@ def save_motion(key: str, motion: Motion) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
             try:
-                np.savez_compressed(file, **motion._asdict() | {"problems": np.array(motion.problems, dtype=str)})
+                arrays: dict[str, Any] = {**motion._asdict(), "problems": np.array(motion.problems, dtype=str)}
+                np.savez_compressed(file, **arrays)
                 file.close()
                 os.replace(file.name, folder / f"{key}.npz")
             except BaseException:

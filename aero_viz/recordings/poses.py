@@ -77,13 +77,14 @@ class RecordedPoses:
                 self.velocities, self.measured_velocity = rotate(q, twist), True
         self.longest_gap = max(_MIN_LONGEST_GAP, 3.0 * float(np.median(np.diff(t)))) if len(t) > 1 else _MIN_LONGEST_GAP
         """Longest time between two poses that is interpolated [s]."""
-        self._quaternions = q
+        self.quaternions: Array = q
+        """[n, 4] w, x, y, z, body to world."""
         self.track = self._build_track()
         """The poses relative to `offset`, and an extrapolated one at either end."""
 
     def _build_track(self) -> PoseTrack:
         # Extrapolated poses at either end let the track serve the times within the tolerance, too.
-        t, p, q, reach = self.times, self.positions, self._quaternions, POSE_TOLERANCE * self.velocities
+        t, p, q, reach = self.times, self.positions, self.quaternions, POSE_TOLERANCE * self.velocities
         return PoseTrack.from_arrays(
             np.concatenate([t[:1] - POSE_TOLERANCE, t, t[-1:] + POSE_TOLERANCE]),
             np.concatenate([p[:1] - reach[:1], p, p[-1:] + reach[-1:]]),

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["NO_POSES", "PointSweep", "Recording", "open_recording"]
 
 NO_POSES = (
-    "no poses are recorded: the sensor is assumed to stand still; --odometry auto estimates its motion from the sweeps, "
-    "and --poses FILE reads it from a file"
+    "no poses are recorded: the sensor is assumed to stand still; play with --odometry auto to estimate its motion "
+    "from the sweeps"
 )
 """Notice for a recording without poses."""
 
@@ -110,6 +110,8 @@ class Recording:
         self.cloud_frame = kept[0].frame
         """Frame of the clouds."""
         self.pose_topic = source.topic if source else None
+        self.has_own_poses = source is not None
+        """True if the poses are those of the recording, False without any or after `use_poses`."""
         self.poses: RecordedPoses | None = None
         """Motion of the body, None if no poses are recorded."""
         self.extrinsic: Transform = IDENTITY
@@ -131,7 +133,7 @@ class Recording:
             name: name of their origin, in place of a topic.
             problems: notices for the user about them.
         """
-        self.poses, self.pose_topic = poses, name
+        self.poses, self.pose_topic, self.has_own_poses = poses, name, False
         self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
 
     @property
@@ -228,7 +230,9 @@ def _add_odometry(
             recording, method, imu, imu_mount=mount or IDENTITY, start=recording.start, progress=progress
         )
         if imu and mount is None and imu.frame != body:
-            notice = f"no static transform joins the IMU's frame {imu.frame!r} and that of the body: assumed to be the same"
+            notice = (
+                f"no static transform joins the IMU's frame {imu.frame!r} and that of the body: assumed to be the same"
+            )
             motion = motion._replace(problems=(*motion.problems, notice))
         save_motion(key, motion)
     source = f"poses are estimated by {motion.method}, {motion.ms_per_sweep:.0f} ms a sweep"

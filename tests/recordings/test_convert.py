@@ -1,0 +1,109 @@
+"""Conversion to MCAP, read back with this project's reader, mcap's and rosbags'."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import bags
+import numpy as np
+import pytest
+from command_line import run_json, run_refused
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from aero_viz.recordings import open_recording
+
+Write = Callable[[list[bags.Item]], Path]
+
+
+def recorded(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the points of all sweeps, and times and positions of the poses [n, 4]."""
+    with open_recording(path) as recording:
+        assert recording.poses is not None
+        sweeps = [recording.sweep(i).points for i in range(len(recording.sweep_times))]
+        return sweeps, np.column_stack([recording.poses.times, recording.poses.positions + recording.poses.offset])
+
+
+def test_every_format_converts_to_the_same_sweeps_and_poses(
+    written: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = written([*bags.drive(), bags.text(0.05)])
+    target = tmp_path / "converted.mcap"
+    report = run_json(capsys, "convert", str(source), str(target))
+    assert report["left_out"] == {} and report["topics"]["/points"] == 10
+    for before, after in zip(recorded(source), recorded(target), strict=True):
+        np.testing.assert_array_equal(np.concatenate(before), np.concatenate(after))
+
+
+def test_the_file_opens_with_the_readers_of_mcap_and_rosbags(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, target = mcap_of([*bags.drive(), bags.text(0.05)]), tmp_path / "converted.mcap"
+    run_json(capsys, "convert", str(source), str(target))
+    with target.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        decoded = [
+            (channel.topic, message.log_time, ros) for _, channel, message, ros in reader.iter_decoded_messages()
+        ]
+    clouds = [(time, cloud) for topic, time, cloud in decoded if topic == "/points"]
+    assert [time for time, _ in clouds] == [bags.START + round(1e8 * k) for k in range(10)]
+    assert clouds[0][1].width == 200
+    with AnyReader([target]) as bag:
+        kinds = {connection.topic: connection.msgtype for connection in bag.connections}
+        assert kinds["/points"] == "sensor_msgs/msg/PointCloud2" and kinds["/odom"] == "nav_msgs/msg/Odometry"
+        assert all(bag.deserialize(raw, connection.msgtype) for connection, _, raw in bag.messages())
+
+
+def test_a_cut_keeps_stamps_and_drops_points_and_topics_as_asked(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, target = mcap_of([*bags.drive(), bags.text(0.5)]), tmp_path / "cut.mcap"
+    arguments = ("--start", "0.25", "--end", "0.65", "--topics", "/points", "/odom", "--decimate", "4")
+    report = run_json(capsys, "convert", str(source), str(target), *arguments)
+    assert report["topics"] == {"/points": 4, "/odom": 16}
+    whole, cut = recorded(source), recorded(target)
+    for k, points in enumerate(cut[0]):
+        np.testing.assert_array_equal(points, whole[0][3 + k][::4])
+    with open_recording(source) as before, open_recording(target) as after:
+        assert after.start - before.start == 300_000_000
+
+
+def test_livox_clouds_become_point_clouds_with_their_times(
+    written: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    offsets = np.arange(50) * 2_000_000
+    source = written([bags.odometry(0.0, (0, 0, 0)), bags.livox(0.0, bags.wall(50), offsets)])
+    target = tmp_path / "converted.mcap"
+    report = run_json(capsys, "convert", str(source), str(target))
+    assert report["left_out"] == {}
+    with open_recording(target) as recording:
+        sweep = recording.sweep(0)
+    np.testing.assert_allclose(sweep.points, bags.wall(50), atol=1e-6)
+    assert sweep.point_times is not None
+    np.testing.assert_allclose(sweep.point_times, 1e-9 * offsets, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--topics", "/nothing"), "has no topic /nothing; it has /odom, /points"),
+        (("--start", "5"), "is left to write: the recording lasts 0.9 s"),
+        (("--start", "2", "--end", "1"), "--start 2 must be before --end 1"),
+        (("--decimate", "0"), "--decimate must be at least 1, not 0"),
+    ],
+)
+def test_mistakes_leave_no_file(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
+    target = tmp_path / "out.mcap"
+    assert message in run_refused(capsys, "convert", str(mcap_of(bags.drive())), str(target), *arguments)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest.CaptureFixture[str]) -> None:
+    source = mcap_of(bags.drive())
+    before = source.read_bytes()
+    assert "is the recording itself" in run_refused(capsys, "convert", str(source), str(source))
+    assert source.read_bytes() == before
