@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.recordings.poses import RecordedPoses
-from aero_viz.recordings.recording import PointSweep, Recording
+
+if TYPE_CHECKING:
+    from aero_viz.recordings.recording import PointSweep, Recording
 
 __all__ = ["Matches", "fit_of_sweeps", "match", "place", "thin"]
 
