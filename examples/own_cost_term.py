@@ -39,7 +39,7 @@ for weight in (0.0, 200.0):
     while source.outcome is None:
         seen = source.observe()
         plan = planner.plan(
-            seen.state, seen.goal, seen.points, cloud_age=seen.cloud_age, ground_height=seen.ground_height
+            seen.state, seen.goal, seen.sweeps, cloud_age=seen.cloud_age, ground_height=seen.ground_height
         )
         source.advance(with_height_cost(plan, weight))
         heights.append(np.asarray(seen.state.position)[2])

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from aero_planner import Goal, Plan, VehicleState
+from aero_planner import Goal, Plan, Sweeps, VehicleState
 from aero_viz.session import Session
 from aero_viz.session.source import Observation, SourceInfo
 
@@ -29,7 +29,7 @@ class CrossingBall:
         tick, goal, *state = self._state
         time = tick * self.info.period
         points = BALL + np.array([10.0, 4.5 - 2.0 * time, 2.0])
-        return Observation(time, VehicleState(*state), Goal(goal), points.astype(np.float32), sweep_count=1)
+        return Observation(time, VehicleState(*state), Goal(goal), Sweeps([points.astype(np.float32)]))
 
     def advance(self, plan: Plan) -> None:
         tick, goal, *_ = self._state

@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -83,7 +82,7 @@ class FlightBatch:
 
     Attributes:
         simulator: states, outcomes and records.
-        planner: its inputs, points and outputs are those of the last plan.
+        planner: its inputs and outputs are those of the last plan.
         interrupted: True if Ctrl-C ended the last `run`.
     """
 
@@ -140,12 +139,13 @@ class FlightBatch:
             device=device,
             noise=noise,
         )
-        self.planner.reserve(SWEEPS * self.simulator.lidar.model.points_per_sweep)
+        self.planner.reserve_sweeps(SWEEPS, SWEEPS * self.simulator.lidar.model.points_per_sweep)
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
         self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
+        self._observe()
         for sweep in range(-SWEEPS, 0):
             self.simulator.measure_sweep(sweep)
-            self._store_sweep(sweep)
+            self.planner.store_sweep(sweep % SWEEPS, self.simulator.lidar.points)
 
     def step(self) -> None:
         """Fly one tick, and plan before it if a new plan is due. Finished flights do not change."""
@@ -155,7 +155,7 @@ class FlightBatch:
             self._plan()
         sweep, _, end = self.simulator.advance(self.planner.command, phase=part * self._phase_step)
         if end == self.simulator.lidar.model.points_per_sweep:
-            self._store_sweep(sweep)
+            self.planner.store_sweep(sweep % SWEEPS, self.simulator.lidar.points)
 
     def run(self, *, progress: BatchProgress | None = None) -> list[FlightResult]:
         """Fly until all flights are over, or until Ctrl-C; unfinished flights then have the reason None.
@@ -227,10 +227,3 @@ class FlightBatch:
             wp.synchronize_event(self._pending[-1][1])
             self._plan_ms += [wp.get_event_elapsed_time(*pair, synchronize=False) for pair in self._pending]
             self._pending.clear()
-
-    def _store_sweep(self, sweep: int) -> None:
-        """Copy a complete sweep to the planner's cloud, in place of the oldest sweep."""
-        size = self.simulator.lidar.model.points_per_sweep
-        first = sweep % SWEEPS * size
-        oldest: Any = self.planner.points[:, first : first + size]
-        wp.copy(oldest, self.simulator.lidar.points)

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Goal, Plan, PlannerConfig, VehicleState
+from aero_planner import Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS
 from aero_viz.flight.estimate import StateNoise
@@ -149,8 +149,7 @@ class FlightSource:
                 time=self.simulator.time,
                 state=self._state,
                 goal=Goal(self._goal),
-                points=self._points,
-                sweep_count=len(self._sweeps),
+                sweeps=self._cloud,
                 ground_height=self._world.ground_height,
                 true_state=self._true_state,
             )
@@ -287,8 +286,7 @@ class FlightSource:
     def _set_sweeps(self, sweeps: tuple[_Sweep, ...]) -> None:
         """Make the cloud of these sweeps, oldest first."""
         self._sweeps = sweeps
-        self._points = np.concatenate([self._sweep_points(sweep) for sweep in sweeps])
-        self._points.flags.writeable = False
+        self._cloud = Sweeps(self._sweep_points(sweep) for sweep in sweeps)
         self._observation = None
 
     def _sweep_points(self, sweep: _Sweep) -> Cloud:
@@ -327,4 +325,6 @@ def _settings(simulator: Simulator) -> dict[str, Any]:
 def _join_returns(parts: list[Cloud]) -> Cloud:
     """Join the parts of a sweep without the rays that have no return."""
     points: Any = np.concatenate(parts)
-    return np.compress(~np.isnan(points[:, 0]), points, axis=0)
+    returns: Any = np.compress(~np.isnan(points[:, 0]), points, axis=0)
+    returns.flags.writeable = False
+    return returns

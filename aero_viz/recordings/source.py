@@ -8,8 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Goal, Plan, VehicleState
+from aero_planner import Goal, Plan, Sweeps, VehicleState
 from aero_planner.quaternions import rotate, rotation_matrix
+from aero_planner.sweeps import as_constant
 from aero_viz.errors import UserError
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
 from aero_viz.recordings.recording import Recording
@@ -112,7 +113,7 @@ class RecordingSource:
         # As many sweeps as one observation needs.
         self._world_sweep = lru_cache(maxsize=sweeps + 2)(self._compute_world_sweep)
         # Poses are more frequent than sweeps.
-        self._joined_sweeps = lru_cache(maxsize=1)(self._join_sweeps)
+        self._sweeps = lru_cache(maxsize=1)(self._collect_sweeps)
 
     @property
     def goal_ahead(self) -> float:
@@ -138,7 +139,7 @@ class RecordingSource:
         first, last = self._window(time)
         age = time - float(self.recording.sweep_times[last - 1])
         goal = Goal(self._goal_at(time, pose))
-        return Observation(time, state, goal, self._joined_sweeps(first, last), last - first, cloud_age=max(age, 0.0))
+        return Observation(time, state, goal, self._sweeps(first, last), cloud_age=max(age, 0.0))
 
     def advance(self, plan: Plan | None = None) -> None:
         """Go to the next tick; the plan is ignored. After the last tick the outcome is "end"."""
@@ -179,7 +180,7 @@ class RecordingSource:
     def close(self) -> None:
         """Close the recording."""
         self._world_sweep.cache_clear()
-        self._joined_sweeps.cache_clear()
+        self._sweeps.cache_clear()
         self.recording.close()
 
     def _pose(self, time: float) -> Pose:
@@ -210,13 +211,15 @@ class RecordingSource:
             first -= 1
         return first, last
 
-    def _join_sweeps(self, first: int, last: int) -> NDArray[np.float32]:
-        """Return sweeps first .. last - 1 in the world frame [P, 3] [m], read-only."""
-        cloud = np.concatenate([self._world_sweep(i) for i in range(first, last)])
-        cloud.flags.writeable = False
-        return cloud
+    def _collect_sweeps(self, first: int, last: int) -> Sweeps:
+        """Return sweeps first .. last - 1 in the world frame [m]."""
+        return Sweeps(self._world_sweep(i) for i in range(first, last))
 
     def _compute_world_sweep(self, index: int) -> NDArray[np.float32]:
+        """Return a sweep in the world frame [n, 3] [m], read-only."""
+        return as_constant(self._place_sweep(index))
+
+    def _place_sweep(self, index: int) -> NDArray[np.float32]:
         """Return a sweep in the world frame [P, 3] [m]."""
         sweep, poses = self.recording.sweep(index), self.recording.poses
         if poses is None or not len(sweep.points):

@@ -191,7 +191,7 @@ class Engine:
         plan = self._planner.plan(
             observation.state,
             observation.goal,
-            observation.points,
+            observation.sweeps,
             cloud_age=observation.cloud_age,
             ground_height=observation.ground_height,
             samples=self.samples,

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Goal, Plan, PlannerConfig, PlanStatus, VehicleState
+from aero_planner import Goal, Plan, PlannerConfig, PlanStatus, Sweeps, VehicleState
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP
@@ -169,8 +169,7 @@ class _FrameMaker:
             time=time - self._start_time,
             state=measured,
             goal=Goal(arrays["goal"].reshape(3)),
-            points=points,
-            sweep_count=int(values["sweeps"]),
+            sweeps=Sweeps(np.array_split(points, max(int(values["sweeps"]), 1))),
             cloud_age=float(values["cloud_age"]),
         )
         plan = Plan(

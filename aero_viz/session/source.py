@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Goal, Plan, VehicleState
+from aero_planner import Goal, Plan, Sweeps, VehicleState
 
 if TYPE_CHECKING:
     from aero_viz.scenes import World
@@ -27,16 +27,24 @@ class Observation:
     """Estimated state, world frame."""
     goal: Goal
     """Goal, world frame."""
-    points: NDArray[np.float32]
-    """Accumulated cloud [m], shape [P, 3], world frame; rows with NaN or infinity are ignored."""
-    sweep_count: int = 0
-    """Number of sweeps in `points`."""
+    sweeps: Sweeps
+    """Last sweeps of the LiDAR, world frame [m]; rows with NaN or infinity are ignored."""
     cloud_age: float = 0.0
     """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
     ground_height: float | None = None
     """Height of the flat ground [m], world frame; None where there is none or it is unknown."""
     true_state: VehicleState | None = None
     """True state of a simulated vehicle; None for a recording."""
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """Joined cloud [m], shape [P, 3], world frame; the same array as long as the sweeps are the same."""
+        return self.sweeps.points
+
+    @property
+    def sweep_count(self) -> int:
+        """Number of sweeps in the cloud."""
+        return len(self.sweeps)
 
     @property
     def actual_state(self) -> VehicleState:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from aero_planner.deploy.aot import compile_ahead, warmup
     from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
     from aero_planner.planner import Planner
+    from aero_planner.sweeps import Sweeps
 
 __all__ = [
     "Goal",
@@ -18,6 +19,7 @@ __all__ = [
     "PlanStatus",
     "Planner",
     "PlannerConfig",
+    "Sweeps",
     "VehicleState",
     "compile_ahead",
     "warmup",
@@ -29,6 +31,7 @@ __getattr__, __dir__ = lazy_exports(
         "config": ("PlannerConfig",),
         "plan": ("Goal", "Plan", "PlanStatus", "VehicleState"),
         "planner": ("Planner",),
+        "sweeps": ("Sweeps",),
         "deploy.aot": ("compile_ahead", "warmup"),
     },
 )

@@ -9,24 +9,28 @@ Shapes use these symbols:
     F   fine cells, F0 rows x F1 columns    C   coarse cells
     G   cells of the clearance grid         V   packs of points in its list, of V0 points each
     W   workers: CPU threads, 1 on CUDA     T   noise sequences in the table
+    S   sweeps of the cloud                 P   points of the cloud
+    E   counters of a sweep
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
-from aero_planner.array_memory import array
+from aero_planner.array_memory import array, as_dict
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.clearance import GRID
 from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.mppi import NOISE_ROWS, PROBES
+from aero_planner.kernels.records import CloudSweeps, bundle
 from aero_planner.kernels.warp_ops import point_pack
 
-__all__ = ["PlannerInputs", "PlannerOutputs", "Sizes", "Workspace", "fine_shape"]
+__all__ = ["CloudArrays", "PlannerInputs", "PlannerOutputs", "Sizes", "Workspace", "fine_shape"]
 
 
 @dataclass(eq=False)
@@ -44,6 +48,33 @@ class PlannerInputs:
     cloud_age: wp.array = array(wp.float32, "B", "s", "Time since the cloud was measured.")
     ground_height: wp.array = array(wp.float32, "B", "m", "Height of flat ground; -inf where it is unknown.")
     point_count: wp.array = array(wp.int32, "B", "", "Number of points of the cloud.")
+
+
+@dataclass(eq=False)
+class SweepTable:
+    """The places of the sweeps in the ring, as in `CloudArrays`."""
+
+    oldest: wp.array = array(wp.int32, "1", "", "Index of the first point of the oldest sweep.")
+    start: wp.array = array(wp.int32, "S", "", "Index of the first point of each sweep.")
+    count: wp.array = array(wp.int32, "B S", "", "Number of points of each sweep.")
+
+
+@dataclass(eq=False)
+class CloudArrays:
+    """The cloud, as sweeps in a ring; see `aero_planner.kernels.records.CloudSweeps`."""
+
+    points: wp.array = array(wp.vec3, "B P", "m", "Points of the ring, world frame.")
+    oldest: wp.array = array(wp.int32, "1", "", "Index of the first point of the oldest sweep.")
+    start: wp.array = array(wp.int32, "S", "", "Index of the first point of each sweep.")
+    count: wp.array = array(wp.int32, "B S", "", "Number of points of each sweep.")
+    center: wp.array = array(wp.vec3, "B S", "m", "Centre of the shells of each sweep, world frame.")
+    reach: wp.array = array(wp.float32, "B S", "m", "Radius of the first shell; negative: the sweep is not ordered.")
+    shell_ends: wp.array = array(wp.int32, "B*S E", "", "End of each shell in `order`, and the points not finite.")
+    order: wp.array = array(wp.int32, "B P", "", "Indices of the points of each sweep, by shell.")
+
+    def bundle(self) -> Any:
+        """Return the arrays as the argument of a kernel."""
+        return bundle(CloudSweeps, **as_dict(self))
 
 
 @dataclass(eq=False)

@@ -1,17 +1,30 @@
-"""The point clouds of a batch in one device array."""
+"""The point clouds of a batch that the caller has joined, in one device array."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner.array_memory import allocate
+from aero_planner.arrays import CloudArrays
+from aero_planner.kernels.shells import COUNTERS
+from aero_planner.sweeps import is_constant
+
 __all__ = ["Cloud", "Points"]
 
 Points = NDArray[Any] | wp.array | Sequence[NDArray[Any]]
+
+
+class _Sizes(NamedTuple):
+    B: int
+    S: int = 1
+    P: int = 1
+    E: int = int(COUNTERS)
 
 
 class Cloud:
@@ -19,18 +32,26 @@ class Cloud:
 
     Args:
         batch: B, or None for one drone whose cloud has no leading axis.
-        device: device of the array.
+        point_count: number of points of each drone, int [B].
 
     Attributes:
-        array: shape [B, P], vec3 [m], world frame; NaN where no point was written yet.
+        arrays: the cloud as one sweep, whose points are not ordered; NaN where no point was written yet.
     """
 
-    def __init__(self, batch: int | None, device: wp.Device) -> None:
+    def __init__(self, batch: int | None, point_count: wp.array) -> None:
         self._batched = batch is not None
         self._batch = batch or 1
-        self._device = device
+        self._device = device = wp.get_device(str(point_count.device))
         self._written: Any = None
-        self.array: wp.array = wp.full((self._batch, 1), wp.vec3(np.nan), dtype=wp.vec3, device=device)
+        count = wp.array(ptr=point_count.ptr, dtype=int, shape=(self._batch, 1), device=device)
+        arrays = allocate(CloudArrays, _Sizes(self._batch), device)
+        arrays.reach.fill_(-1.0)
+        self.arrays = dataclasses.replace(arrays, points=self._new_array(1), count=count)
+
+    @property
+    def array(self) -> wp.array:
+        """Shape [B, P], vec3 [m], world frame."""
+        return self.arrays.points
 
     @property
     def capacity(self) -> int:
@@ -47,8 +68,11 @@ class Cloud:
         if count == self.capacity:
             self.array.fill_(wp.vec3(np.nan))
             return False
-        self.array = wp.full((self._batch, max(count, 1)), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
+        self.arrays = dataclasses.replace(self.arrays, points=self._new_array(max(count, 1)))
         return True
+
+    def _new_array(self, count: int) -> wp.array:
+        return wp.full((self._batch, count), wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
 
     def is_current(self, points: Points) -> bool:
         """Return True if the array already holds `points`: they are this array, or a read-only array written last."""
@@ -67,9 +91,7 @@ class Cloud:
                     np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False
                 )
                 wp.copy(row, source, count=len(cloud))
-        # Nobody can change an array that is read-only and owns its memory.
-        is_constant = isinstance(points, np.ndarray) and points.base is None and not points.flags.writeable
-        self._written = points if is_constant else None
+        self._written = points if is_constant(points) else None
 
     def split(self, points: Points) -> list[Any]:
         """Return the cloud of each drone.

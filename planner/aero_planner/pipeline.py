@@ -13,7 +13,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner.array_memory import as_scalars, as_vectors
-from aero_planner.arrays import PlannerInputs, PlannerOutputs, Sizes, Workspace
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels import anchors, clearance, guides, mppi, partition, selection
 from aero_planner.kernels.kernel_tuning import KernelTuning
@@ -57,7 +57,7 @@ class Pipeline(LaunchSequence):
         sizes: sizes of the arrays.
         tuning: tuning of the device for one drone.
         inputs, outputs, work: arrays of the planner.
-        points: cloud, shape [B, P], vec3 [m], world frame.
+        cloud: the sweeps to plan from.
         params: live parameters, shape [B].
     """
 
@@ -70,14 +70,14 @@ class Pipeline(LaunchSequence):
         inputs: PlannerInputs,
         outputs: PlannerOutputs,
         work: Workspace,
-        points: wp.array,
+        cloud: CloudArrays,
         params: wp.array,
     ) -> None:
-        super().__init__(wp.get_device(str(points.device)), sizes.W)
+        super().__init__(wp.get_device(str(params.device)), sizes.W)
         self._config, self._sizes = config, sizes
         self._tuning, self._batch_tuning = tuning, tuning.for_batch(sizes.B)
         self._inputs, self._outputs, self._work = inputs, outputs, work
-        self._points, self._params = points, params
+        self._cloud, self._params = cloud, params
         kinds = config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
@@ -115,7 +115,6 @@ class Pipeline(LaunchSequence):
             waypoint=w.previous_waypoint,
             time=w.previous_time,
         )
-        self._scatter_launches: list[Any] = []
         self.stages = self._record()
 
     # --- the stages, in the order of docs/design.md ------------------------------------------------------------------
@@ -153,32 +152,29 @@ class Pipeline(LaunchSequence):
         return [w.cell_ends.zero_, w.points_used.zero_, place]
 
     def _scan_points(self) -> list[Chunk]:
-        """Find the nearest point of each fine cell; every worker scans a slice of the cloud."""
-        i, w, per_thread = self._inputs, self._work, self._tuning.points_per_thread
-        share = -(-self._points.shape[1] // (per_thread * self._sizes.W))
-        chunks: list[Chunk] = []
-        for worker in range(self._sizes.W):
-            command: Any = wp.launch(
+        """Find the nearest point of each fine cell; every worker scans its share of every sweep."""
+        i, w, cloud = self._inputs, self._work, self._cloud
+        B, sweeps, points = self._sizes.B, cloud.start.shape[0], cloud.points.shape[1]
+        threads = self._tuning.threads_per_sweep(B * sweeps, points)
+        return [
+            self.serial("partition", self.record(
                 partition.scatter_points(self._tuning),
-                (self._sizes.B, share),
+                (B, sweeps, threads),
                 inputs=[
-                    worker * share * per_thread, worker, self._points, i.point_count, i.position, i.quaternion,
-                    self._params, self._sizes.F0, self._sizes.F1,
+                    worker, threads * self._sizes.W, cloud.bundle(), i.position, i.quaternion, self._params,
+                    self._sizes.F0, self._sizes.F1,
                 ],
                 outputs=[w.cell_keys, w.worker_dropped],
-                device=self._device,
-                record_cmd=True,
-            )  # fmt: skip
-            self._scatter_launches.append(command)
-            chunks.append([("partition", command.launch)])
-        return chunks
+            ))[0]
+            for worker in range(self._sizes.W)
+        ]  # fmt: skip
 
     def _finish_fine_cells(self) -> Callable[[], Any]:
         o, w = self._outputs, self._work
         return self.record(
             partition.finish_fine_cells,
             (self._sizes.B, self._sizes.F),
-            inputs=[self._points, self._params, w.cell_keys, w.worker_dropped],
+            inputs=[self._cloud.bundle(), self._params, w.cell_keys, w.worker_dropped],
             outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
         )
 
@@ -347,13 +343,3 @@ class Pipeline(LaunchSequence):
             ],
             block_dim=32,
         )  # fmt: skip
-
-    def limit_points(self, count: int) -> None:
-        """Scan only the first `count` points of each drone; on CUDA a captured launch always covers all points."""
-        if self._device.is_cpu:
-            per_thread, workers = self._tuning.points_per_thread, self._sizes.W
-            groups = -(-count // per_thread)
-            share = -(-groups // workers)
-            for worker, command in enumerate(self._scatter_launches):
-                command.set_param_at_index(0, worker * share * per_thread)
-                command.set_dim((self._sizes.B, max(0, min(share, groups - worker * share))))

@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.array_memory import PackedArrays, allocate, as_dict
-from aero_planner.arrays import PlannerInputs, PlannerOutputs, Sizes, Workspace, fine_shape
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace, fine_shape
 from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.kernel_tuning import CPU, CUDA
@@ -24,9 +24,14 @@ from aero_planner.kernels.partition import EMPTY, fill_directions
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
 from aero_planner.plan_inputs import check_inputs
+from aero_planner.sweep_memory import SweepMemory
+from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import find_device
 
 __all__ = ["History", "Planner"]
+
+_MIN_SWEEPS = 16
+"""Sweeps for which there is room at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +96,9 @@ class Planner:
         self._allocate()
         self._inputs = PackedArrays(PlannerInputs, self._sizes, self._device)
         self._set_input_defaults()
-        self._cloud = Cloud(batch, self._device)
+        self._cloud = Cloud(batch, self._inputs.arrays.point_count)
+        self._memory: SweepMemory | None = None
+        self._scanned = self._cloud.arrays
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
         self._write_params([self._config])
         self._pipeline = self._make_pipeline()
@@ -127,9 +134,15 @@ class Planner:
             inputs=self._inputs.arrays,
             outputs=self._outputs.arrays,
             work=self._work,
-            points=self._cloud.array,
+            cloud=self._scanned,
             params=self._params,
         )
+
+    def _scan(self, cloud: CloudArrays) -> None:
+        """Plan from this cloud from now on."""
+        if cloud is not self._scanned:
+            self._scanned = cloud
+            self._replace_pipeline()
 
     def _replace_pipeline(self) -> None:
         """Record the launches again, after arrays were replaced."""
@@ -216,11 +229,30 @@ class Planner:
 
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone. The cloud is then all NaN, which means no points."""
-        if self._cloud.reserve(count):
-            self._replace_pipeline()
+        self._cloud.reserve(count)
         self._inputs.host()["point_count"][:] = count
         self._inputs.upload()
-        self._pipeline.limit_points(count)
+        self._scan(self._cloud.arrays)
+
+    def reserve_sweeps(self, sweeps: int, points: int) -> None:
+        """Make room for sweeps with `points` points per drone in all, and plan from them. There are none yet."""
+        self._memory = SweepMemory(self._inputs.arrays.position, self._params, sweeps=sweeps, points=points)
+        self._scan(self._memory.arrays)
+
+    def store_sweep(self, index: int, points: wp.array) -> None:
+        """Replace a sweep of each drone by points on the device; nothing is copied to or from the host.
+
+        Args:
+            index: which of the sweeps; all have the same size. Of points at the same range, that of the first sweep
+                is kept.
+            points: vec3 [B, n] [m], world frame; NaN for rays without return.
+
+        Raises:
+            ValueError: there is no room for the sweep, see `reserve_sweeps`.
+        """
+        if self._memory is None or self._scanned is not self._memory.arrays:
+            raise ValueError("there is no room for sweeps; call `reserve_sweeps` first.")
+        self._memory.store(index, points)
 
     def reset(self) -> None:
         """Discard the previous plan and restart the noise sequence."""
@@ -256,7 +288,7 @@ class Planner:
         self,
         state: VehicleState,
         goal: Goal,
-        points: Points,
+        points: Points | Sweeps,
         *,
         cloud_age: float = 0.0,
         ground_height: ArrayLike | None = None,
@@ -269,6 +301,7 @@ class Planner:
             goal: state at the goal, world frame.
             points: cloud [m], shape [P, 3], world frame, a NumPy or Warp array; for a batch [B, P, 3] or B arrays.
                 Points that are not finite are dropped and counted. `Planner.points` plans from the cloud on the device.
+                `Sweeps` are fastest for one drone: only those that have arrived since the last plan are copied.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
             ground_height: height of flat ground [m], world frame, which counts as an obstacle unless costs.use_ground
                 is off: a number, or an array of shape [B] for a batch, -inf where it is unknown. None means unknown.
@@ -285,8 +318,12 @@ class Planner:
         host = self._inputs.host()
         for name, value in checked.items():
             host[name][:] = value
-        self._write_points(points)
-        self._inputs.upload()
+        if isinstance(points, Sweeps):
+            self._inputs.upload()
+            self._write_sweeps(points)
+        else:
+            self._write_points(points)
+            self._inputs.upload()
         uploaded = time.perf_counter()
         self.launch()
         values = self._outputs.download()
@@ -297,16 +334,26 @@ class Planner:
         return self._to_plan(values, stage_ms, samples)
 
     def _write_points(self, points: Points) -> None:
-        if self._cloud.is_current(points):
-            return
-        clouds = self._cloud.split(points)
-        counts = [len(cloud) for cloud in clouds]
-        if max(counts) > self._cloud.capacity:
-            # Some room to grow: a cloud that gains a few points with each sweep must not rebuild the graph each time.
-            self.reserve(max(counts) * 5 // 4)
-        self._cloud.write(points, clouds)
-        self._inputs.host()["point_count"][:] = counts
-        self._pipeline.limit_points(max(counts))
+        if not self._cloud.is_current(points):
+            clouds = self._cloud.split(points)
+            counts = [len(cloud) for cloud in clouds]
+            if max(counts) > self._cloud.capacity:
+                # Some room to grow: a cloud that gains a few points with each sweep must not rebuild the graph each
+                # time.
+                self._cloud.reserve(max(counts) * 5 // 4)
+            self._cloud.write(points, clouds)
+            self._inputs.host()["point_count"][:] = counts
+        self._scan(self._cloud.arrays)
+
+    def _write_sweeps(self, sweeps: Sweeps) -> None:
+        if self._batched:
+            raise ValueError("sweeps were given for a batch; give a joined cloud for each drone, or use `store_sweep`.")
+        if self._memory is None or not self._memory.has_room(sweeps):
+            largest = max(map(len, sweeps), default=0)
+            self.reserve_sweeps(max(len(sweeps), _MIN_SWEEPS), (sweeps.point_count + 2 * largest) * 5 // 4)
+        assert self._memory is not None
+        self._memory.hold(sweeps)
+        self._scan(self._memory.arrays)
 
     def _to_plan(self, values: dict[str, NDArray[Any]], stage_ms: dict[str, float], samples: bool) -> Plan:
         """Return the plan of the output arrays, without the rows of the braking candidates."""

@@ -21,6 +21,7 @@ from aero_planner.kernels.kernel_tuning import CUDA
 from aero_planner.pipeline import tuned_kernels
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
+from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import init_warp
 
 __all__ = ["compile_ahead", "kernels_in", "load_kernels", "warmup"]
@@ -50,9 +51,11 @@ def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
 
 
 def load_kernels(planner: Planner) -> None:
-    """Plan once, from rest in front of a single point, which compiles and loads every kernel of `planner`."""
+    """Plan twice, from rest in front of a single point, which compiles and loads every kernel of `planner`."""
     state = VehicleState(position=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0))
-    planner.plan(state, Goal((5.0, 0.0, 0.0)), np.array([[2.0, 0.0, 0.0]]))
+    point = np.array([[2.0, 0.0, 0.0]], dtype=np.float32)
+    for cloud in (Sweeps([point]), point):
+        planner.plan(state, Goal((5.0, 0.0, 0.0)), cloud)
 
 
 @contextmanager

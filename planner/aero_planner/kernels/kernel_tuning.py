@@ -16,6 +16,12 @@ _FEW_DRONES = 2
 """Largest batch that leaves a GPU idle threads."""
 
 
+_SCAN_THREADS = 2**18
+"""Threads that scan the cloud, as many as a large GPU runs at once."""
+_FEWEST_SCAN_THREADS = 512
+"""Fewest threads that share a sweep."""
+
+
 class KernelTuning(NamedTuple):
     """Work per thread, and threads per task, of the kernels of one kind of device."""
 
@@ -44,6 +50,12 @@ class KernelTuning(NamedTuple):
         return self._replace(
             threads_per_update=min(self.threads_per_update, 128), threads_per_sample_query=1, threads_per_query=1
         )
+
+    def threads_per_sweep(self, sweeps: int, points: int) -> int:
+        """Return how many threads scan each sweep, of which there are `sweeps` in all, with at most `points` points."""
+        if not self.is_cuda:
+            return 1
+        return max(_FEWEST_SCAN_THREADS, -(-min(_SCAN_THREADS // sweeps, points) // 32) * 32)
 
     def set_options(self, kernel: wp.Kernel, *, keep_loops: bool = False) -> wp.Kernel:
         """Set the compiler options of a kernel with a module of its own, and return the kernel.

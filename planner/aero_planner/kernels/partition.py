@@ -14,6 +14,8 @@ import warp as wp
 from aero_planner.kernels.dynamics import near_atan2, quat_rotate
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.shells import SHELLS, last_shell
 from aero_planner.kernels.warp_ops import add_count
 
 __all__ = [
@@ -67,12 +69,11 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def scatter_points(
-        # slice of the cloud
-        first_point: int,
+        # share of the points
         worker: int,
+        stride: int,
         # problem
-        points: wp.array2d(dtype=wp.vec3),
-        point_count: wp.array(dtype=int),
+        cloud: CloudSweeps,
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
         # configuration
@@ -85,15 +86,19 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
     ):
         """Find r_ij as a minimum over packed keys.
 
-        The upper half of a key is the range, the lower half the index of the point, so that the first of several points
-        at the same range is kept. Launched over [B, points of this worker / WIDTH]. Workers run at the same time, each
-        on its own keys.
+        The upper half of a key is the range, the lower half the place of the point in the cloud, so that the first of
+        several points at the same range is kept. Of an ordered sweep only the shells within reach are read. Launched
+        over [B, sweeps, threads per sweep]. A thread handles every `stride`-th group of WIDTH points of its sweep.
+        Workers run at the same time, each on its own keys.
         """
-        b, group = wp.tid()
-        start = first_point + group * WIDTH
-        count = wp.min(WIDTH, point_count[b] - start)
-        if count <= 0:
+        b, sweep, thread = wp.tid()
+        count = cloud.count[b, sweep]
+        if count == 0:
             return
+        first = cloud.start[sweep]
+        oldest = cloud.oldest[0]
+        reach = cloud.reach[b, sweep]
+        ordered = reach >= 0.0
         origin = position[b]
         q = wp.normalize(quaternion[b])
         forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
@@ -101,47 +106,63 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
         range_min = params[b].range_min
         range_max = params[b].range_max
+        if ordered:
+            counters = b * cloud.start.shape[0] + sweep
+            count = cloud.shell_ends[counters, last_shell(origin, cloud.center[b, sweep], range_max, reach)]
+            if worker + thread == 0:
+                wp.atomic_add(worker_dropped, worker, b, cloud.shell_ends[counters, SHELLS])
         dx = Reals()
         dy = Reals()
         dz = Reals()
-        for j in range(count):
-            d = points[b, start + j] - origin
-            dx[j] = d[0]
-            dy[j] = d[1]
-            dz[j] = d[2]
+        indices = Integers()
         range_bits = Integers()
         cell_of = Integers()
-        for j in range(WIDTH):
-            d = wp.vec3(dx[j], dy[j], dz[j])
-            x = wp.dot(forward, d)
-            y = wp.dot(left, d)
-            z = wp.dot(up, d)
-            r = wp.sqrt(wp.dot(d, d))
-            row = (near_atan2(z, wp.sqrt(x * x + y * y)) / wp.PI + 0.5) * float(rows)
-            column = (near_atan2(y, x) / (2.0 * wp.PI) + 0.5) * float(columns)
-            off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
-            cell = int(wp.floor(row)) * columns + int(wp.floor(column))
-            cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
-            cell = wp.where(r >= range_min, wp.where(r <= range_max, cell, OUT_OF_RANGE), OUT_OF_RANGE)
-            # d - d is NaN for a component that is not finite; the squared range may overflow for finite points, too.
-            cell_of[j] = wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, cell, NOT_FINITE)
-            range_bits[j] = wp.cast(r, wp.int32)
-        not_finite = int(0)
-        for j in range(count):
-            cell = cell_of[j]
-            if cell >= NEAR_EDGE:
-                if cell == NEAR_EDGE:
-                    d = wp.vec3(dx[j], dy[j], dz[j])
-                    body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
-                    row_of, column_of = cell_of_direction(body, rows, columns)
-                    cell = row_of * columns + column_of
-                # The bits of non-negative floats have the order of the floats.
-                key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(start + j)
-                if key < cell_keys[worker, b, cell]:
-                    wp.atomic_min(cell_keys, worker, b, cell, key)
-            elif cell == NOT_FINITE:
-                not_finite += 1
-        add_count(worker_dropped, worker, b, not_finite)
+        for group in range(worker + thread, (count + WIDTH - 1) // WIDTH, stride):
+            start = group * WIDTH
+            present = wp.min(WIDTH, count - start)
+            for j in range(present):
+                index = first + start + j
+                if ordered:
+                    index = cloud.order[b, index]
+                d = cloud.points[b, index] - origin
+                indices[j] = index
+                dx[j] = d[0]
+                dy[j] = d[1]
+                dz[j] = d[2]
+            for j in range(WIDTH):
+                d = wp.vec3(dx[j], dy[j], dz[j])
+                x = wp.dot(forward, d)
+                y = wp.dot(left, d)
+                z = wp.dot(up, d)
+                r = wp.sqrt(wp.dot(d, d))
+                row = (near_atan2(z, wp.sqrt(x * x + y * y)) / wp.PI + 0.5) * float(rows)
+                column = (near_atan2(y, x) / (2.0 * wp.PI) + 0.5) * float(columns)
+                off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
+                cell = int(wp.floor(row)) * columns + int(wp.floor(column))
+                cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
+                cell = wp.where(r >= range_min, wp.where(r <= range_max, cell, OUT_OF_RANGE), OUT_OF_RANGE)
+                # d - d is NaN for a component that is not finite; the squared range may overflow for finite points.
+                cell_of[j] = wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, cell, NOT_FINITE)
+                range_bits[j] = wp.cast(r, wp.int32)
+            not_finite = int(0)
+            for j in range(present):
+                cell = cell_of[j]
+                if cell >= NEAR_EDGE:
+                    if cell == NEAR_EDGE:
+                        d = wp.vec3(dx[j], dy[j], dz[j])
+                        body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
+                        row_of, column_of = cell_of_direction(body, rows, columns)
+                        cell = row_of * columns + column_of
+                    place = indices[j] - oldest
+                    if place < 0:
+                        place += cloud.points.shape[1]
+                    # The bits of non-negative floats have the order of the floats.
+                    key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place)
+                    if key < cell_keys[worker, b, cell]:
+                        wp.atomic_min(cell_keys, worker, b, cell, key)
+                elif cell == NOT_FINITE:
+                    not_finite += 1
+            add_count(worker_dropped, worker, b, not_finite)
 
     return scatter_points
 
@@ -149,7 +170,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
 @wp.kernel
 def finish_fine_cells(
     # problem
-    points: wp.array2d(dtype=wp.vec3),
+    cloud: CloudSweeps,
     # configuration
     params: wp.array(dtype=Params),
     # in and reset
@@ -182,7 +203,10 @@ def finish_fine_cells(
     else:
         fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
         occupied[b, cell] = 1
-        filtered_points[b, cell] = points[b, int(key & wp.uint64(0xFFFFFFFF))]
+        index = int(key & wp.uint64(0xFFFFFFFF)) + cloud.oldest[0]
+        if index >= cloud.points.shape[1]:
+            index -= cloud.points.shape[1]
+        filtered_points[b, cell] = cloud.points[b, index]
 
 
 @wp.kernel

@@ -6,7 +6,21 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["DroneState", "GoalState", "GuideSet", "InstanceCosts", "PreviousPlan", "Rollouts", "bundle"]
+__all__ = ["CloudSweeps", "DroneState", "GoalState", "GuideSet", "InstanceCosts", "PreviousPlan", "Rollouts", "bundle"]
+
+
+@wp.struct
+class CloudSweeps:
+    """Sweeps that form the cloud of each drone, S of them, in a ring of P points."""
+
+    points: wp.array2d(dtype=wp.vec3)  # [B, P], world frame [m]
+    oldest: wp.array(dtype=int)  # [1], index of the first point of the oldest sweep; the others follow in the ring
+    start: wp.array(dtype=int)  # [S], index of the first point of each sweep
+    count: wp.array2d(dtype=int)  # [B, S], points of each sweep
+    center: wp.array2d(dtype=wp.vec3)  # [B, S], centre of the shells, world frame [m]
+    reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]; negative where the points are not ordered
+    shell_ends: wp.array2d(dtype=int)  # [B S, COUNTERS], see `kernels.shells`
+    order: wp.array2d(dtype=int)  # [B, P], indices of the points of each sweep by shell, from its start on
 
 
 @wp.struct

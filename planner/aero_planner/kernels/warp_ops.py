@@ -12,6 +12,7 @@ import warp as wp
 
 __all__ = [
     "add_count",
+    "claim_slot",
     "claim_slots",
     "minimum_over",
     "point_pack",
@@ -106,6 +107,25 @@ def synchronize_block():
 """)
 def claim_slots(used: wp.array2d(dtype=int), i: int, j: int, count: int) -> int:  # pyright: ignore
     """Add `count` to used[i, j] and return its value before; the threads of a warp must pass the same i and j."""
+    ...
+
+
+@wp.func_native("""
+    int before = 0;
+#if defined(__CUDA_ARCH__)
+    // One atomic operation for the threads of the warp with the same counter.
+    const unsigned active = __activemask();
+    const unsigned same = __match_any_sync(active, reinterpret_cast<unsigned long long>(wp::address(used, i, j)));
+    const int lane = threadIdx.x & 31, leader = __ffs(same) - 1;
+    if (lane == leader) before = wp::atomic_add(used, i, j, __popc(same));
+    before = __shfl_sync(active, before, leader) + __popc(same & ((1u << lane) - 1u));
+#else
+    before = wp::atomic_add(used, i, j, 1);
+#endif
+    return before;
+""")
+def claim_slot(used: wp.array2d(dtype=int), i: int, j: int) -> int:  # pyright: ignore
+    """Add 1 to used[i, j] and return its value before."""
     ...
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Plan, VehicleState
+from aero_planner.sweeps import Sweeps
 
 __all__ = [
     "CommandSink", "Observation", "Observer", "PlanRecord", "PlanResult", "PointCounters", "PointPacket", "PointSource",
@@ -147,13 +148,18 @@ class PlanResult:
     """Newest measured state."""
     goal: NDArray[np.float64]
     """[m], shape [3], world frame."""
-    points: NDArray[np.float32]
-    """Cloud [m], shape [P, 3], world frame; must not be modified."""
+    cloud: Sweeps
+    """Points that the planner saw, world frame [m]."""
     cloud_age: float
     """Age of the newest point [s]."""
     plan: Plan
     plan_ms: float
     """Duration of the planner's call [ms]."""
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """The joined cloud [m], shape [P, 3], world frame."""
+        return self.cloud.points
 
 
 @dataclass(frozen=True, eq=False)

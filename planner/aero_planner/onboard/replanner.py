@@ -19,6 +19,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import make_sweep_buffer
 from aero_planner.plan import Goal, PlanStatus, VehicleState
 from aero_planner.planner import Planner
+from aero_planner.sweeps import Sweeps
 
 __all__ = ["ControlSnapshot", "Replanner"]
 
@@ -28,6 +29,7 @@ _ARRIVALS = 4096
 """States and packets that wait for the planning thread; if it hangs, the oldest are dropped."""
 _GROUND_PERIOD = 1.0
 """Time between two looks for the ground in the cloud [s]."""
+_MOST_SWEEPS = 256
 _STEP = 0.02
 """Time step of the prediction [s]."""
 
@@ -71,7 +73,8 @@ class Replanner:
         self.failures = 0
         self.durations: deque[float] = deque(maxlen=10_000)
         self.is_finite = True
-        planner.reserve(config.lidar.points_max)  # so that no plan has to wait for larger buffers
+        # So that no plan has to wait for larger buffers. Every plan adds one sweep of new points.
+        planner.reserve_sweeps(_MOST_SWEEPS, 2 * config.lidar.points_max)
         self._sweeps = make_sweep_buffer(config)
         self._sweep_period = config.lidar.sweep_period
         self._resets = 0
@@ -104,7 +107,7 @@ class Replanner:
             RuntimeError, ValueError: The planner cannot plan on this device.
         """
         state = VehicleState(np.zeros(3), np.zeros(3), (1.0, 0.0, 0.0, 0.0))
-        cloud = np.full((64, 3), 5.0, dtype=np.float32)
+        cloud = Sweeps([np.full((64, 3), 5.0, dtype=np.float32)])
         self._planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
         start = time.perf_counter()
         self._planner.plan(state, Goal((10.0, 0.0, 0.0)), cloud)
@@ -118,13 +121,13 @@ class Replanner:
         if snapshot is None:
             return None
         start = self._clock()
-        points, cloud_age = self._sweeps.cloud(start)
+        cloud, cloud_age = self._sweeps.cloud(start)
         if not np.isfinite(cloud_age) or start < self._next_cloud:
             return None
-        result = None if snapshot.goal is None else self._plan(snapshot, snapshot.goal, points, cloud_age, start)
+        result = None if snapshot.goal is None else self._plan(snapshot, snapshot.goal, cloud, cloud_age, start)
         if start >= self._next_ground:  # last, so that no plan waits for it
             self._next_ground = start + _GROUND_PERIOD
-            height = find_ground(points, snapshot.motion.position)
+            height = find_ground(cloud.points, snapshot.motion.position)
             self._ground = None if height is None else (self._resets, height)
         return result
 
@@ -132,7 +135,7 @@ class Replanner:
         self,
         snapshot: ControlSnapshot,
         goal: NDArray[np.float64],
-        points: NDArray[np.float32],
+        cloud: Sweeps,
         cloud_age: float,
         start: float,
     ) -> PlanResult | None:
@@ -142,7 +145,7 @@ class Replanner:
             plan = self._planner.plan(
                 state,
                 Goal(goal),
-                points,
+                cloud,
                 cloud_age=max(cloud_age, 0.0),
                 ground_height=snapshot.ground + self._floor,
             )
@@ -175,7 +178,7 @@ class Replanner:
             state=state,
             measured=snapshot.sample.state,
             goal=goal,
-            points=points,
+            cloud=cloud,
             cloud_age=cloud_age,
             plan=plan,
             plan_ms=1e3 * duration,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
+from aero_planner.sweeps import Sweeps
 
 __all__ = ["SweepBuffer", "make_sweep_buffer"]
 
@@ -62,6 +63,7 @@ class SweepBuffer:
         self._poses = PoseTrack(_POSES)
         # Points that were placed together, world frame [m], shape [n, 3], and when the newest was measured [s].
         self._chunks: deque[tuple[NDArray[np.float32], float]] = deque()
+        self._unread = 0  # newest chunks that `cloud` has not returned yet
         self._count = 0
         self._newest = -np.inf
         self._waiting: deque[tuple[NDArray[np.float32], NDArray[np.float64]]] = deque()
@@ -108,7 +110,7 @@ class SweepBuffer:
             self._poses = PoseTrack(_POSES)
             self._chunks.clear()
             self._waiting.clear()
-            self._count = self._waiting_count = 0
+            self._count = self._unread = self._waiting_count = 0
             self._newest = -np.inf
 
     @property
@@ -116,14 +118,19 @@ class SweepBuffer:
         """Number of points that wait for a pose."""
         return self._waiting_count
 
-    def cloud(self, now: float) -> tuple[NDArray[np.float32], float]:
-        """Return the points in the world frame [m], shape [P, 3], oldest first, and the age of the newest at `now` [s].
+    def cloud(self, now: float) -> tuple[Sweeps, float]:
+        """Return the points in the world frame, oldest first, and the age of the newest at `now` [s].
 
-        The array is a copy. The age is infinite before the first point.
+        Points that were placed since the last call form one of the sweeps. The age is infinite before the first point.
         """
         with self._lock:
-            chunks, newest = [points for points, _ in self._chunks], self._newest
-        return np.concatenate(chunks) if chunks else np.zeros((0, 3), dtype=np.float32), now - newest
+            placed = [self._chunks.pop() for _ in range(self._unread)][::-1]
+            if placed:
+                points = np.concatenate([points for points, _ in placed])
+                points.flags.writeable = False
+                self._chunks.append((points, max(time for _, time in placed)))
+            self._unread = 0
+            return Sweeps(points for points, _ in self._chunks), now - self._newest
 
     def _place_waiting(self) -> None:
         newest = self._poses.newest_time
@@ -149,11 +156,13 @@ class SweepBuffer:
 
     def _keep(self, points: NDArray[np.float32], time: float) -> None:
         self._chunks.append((points, time))
+        self._unread += 1
         self._count += len(points)
         self._newest = max(self._newest, time)
         # The newest chunk always stays: it is never larger than the capacity.
         while self._count > self._capacity or self._chunks[0][1] < self._newest - self._window:
             self._count -= len(self._chunks.popleft()[0])
+        self._unread = min(self._unread, len(self._chunks))
 
 
 def make_sweep_buffer(config: OnboardConfig) -> SweepBuffer:

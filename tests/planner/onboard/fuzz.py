@@ -114,7 +114,7 @@ class FuzzLivox:
             assert np.isfinite(packet.times).all()
             assert (packet.times <= self.now + 1e-6).all()
             self.sweeps.add_points(packet.points, packet.times)
-        cloud, _ = self.sweeps.cloud(self.now)
+        cloud = self.sweeps.cloud(self.now)[0].points
         assert len(cloud) <= 20_000
         assert np.isfinite(cloud).all()
         self.seen = self.source.counters.packets

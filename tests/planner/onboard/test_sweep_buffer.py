@@ -14,6 +14,12 @@ from aero_planner.quaternions import conjugate, multiply, quaternion_from_angles
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
+def cloud_of(buffer, now):
+    """Return the joined cloud and its age."""
+    sweeps, age = buffer.cloud(now)
+    return sweeps.points, age
+
+
 def pose(time):
     """Return the pose of a flight with turns about all axes."""
     position = np.array([5.0 * time, math.sin(3.0 * time), 2.0 + 0.3 * math.cos(2.0 * time)])
@@ -51,7 +57,7 @@ def test_points_are_placed_by_the_pose_at_their_time(mounted):
     points = random.uniform(-20.0, 20.0, size=(300, 3)).astype(np.float32)
     times = random.uniform(100.0, 100.48, size=300)
     buffer.add_points(points, times)
-    cloud, age = buffer.cloud(100.6)
+    cloud, age = cloud_of(buffer, 100.6)
     assert cloud.dtype == np.float32
     in_body = rotate(turn, points.astype(float)) + place
     expected = [placed(point, time, poses) for point, time in zip(in_body, times, strict=True)]
@@ -71,7 +77,7 @@ def test_a_still_wall_stays_still_from_a_turning_drone():
     buffer.add_points(seen, times)
     for t in np.arange(0.0, 0.52, 0.02):
         buffer.add_pose(t, 5.0 * t * np.array([1.0, 0.2, 0.0]), quaternion_from_angles(0, 0, math.degrees(3.0 * t)))
-    cloud, _ = buffer.cloud(0.5)
+    cloud, _ = cloud_of(buffer, 0.5)
     assert len(cloud) == 5000
     assert np.abs(cloud[:, 0] - 12.0).max() < 1e-4
 
@@ -79,13 +85,13 @@ def test_a_still_wall_stays_still_from_a_turning_drone():
 def test_new_points_wait_for_the_next_pose():
     buffer = SweepBuffer()
     buffer.add_points([[1.0, 0.0, 0.0]] * 3, [0.01, 0.02, 0.03])
-    assert len(buffer.cloud(0.0)[0]) == 0
+    assert len(cloud_of(buffer, 0.0)[0]) == 0
     buffer.add_pose(0.0, (0, 0, 0), LEVEL)
-    assert len(buffer.cloud(0.0)[0]) == 0
+    assert len(cloud_of(buffer, 0.0)[0]) == 0
     buffer.add_pose(0.02, (2, 0, 0), LEVEL)
-    np.testing.assert_allclose(buffer.cloud(0.0)[0], [[2.0, 0, 0], [3.0, 0, 0]])
+    np.testing.assert_allclose(cloud_of(buffer, 0.0)[0], [[2.0, 0, 0], [3.0, 0, 0]])
     buffer.add_pose(0.04, (2, 4, 0), LEVEL)
-    np.testing.assert_allclose(buffer.cloud(0.0)[0][2], [3.0, 2.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(cloud_of(buffer, 0.0)[0][2], [3.0, 2.0, 0.0], atol=1e-6)
     assert buffer.dropped == 0
 
 
@@ -95,13 +101,13 @@ def test_a_cleared_buffer_discards_poses_and_points():
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]] * 3, [10.0, 10.01, 10.03])
     buffer.clear()
-    points, age = buffer.cloud(10.04)
+    points, age = cloud_of(buffer, 10.04)
     assert len(points) == 0 and age == math.inf and buffer.dropped == 1  # the point that waited
     # Points between the last pose before and the first pose after the reset can't be placed.
     buffer.add_points([[1.0, 0.0, 0.0]] * 2, [10.03, 10.05])
     buffer.add_pose(10.04, (5, 0, 0), LEVEL)
     buffer.add_pose(10.06, (5, 0, 0), LEVEL)
-    np.testing.assert_allclose(buffer.cloud(10.06)[0], [[6.0, 0.0, 0.0]])
+    np.testing.assert_allclose(cloud_of(buffer, 10.06)[0], [[6.0, 0.0, 0.0]])
     assert buffer.dropped == 2
 
 
@@ -110,7 +116,7 @@ def test_points_from_before_the_first_pose_are_dropped_and_counted():
     for t in (10.0, 10.02):
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]] * 4, [9.0, 9.999, 10.0, 10.01])
-    assert len(buffer.cloud(10.0)[0]) == 2
+    assert len(cloud_of(buffer, 10.0)[0]) == 2
     assert buffer.dropped == 2
 
 
@@ -119,7 +125,7 @@ def test_points_between_distant_poses_are_dropped_and_counted():
     for t in (0.0, 0.02, 1.02, 1.04):
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]] * 3, [0.01, 0.5, 1.03])
-    assert len(buffer.cloud(1.0)[0]) == 2
+    assert len(cloud_of(buffer, 1.0)[0]) == 2
     assert buffer.dropped == 1
 
 
@@ -127,7 +133,7 @@ def test_one_pose_places_points_measured_at_its_time():
     buffer = SweepBuffer()
     buffer.add_pose(5.0, (1, 2, 3), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]] * 2, [4.0, 5.0])
-    np.testing.assert_allclose(buffer.cloud(5.0)[0], [[2.0, 2.0, 3.0]])
+    np.testing.assert_allclose(cloud_of(buffer, 5.0)[0], [[2.0, 2.0, 3.0]])
     assert buffer.dropped == 1
 
 
@@ -136,7 +142,7 @@ def test_the_cloud_holds_the_last_sweeps():
     for k in range(100):
         buffer.add_pose(0.02 * k, (0, 0, 0), LEVEL)
         buffer.add_points(np.full((10, 3), k), np.full(10, 0.02 * k))
-    cloud, age = buffer.cloud(2.0)
+    cloud, age = cloud_of(buffer, 2.0)
     # Half a second before the newest points at 1.98 s.
     assert (cloud[:, 0].min(), cloud[:, 0].max()) == (74, 99)
     assert age == pytest.approx(0.02)
@@ -144,14 +150,14 @@ def test_the_cloud_holds_the_last_sweeps():
 
 def test_ages():
     buffer = SweepBuffer()
-    assert buffer.cloud(7.0)[1] == math.inf
-    assert buffer.cloud(7.0)[0].shape == (0, 3)
+    assert cloud_of(buffer, 7.0)[1] == math.inf
+    assert cloud_of(buffer, 7.0)[0].shape == (0, 3)
     for t in (6.0, 6.02):
         buffer.add_pose(t, (0, 0, 0), LEVEL)
     buffer.add_points([[1.0, 0.0, 0.0]], [6.01])
-    assert buffer.cloud(7.0)[1] == pytest.approx(0.99)
+    assert cloud_of(buffer, 7.0)[1] == pytest.approx(0.99)
     buffer.add_points([[1.0, 0.0, 0.0]], [6.005])  # late: the newest point stays the newest
-    assert buffer.cloud(7.0)[1] == pytest.approx(0.99)
+    assert cloud_of(buffer, 7.0)[1] == pytest.approx(0.99)
 
 
 def test_poses_that_are_not_newer_are_ignored():
@@ -159,7 +165,7 @@ def test_poses_that_are_not_newer_are_ignored():
     for t, x in ((0.0, 0.0), (0.02, 2.0), (0.02, 9.0), (0.01, 9.0), (math.nan, 9.0)):
         buffer.add_pose(t, (x, 0, 0), LEVEL)
     buffer.add_points([[0.0, 0.0, 0.0]], [0.01])
-    np.testing.assert_allclose(buffer.cloud(0.0)[0], [[1.0, 0, 0]])
+    np.testing.assert_allclose(cloud_of(buffer, 0.0)[0], [[1.0, 0, 0]])
 
 
 def test_memory_is_bounded_while_poses_are_missing():
@@ -170,7 +176,7 @@ def test_memory_is_bounded_while_poses_are_missing():
     buffer.add_points(np.ones((5000, 3)), np.full(5000, 2.0))
     buffer.add_pose(1.0, (0, 0, 0), LEVEL)
     buffer.add_pose(3.0, (0, 0, 0), LEVEL)
-    assert len(buffer.cloud(0.0)[0]) + buffer.dropped == 14_000
+    assert len(cloud_of(buffer, 0.0)[0]) + buffer.dropped == 14_000
     assert buffer.waiting == 0
 
 
@@ -179,7 +185,7 @@ def test_memory_is_bounded_while_points_pour_in():
     for k in range(1000):
         buffer.add_pose(0.001 * k, (0, 0, 0), LEVEL)
         buffer.add_points(np.full((70, 3), k), np.full(70, 0.001 * k))
-    cloud, _ = buffer.cloud(1.0)
+    cloud, _ = cloud_of(buffer, 1.0)
     assert 900 < len(cloud) <= 1000
     assert cloud[-1, 0] == 999
     assert len(np.unique(cloud[:, 0])) < 20  # calls of add_points that are still held
@@ -190,7 +196,7 @@ def test_hours_of_poses_fit():
     for k in range(5000):
         buffer.add_pose(0.01 * k, (0.01 * k, 0, 0), LEVEL)
     buffer.add_points([[0.0, 0.0, 0.0]] * 2, [49.985, 46.005])
-    np.testing.assert_allclose(buffer.cloud(50.0)[0][:, 0], [49.985, 46.005], atol=1e-4)
+    np.testing.assert_allclose(cloud_of(buffer, 50.0)[0][:, 0], [49.985, 46.005], atol=1e-4)
     buffer.add_points([[0.0, 0.0, 0.0]], [40.0])
     assert buffer.dropped == 1
 
@@ -202,7 +208,7 @@ def test_it_is_thread_safe():
     def look():
         try:
             for _ in range(300):
-                cloud, _ = buffer.cloud(7.0)
+                cloud, _ = cloud_of(buffer, 7.0)
                 assert np.isfinite(cloud).all()
         except Exception as error:
             failures.append(error)

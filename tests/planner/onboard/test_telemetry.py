@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aero_planner import PlannerConfig
+from aero_planner import PlannerConfig, Sweeps
 from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.interfaces import PlanRecord
 from aero_planner.onboard.safety_machine import StateChange
@@ -114,7 +114,7 @@ def test_points_are_thinned_and_their_coordinates_bounded(records: list[PlanReco
         assert len(message.arrays["points"]) <= most
         assert len(message.arrays["points"]) >= min(most, len(record.points)) // 2
     odd = np.array([[1e9, -1e9, np.nan], [np.inf, 0.0, 2.0]], dtype=np.float32)
-    (message,) = MessageReader().feed(encode_plan(dataclasses.replace(record, points=odd), points_max=10))
+    (message,) = MessageReader().feed(encode_plan(dataclasses.replace(record, cloud=Sweeps([odd])), points_max=10))
     assert np.abs(message.arrays["points"]).max() == 32767
 
 

@@ -1,0 +1,105 @@
+"""Order of the points of a sweep by their distance from the drone when the sweep arrived.
+
+Spherical shells around that position divide the points. A plan reads only the shells from which a point can be in range
+at its own position; the triangle inequality makes that exact, however far the drone has flown. Rays without return are
+in no shell.
+"""
+
+# Postponed annotations are left out: native functions need the types themselves.
+
+import warp as wp
+
+from aero_planner.kernels.params import Params
+from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.warp_ops import claim_slot
+
+__all__ = ["COUNTERS", "SHELLS", "begin_shells", "count_shells", "fill_shells", "last_shell", "start_sweep"]
+
+wp.set_module_options({"enable_backward": False})
+
+SHELLS = wp.constant(8)
+"""Number of shells; the last one holds all points beyond the others."""
+COUNTERS = wp.constant(9)
+"""Counters of a sweep: the end of each shell in its list, then the number of points that are not finite."""
+SHELL_WIDTH = 1.5
+"""Thickness of a shell [m]."""
+
+
+@wp.func
+def shell_of_distance(distance: float, reach: float) -> int:
+    """Return the shell at a distance from the centre [m]; `reach` is the radius of the first one."""
+    return int(wp.clamp(wp.ceil((distance - reach) * (1.0 / SHELL_WIDTH)), 0.0, float(SHELLS - 1)))
+
+
+@wp.func
+def last_shell(position: wp.vec3, center: wp.vec3, range_max: float, reach: float) -> int:
+    """Return the last shell that may hold a point within `range_max` of a position."""
+    # The margin is far larger than the rounding of the distances.
+    return shell_of_distance(1.0001 * (range_max + wp.length(position - center)) + 1.0e-3, reach)
+
+
+@wp.func
+def shell_of_point(point: wp.vec3, center: wp.vec3, reach: float) -> int:
+    """Return the shell of a point, or SHELLS if it is not finite."""
+    # The difference is NaN for a component that is not finite.
+    if (point[0] - point[0]) + (point[1] - point[1]) + (point[2] - point[2]) == 0.0:
+        return shell_of_distance(wp.length(point - center), reach)
+    return SHELLS
+
+
+@wp.kernel
+def start_sweep(
+    sweep: int,
+    position: wp.array(dtype=wp.vec3),
+    params: wp.array(dtype=Params),
+    # out
+    cloud: CloudSweeps,
+):
+    """Centre the shells of a sweep on the drones and reset its counters. Launched over [B]."""
+    b = wp.tid()
+    cloud.center[b, sweep] = position[b]
+    cloud.reach[b, sweep] = params[b].range_max
+    for i in range(COUNTERS):
+        cloud.shell_ends[b * cloud.start.shape[0] + sweep, i] = 0
+
+
+@wp.kernel
+def count_shells(
+    sweep: int,
+    # in and out
+    cloud: CloudSweeps,
+):
+    """Count the points of each shell of a sweep. Launched over [B, points of the sweep]."""
+    b, i = wp.tid()
+    shell = shell_of_point(cloud.points[b, cloud.start[sweep] + i], cloud.center[b, sweep], cloud.reach[b, sweep])
+    claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
+
+
+@wp.kernel
+def begin_shells(
+    sweep: int,
+    # in and out
+    cloud: CloudSweeps,
+):
+    """Turn the counts of the shells into where each begins in the list of the sweep. Launched over [B]."""
+    row = wp.tid() * cloud.start.shape[0] + sweep
+    begin = int(0)
+    for i in range(SHELLS):
+        count = cloud.shell_ends[row, i]
+        cloud.shell_ends[row, i] = begin
+        begin += count
+
+
+@wp.kernel
+def fill_shells(
+    sweep: int,
+    # in and out
+    cloud: CloudSweeps,
+):
+    """List the points of a sweep by shell; `shell_ends` become the ends. Launched over [B, points of the sweep]."""
+    b, i = wp.tid()
+    first = cloud.start[sweep]
+    shell = shell_of_point(cloud.points[b, first + i], cloud.center[b, sweep], cloud.reach[b, sweep])
+    if shell < SHELLS:
+        slot = claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
+        cloud.order[b, first + slot] = first + i

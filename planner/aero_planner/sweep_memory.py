@@ -1,0 +1,187 @@
+"""The ring of sweeps on the planner's device."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner.array_memory import PackedArrays, allocate
+from aero_planner.arrays import CloudArrays, SweepTable
+from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep
+from aero_planner.sweeps import Sweeps
+
+__all__ = ["SweepMemory"]
+
+
+class _Sizes(NamedTuple):
+    B: int
+    S: int
+    P: int
+    E: int = int(COUNTERS)
+
+
+class _Entry(NamedTuple):
+    """A sweep in the ring."""
+
+    points: NDArray[np.float32]
+    row: int
+    """Its row in the tables."""
+    start: int
+    """Index of its first point."""
+
+    @property
+    def end(self) -> int:
+        return self.start + len(self.points)
+
+
+class SweepMemory:
+    """Sweeps on the device. Each is copied once, when it arrives, and its points are then ordered by distance.
+
+    Args:
+        position: positions of the drones, vec3 [B], at which arriving sweeps are centred.
+        params: live parameters, shape [B].
+        sweeps: S, largest number of sweeps.
+        points: P, room for the points of all sweeps of a drone.
+
+    Attributes:
+        arrays: the sweeps on the device.
+    """
+
+    def __init__(self, position: wp.array, params: wp.array, *, sweeps: int, points: int) -> None:
+        device = wp.get_device(str(position.device))
+        self._device = device
+        self._sizes = sizes = _Sizes(len(position), sweeps, max(points, 1))
+        self._table = PackedArrays(SweepTable, sizes, device)
+        arrays = allocate(CloudArrays, sizes, device)
+        self.arrays = dataclasses.replace(arrays, **vars(self._table.arrays))
+        self._entries: deque[_Entry] = deque()
+        self._held: Sweeps | None = None
+        self._host_points: Any = None  # the same places on the host, to copy from
+        self._copied: Any = None
+        cloud, B = self.arrays.bundle(), sizes.B
+        self._commands: list[tuple[Any, bool]] = []
+        for kernel, inputs, is_per_point in (
+            (start_sweep, [0, position, params], False),
+            (count_shells, [0], True),
+            (begin_shells, [0], False),
+            (fill_shells, [0], True),
+        ):
+            size = (B, 1) if is_per_point else (B,)
+            command = wp.launch(kernel, size, inputs=inputs, outputs=[cloud], device=device, record_cmd=True)
+            self._commands.append((command, is_per_point))
+
+    def has_room(self, sweeps: Sweeps) -> bool:
+        """Return True if the sweeps fit into the ring, wherever the oldest one begins."""
+        return len(sweeps) <= self._sizes.S and sweeps.point_count + max(map(len, sweeps), default=0) <= self._sizes.P
+
+    def hold(self, sweeps: Sweeps) -> None:
+        """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room."""
+        if sweeps is self._held:
+            return
+        arrived = list(sweeps)
+        kept = self._count_kept(arrived)
+        while len(self._entries) > kept:
+            self._entries.popleft()
+        added = self._place(arrived[kept:])
+        self._held = sweeps
+        self._write_table()
+        for entry in added:
+            self._copy(entry)
+            self._order(entry.row, len(entry.points))
+
+    def store(self, row: int, points: wp.array) -> None:
+        """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
+
+        Raises:
+            ValueError: there is no room for this sweep.
+        """
+        size, start = points.shape[1], row * points.shape[1]
+        if not 0 <= row < self._sizes.S or points.shape[0] != self._sizes.B or start + size > self._sizes.P:
+            raise ValueError(
+                f"sweep {row} of {points.shape[0]} drones with {size} points does not fit; there is room for "
+                f"{self._sizes.S} sweeps of {self._sizes.B} drones with {self._sizes.P} points in all."
+            )
+        place: Any = self.arrays.points[:, start : start + size]
+        wp.copy(place, points)
+        host = self._table.host()
+        if host["count"][0, row] != size or host["start"][row] != start:
+            host["count"][:, row], host["start"][row] = size, start
+            self._table.upload()
+        self._order(row, size)
+
+    def _count_kept(self, sweeps: list[NDArray[np.float32]]) -> int:
+        """Return how many of the newest sweeps in the ring are the first of `sweeps`."""
+        held = [entry.points for entry in self._entries]
+        for count in range(min(len(held), len(sweeps)), 0, -1):
+            if all(a is b for a, b in zip(held[len(held) - count :], sweeps, strict=False)):
+                return count
+        return 0
+
+    def _place(self, sweeps: list[NDArray[np.float32]]) -> list[_Entry]:
+        """Add sweeps to the ring and return their entries; those that are in the ring may move, and are among them."""
+        added: list[_Entry] = []
+        for points in sweeps:
+            start = self._free_place(len(points))
+            if start is None:
+                # The gaps are too large: begin again at the start of the ring.
+                everything = [entry.points for entry in self._entries] + sweeps[len(added) :]
+                self._entries.clear()
+                return self._place(everything)
+            rows = {entry.row for entry in self._entries}
+            row = next(row for row in range(self._sizes.S) if row not in rows)
+            added.append(_Entry(points, row, start))
+            self._entries.append(added[-1])
+        return added
+
+    def _free_place(self, count: int) -> int | None:
+        """Return the index at which the next sweep of `count` points begins, None if there is no such place."""
+        if not self._entries:
+            return 0
+        oldest, end = self._entries[0].start, self._entries[-1].end
+        if self._entries[-1].start < oldest:
+            return end if end + count <= oldest else None
+        if end + count <= self._sizes.P:
+            return end
+        return 0 if count <= oldest else None
+
+    def _write_table(self) -> None:
+        host = self._table.host()
+        host["count"][:] = 0
+        rows = [entry.row for entry in self._entries]
+        host["start"][rows] = [entry.start for entry in self._entries]
+        host["count"][0, rows] = [len(entry.points) for entry in self._entries]
+        host["oldest"][0] = self._entries[0].start if self._entries else 0
+        self._table.upload()
+
+    def _copy(self, entry: _Entry) -> None:
+        """Copy a sweep to its place, on CUDA through pinned memory and without waiting."""
+        points = self.arrays.points
+        if self._device.is_cpu:
+            host: Any = points.numpy()
+            host[0, entry.start : entry.end] = entry.points
+            return
+        if self._host_points is None:
+            dtype: Any = wp.vec3
+            self._host_points = wp.empty(self._sizes.P, dtype=dtype, device="cpu", pinned=True)
+            self._copied = wp.Event(self._device)
+        else:
+            wp.synchronize_event(self._copied)  # has happened long ago, unless sweeps arrive without plans
+        staging: Any = self._host_points.numpy()
+        staging[entry.start : entry.end] = entry.points
+        wp.copy(points, self._host_points, entry.start, entry.start, len(entry.points))
+        self._device.stream.record_event(self._copied)
+
+    def _order(self, row: int, count: int) -> None:
+        """Order the points of a sweep by distance."""
+        if count == 0:
+            return
+        for command, is_per_point in self._commands:
+            command.set_param_at_index(0, row)
+            if is_per_point:
+                command.set_dim((self._sizes.B, count))
+            command.launch()

@@ -1,0 +1,71 @@
+"""The last sweeps of a LiDAR as one immutable cloud."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Sweeps", "as_constant", "is_constant"]
+
+
+class Sweeps:
+    """Sweeps in the world frame, oldest first, that `Planner.plan` takes as a cloud.
+
+    A planner copies each sweep to its device once and recognises it in later objects, so that a plan after a new sweep
+    copies only that one. The plan is the same as that of the joined cloud, bit for bit.
+
+    Args:
+        sweeps: points [m], shape [n, 3] each. A read-only float32 array that owns its memory is used as it is, others
+            are copied.
+
+    Raises:
+        ValueError: a sweep has the wrong shape or type.
+    """
+
+    def __init__(self, sweeps: Iterable[NDArray[np.float32]] = ()) -> None:
+        self._sweeps = tuple(map(as_constant, sweeps))
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def __iter__(self) -> Iterator[NDArray[np.float32]]:
+        return iter(self._sweeps)
+
+    def add(self, sweep: NDArray[np.float32], *, limit: int = 10) -> Sweeps:
+        """Return the newest `limit` sweeps, of which `sweep` is the last."""
+        return Sweeps((*self._sweeps, sweep)[-limit:])
+
+    @functools.cached_property
+    def points(self) -> NDArray[np.float32]:
+        """The joined cloud [m], shape [P, 3], read-only; joined when it is first read."""
+        points = np.concatenate(self._sweeps) if self._sweeps else np.zeros((0, 3), dtype=np.float32)
+        points.flags.writeable = False
+        return points
+
+    @property
+    def point_count(self) -> int:
+        """P, the number of points of all sweeps."""
+        return sum(map(len, self._sweeps))
+
+
+def is_constant(points: object) -> bool:
+    """Return True for a NumPy array that nobody can change: it is read-only and owns its memory."""
+    return isinstance(points, np.ndarray) and points.base is None and not points.flags.writeable
+
+
+def as_constant(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return points [m], shape [n, 3], as a float32 array that nobody can change, a copy unless `points` is one.
+
+    Raises:
+        ValueError: the points have the wrong shape or type.
+    """
+    array = np.asarray(points)
+    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+        raise ValueError(f"a sweep has shape {array.shape} and type {array.dtype}; it must be (n, 3) numbers [m].")
+    if array.dtype != np.float32 or not array.flags.c_contiguous or not is_constant(array):
+        array = np.array(array, dtype=np.float32, order="C")
+        array.flags.writeable = False
+    return array
