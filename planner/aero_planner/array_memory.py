@@ -55,47 +55,49 @@ class PackedArrays(Generic[Arrays]):
 
     def __init__(self, kind: type[Arrays], sizes: Any, device: wp.Device) -> None:
         specs = array_specs(kind)
-        self._layout: dict[str, tuple[int, np.dtype[Any], tuple[int, ...]]] = {}
+        offsets: list[int] = []
+        formats: list[Any] = []
         size = 0
-        for name, spec in specs.items():
+        for spec in specs.values():
             size = -(-size // _ALIGNMENT) * _ALIGNMENT
             scalar = np.dtype(wp.dtype_to_numpy(getattr(spec.dtype, "_wp_scalar_type_", spec.dtype)))
             shape = (*spec.evaluate_shape(sizes), *getattr(spec.dtype, "_shape_", ()))
-            self._layout[name] = (size, scalar, shape)
+            offsets.append(size)
+            formats.append((scalar, shape))
             size += scalar.itemsize * math.prod(shape)
+        # One record over the whole memory: its fields are the arrays.
+        self._record = np.dtype({"names": list(specs), "formats": formats, "offsets": offsets, "itemsize": size})
         self._memory = wp.zeros(size, dtype=wp.uint8, device=device)
         pointer = int(self._memory.ptr or 0)
         self.arrays: Arrays = kind(**{
             name: wp.array(
-                ptr=pointer + self._layout[name][0], dtype=spec.dtype, shape=spec.evaluate_shape(sizes), device=device
+                ptr=pointer + offset, dtype=spec.dtype, shape=spec.evaluate_shape(sizes), device=device
             )
-            for name, spec in specs.items()
+            for offset, (name, spec) in zip(offsets, specs.items(), strict=True)
         })  # fmt: skip
         # On the CPU the device's memory is the host's.
         self._host = self._memory if device.is_cpu else wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=True)
+        self._host_bytes: np.ndarray = self._host.numpy()
+        self._host_record = self._as_record(self._host_bytes)
 
-    def _views(self, memory: np.ndarray) -> dict[str, np.ndarray]:
-        views = {}
-        for name, (offset, dtype, shape) in self._layout.items():
-            size = dtype.itemsize * math.prod(shape)
-            views[name] = memory[offset : offset + size].view(dtype).reshape(shape)
-        return views
+    def _as_record(self, memory: np.ndarray) -> np.ndarray:
+        return memory.view(self._record).reshape(())
 
-    def host(self) -> dict[str, np.ndarray]:
-        """Return writable host views of all arrays, by name; `upload` copies them to the device."""
-        return self._views(self._host.numpy())
+    def host(self) -> np.ndarray:
+        """Return a record whose fields are writable host views of the arrays; `upload` copies them to the device."""
+        return self._host_record
 
     def upload(self) -> None:
         """Copy the host's values to the device, ordered before later launches."""
         if self._host is not self._memory:
             wp.copy(self._memory, self._host)
 
-    def download(self) -> dict[str, np.ndarray]:
-        """Return copies of the device's present values, by name."""
+    def download(self) -> np.ndarray:
+        """Return a record whose fields are copies of the device's present values."""
         if self._host is not self._memory:
             wp.copy(self._host, self._memory)
             wp.synchronize_stream(self._memory.device)
-        return self._views(self._host.numpy().copy())
+        return self._as_record(self._host_bytes.copy())
 
 
 def array_specs(kind: type) -> dict[str, ArraySpec]:

@@ -13,6 +13,7 @@ __all__ = ["check_inputs"]
 
 _FARTHEST = 1e6
 """Largest coordinate, beyond which float32 no longer resolves a decimetre [m]."""
+_LARGEST = float(np.finfo(np.float64).max)
 
 
 def check_inputs(
@@ -31,15 +32,15 @@ def check_inputs(
         "velocity": _check("state.velocity", state.velocity, (*batch, 3)),
         "quaternion": _check("state.quaternion", state.quaternion, (*batch, 4)),
         "acceleration": _check("state.acceleration", state.acceleration, (*batch, 3), missing=0.0),
-        "time": _check("state.time", state.time, batch, missing=np.nan, limit=np.inf),
+        "time": _check("state.time", state.time, batch, missing=np.nan, limit=_LARGEST),
         "goal_position": _check("goal.position", goal.position, (*batch, 3)),
         "goal_velocity": _check("goal.velocity", goal.velocity, (*batch, 3), missing=np.nan),
         "goal_quaternion": _check("goal.quaternion", goal.quaternion, (*batch, 4), missing=np.nan),
-        "cloud_age": _check("cloud_age", cloud_age, (), limit=np.inf),
+        "cloud_age": _check("cloud_age", cloud_age, (), limit=_LARGEST),
         "ground_height": _check_ground_height(ground_height, batch),
     }
     for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
-        if (np.linalg.norm(values[name], axis=-1) < 1e-6).any():
+        if (np.square(values[name]).sum(axis=-1) < 1e-12).any():
             raise ValueError(f"{field} is zero; give a unit quaternion in the order w, x, y, z.")
     return values
 
@@ -68,11 +69,11 @@ def _check(
         raise ValueError(f"{name} is {value!r}; it must be numbers of shape {shape}.") from error
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must have shape {shape}.")
+    if (abs(array) <= limit).all():  # false for NaN
+        return array
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {array.tolist()}; every value must be finite.")
-    if (np.abs(array) > limit).any():
-        raise ValueError(
-            f"{name} is {array.tolist()}; values beyond {limit:g} have no precision left in float32: "
-            "move the origin of the world nearer."
-        )
-    return array
+    raise ValueError(
+        f"{name} is {array.tolist()}; values beyond {limit:g} have no precision left in float32: "
+        "move the origin of the world nearer."
+    )

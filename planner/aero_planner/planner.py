@@ -355,12 +355,15 @@ class Planner:
         self._memory.hold(sweeps)
         self._scan(self._memory.arrays)
 
-    def _to_plan(self, values: dict[str, NDArray[Any]], stage_ms: dict[str, float], samples: bool) -> Plan:
+    def _to_plan(self, values: NDArray[Any], stage_ms: dict[str, float], samples: bool) -> Plan:
         """Return the plan of the output arrays, without the rows of the braking candidates."""
         B, M, config = self._batch, self._sizes.M, self._config
         part = config.partition
         coarse = (B, part.coarse_rows, part.coarse_columns)
-        filtered = [values["filtered_points"][b][values["occupied"][b] != 0] for b in range(B)]
+        filtered = [
+            cloud.take(np.flatnonzero(occupied), axis=0)
+            for cloud, occupied in zip(values["filtered_points"], values["occupied"] != 0, strict=True)
+        ]
         kinds = list(config.kinds)
         if not self._batched and values["braking_instance"][0] >= 0:
             kinds[values["braking_instance"][0]] = "brake"
