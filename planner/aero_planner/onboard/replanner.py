@@ -30,6 +30,7 @@ _ARRIVALS = 4096
 _GROUND_PERIOD = 1.0
 """Time between two looks for the ground in the cloud [s]."""
 _MOST_SWEEPS = 256
+"""Sweeps for which the planner has room: every plan adds one, of the points that are new."""
 _STEP = 0.02
 """Time step of the prediction [s]."""
 
@@ -73,7 +74,7 @@ class Replanner:
         self.failures = 0
         self.durations: deque[float] = deque(maxlen=10_000)
         self.is_finite = True
-        # So that no plan has to wait for larger buffers. Every plan adds one sweep of new points.
+        # So that no plan has to wait for larger buffers.
         planner.reserve_sweeps(_MOST_SWEEPS, 2 * config.lidar.points_max)
         self._sweeps = make_sweep_buffer(config)
         self._sweep_period = config.lidar.sweep_period
