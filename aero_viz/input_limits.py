@@ -11,8 +11,12 @@ import time
 __all__ = [
     "BLOCK_MAX",
     "CHECKSUM_MAX",
+    "DECODER_MEMORY_BASE",
+    "DECODER_MEMORY_RATIO",
+    "MAP_CELLS_MAX",
     "MAP_POINTS_MAX",
     "MAP_SPAN_MAX",
+    "MAP_VOXELS_MAX",
     "METADATA_MAX",
     "SWEEP_POINTS_MAX",
     "TEXT_MAX",
@@ -41,8 +45,16 @@ SWEEP_POINTS_MAX = 10_000_000
 """Largest number of points in a cloud of a recording."""
 TEXT_MAX = 64 * _MIB
 """Largest world or table in a text file [bytes]."""
+DECODER_MEMORY_BASE = 1536 * _MIB
+"""The process that decodes a map may take this address space [bytes] .."""
+DECODER_MEMORY_RATIO = 40
+""".. plus this many times the size of the file."""
 MAP_POINTS_MAX = 40_000_000
-"""Largest number of points in a map."""
+"""Largest number of points in a map, and of faces in a mesh."""
+MAP_VOXELS_MAX = 4_000_000
+"""Largest number of occupied voxels of a map."""
+MAP_CELLS_MAX = 25_000_000
+"""Largest number of cells of the search for a start and a goal in a map."""
 MAP_SPAN_MAX = 20_000.0
 """Largest extent of a map along any axis [m]."""
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.errors import UserError
-from aero_viz.scenes.map_files import read_mesh, read_points
+from aero_viz.input_limits import MAP_CELLS_MAX, MAP_SPAN_MAX, MAP_VOXELS_MAX
+from aero_viz.scenes.map_files import read_map
 from aero_viz.scenes.world import World
 
 __all__ = ["load_map"]
@@ -56,7 +57,8 @@ def load_map(
     Raises:
         UserError: the file cannot be read, an argument is out of range, or there is no free start or goal.
     """
-    triangles = read_mesh(path)
+    table = read_map(path)
+    triangles = table if table.shape[1] == 9 else np.zeros((0, 9))
     if len(triangles) and voxel is not None:
         raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
     edge = VOXEL if voxel is None else voxel
@@ -64,7 +66,8 @@ def load_map(
         raise UserError(
             f"The voxels of the map {path} have an edge of {edge!r} m; it must be in {list(VOXEL_RANGE)} m."
         )
-    points = _sample(triangles) if len(triangles) else read_points(path)
+    points = _sample(triangles) if len(triangles) else table
+    _check_span(points, path)
     # Maps in geographic coordinates are recentred in double precision.
     shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _RECENTRE_BEYOND else np.zeros(3)
     points = points - shift
@@ -74,7 +77,7 @@ def load_map(
     if len(triangles):
         tables["triangles"] = triangles - np.tile(shift, 3)
     else:
-        tables["boxes"] = _merge_voxels(np.unique(np.floor(points / edge).astype(np.int64), axis=0), edge)
+        tables["boxes"] = _merge_voxels(_occupied_voxels(points, edge, path), edge)
     try:
         if start_position is None or goal_position is None:
             start_position, goal_position = _choose_ends(points, tables, start_position, goal_position, path=path)
@@ -88,6 +91,36 @@ def _position(value: ArrayLike, name: str) -> Array:
     if position.shape != (3,) or not np.isfinite(position).all():
         raise UserError(f"The {name} {np.asarray(value).tolist()} is not a position; give three finite numbers.")
     return position
+
+
+def _check_span(points: Array, path: str | Path) -> None:
+    """Refuse a map that is wider than any flight, which a single stray point can make of it."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    axis = int(np.argmax(upper - lower))
+    if upper[axis] - lower[axis] <= MAP_SPAN_MAX:
+        return
+    middle = np.median(points[:, axis])
+    stray = int((np.abs(points[:, axis] - middle) > 0.5 * MAP_SPAN_MAX).sum())
+    raise UserError(
+        f"The map {path} spans {(upper[axis] - lower[axis]) / 1e3:,.0f} km along {'xyz'[axis]}, and at most "
+        f"{MAP_SPAN_MAX / 1e3:g} km can be used: crop it; {stray} of its {len(points)} points lie more than "
+        f"{0.5 * MAP_SPAN_MAX / 1e3:g} km from the middle."
+    )
+
+
+def _occupied_voxels(points: Array, edge: float, path: str | Path) -> NDArray[np.int64]:
+    """Return the indices of the voxels that hold a point [n, 3], x slowest, z fastest."""
+    first = np.floor(points.min(axis=0) / edge).astype(np.int64)
+    key = np.zeros(len(points), np.int64)
+    for axis in range(3):  # at most 2 000 000 voxels along an axis: three indices fit into one integer
+        key = (key << 21) | (np.floor(points[:, axis] / edge).astype(np.int64) - first[axis])
+    key = np.unique(key)
+    if len(key) > MAP_VOXELS_MAX:
+        raise UserError(
+            f"The map {path} fills {len(key)} voxels of {edge:g} m, and at most {MAP_VOXELS_MAX} can be used: make "
+            "them larger (--voxel), or crop the map."
+        )
+    return np.column_stack([key >> 42, (key >> 21) & 0x1FFFFF, key & 0x1FFFFF]) + first
 
 
 def _merge_voxels(voxels: NDArray[np.int64], edge: float) -> Array:
@@ -138,7 +171,10 @@ def _choose_ends(
     from aero_viz.scenes.clearance_grid import ClearanceGrid
 
     lower, upper = points.min(axis=0), points.max(axis=0)
+    extent = upper - lower + np.array([0.0, 0.0, HEIGHT])
     cell = max(_CELL, float((upper - lower).max()) / _CELLS_MAX)
+    while math.prod((extent / cell + 3.0).tolist()) > MAP_CELLS_MAX:
+        cell *= 1.1
     # The start of this world only anchors the grid.
     anchor = np.rint(0.5 * (lower + upper)) if start is None else start
     world = World("", anchor, anchor if goal is None else goal, **tables)
@@ -149,30 +185,31 @@ def _choose_ends(
         band=(lower[2], upper[2] + HEIGHT),
         region=[lower[:2], upper[:2]],
     )
-    index = np.moveaxis(np.indices(grid.distance.shape), 0, -1)
-    positions = grid.corner + cell * index
-    height = positions[..., 2] - _ground_height(points, positions[:, :, 0, :2])[..., None]
+    axes = [corner + cell * np.arange(count) for corner, count in zip(grid.corner, grid.distance.shape, strict=True)]
+    places = np.stack(np.meshgrid(axes[0], axes[1], indexing="ij"), axis=-1)
+    height = axes[2] - _ground_height(points, places)[..., None]
     free = (grid.distance >= CLEARANCE) & (np.abs(height - HEIGHT) <= 0.5 * cell + 1e-9)
     holds_origin = np.all((lower[:2] <= 0.0) & (upper[:2] >= 0.0))
     centre = np.zeros(2) if holds_origin else 0.5 * (lower + upper)[:2]
     if start is None:
-        error = np.linalg.norm(positions[..., :2] - (centre if goal is None else goal[:2]), axis=-1)
+        error = np.linalg.norm(places - (centre if goal is None else goal[:2]), axis=-1)
         if goal is not None:
             error = np.abs(error - DISTANCE_MAX)
-        start = _best_position(positions, free, grid.distance - 0.05 * error, "start", path)
+        start = _best_position(axes, free, grid.distance - 0.05 * error[..., None], "start", path)
     if goal is None:
         reachable = grid.reachable(start, threshold=math.hypot(DRONE_RADIUS, 0.5 * cell))
-        distance = np.linalg.norm(positions - start, axis=-1)
-        goal = _best_position(positions, free & reachable & (distance <= DISTANCE_MAX), distance, "goal", path)
+        distance = np.hypot(np.linalg.norm(places - start[:2], axis=-1)[..., None], axes[2] - start[2])
+        goal = _best_position(axes, free & reachable & (distance <= DISTANCE_MAX), distance, "goal", path)
     return start, goal
 
 
-def _best_position(positions: Array, allowed: NDArray[np.bool_], score: Array, name: str, path: str | Path) -> Array:
+def _best_position(axes: list[Array], allowed: NDArray[np.bool_], score: Array, name: str, path: str | Path) -> Array:
     if not allowed.any():
         raise UserError(
             f"The map {path} has no free place {HEIGHT:g} m above its ground for the {name}; give start and goal."
         )
-    return positions[np.unravel_index(np.argmax(np.where(allowed, score, -np.inf)), score.shape)]
+    index = np.unravel_index(np.argmax(np.where(allowed, score, -np.inf)), score.shape)
+    return np.array([axis[i] for axis, i in zip(axes, index, strict=True)])
 
 
 def _ground_height(points: Array, places: Array) -> Array:

@@ -103,6 +103,19 @@ def test_a_map_without_free_space_is_refused(tmp_path):
         load_map(save(tmp_path / "solid.npy", grid), voxel=0.4)
 
 
+def test_a_map_that_is_too_wide_is_refused_with_the_number_of_stray_points(hall, tmp_path):
+    points = np.vstack([np.load(hall), [[99_000.0, 0.0, 0.0]]])
+    with pytest.raises(UserError, match=r"stray.npy spans 99 km along x, and at most 20 km .*; 1 of its \d+ points"):
+        load_map(save(tmp_path / "stray.npy", points))
+
+
+def test_a_map_of_too_many_voxels_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("aero_viz.scenes.maps.MAP_VOXELS_MAX", 1000)
+    points = np.random.default_rng(0).uniform(0.0, 20.0, (3000, 3))
+    with pytest.raises(UserError, match=r"many.npy fills 2\d+ voxels of 0.2 m, and at most 1000 .*--voxel"):
+        load_map(save(tmp_path / "many.npy", points))
+
+
 def test_a_real_map_becomes_a_world(shared_datasets):
     path = str(shared_datasets / "livox_mid40_surf.pcd")
     world = load_world(path)

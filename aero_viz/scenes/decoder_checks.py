@@ -1,0 +1,35 @@
+"""Checks that the decoders of maps share."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from aero_viz.input_limits import MAP_POINTS_MAX
+
+__all__ = ["check_count", "read_header", "read_ply_header"]
+
+_HEADER_MAX = 65_536  # [bytes] that are searched for the end of a header
+
+
+def check_count(declared: int, present: int, noun: str = "points") -> None:
+    """Raise ValueError unless a file holds what its header declares, and no more than a map may have."""
+    if not 0 <= declared <= present:
+        raise ValueError(f"it is truncated: its header declares {declared} {noun}, and it holds {present}")
+    if declared > MAP_POINTS_MAX:
+        raise ValueError(f"it has {declared} {noun}, and at most {MAP_POINTS_MAX} can be used: thin it out")
+
+
+def read_header(path: Path, pattern: bytes, problem: str) -> tuple[bytes, int]:
+    """Return the header of a file and the number of bytes after it; raises ValueError with `problem` without one."""
+    with path.open("rb") as file:
+        found = re.match(pattern, file.read(_HEADER_MAX))
+    if found is None:
+        raise ValueError(problem)
+    return found.group(), path.stat().st_size - found.end()
+
+
+def read_ply_header(path: Path) -> tuple[bytes, dict[bytes, int]]:
+    """Return the header of a PLY file and its elements with their counts; raises ValueError without one."""
+    header, _ = read_header(path, rb"(?s)^ply\s.*?\nend_header[ \t]*\r?\n", "it does not start with a PLY header")
+    return header, {name: int(n) for name, n in re.findall(rb"\nelement[ \t]+(\w+)[ \t]+(\d+)", header)}
