@@ -145,6 +145,7 @@ def _rig_settings(lidar: LidarModel, lidar_port: int, mavlink_port: int) -> dict
         "lidar.host": _HOST,
         "lidar.port": lidar_port,
         "mavlink.url": f"udpin:{_HOST}:{mavlink_port}",
+        "mavlink.goal_senders": f"255@{_HOST}",
         **{f"lidar.mount_{name}": value for name, value in mount},
     }
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from aero_planner.config import VehicleConfig
+from aero_planner.onboard.connections import open_link
 from aero_planner.onboard.livox import LivoxSource
-from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.settings import load_flight_config
-from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import conjugate, rotate
 
 PERIOD = 0.02
@@ -21,7 +21,7 @@ def main(config: Path, speed: float) -> None:
     """Stream commands that keep a velocity towards the goal, once goal, state and points have arrived."""
     _, onboard = load_flight_config(config)
     lidar = LivoxSource(onboard.lidar.port, host=onboard.lidar.host)
-    link = MavlinkLink(onboard.mavlink.url, ThrustModel(hover_thrust=onboard.thrust.hover_thrust))
+    link = open_link(onboard, VehicleConfig())
     has_points = False
     print("streaming", flush=True)
     due = time.monotonic()

@@ -7,7 +7,8 @@
   `safety_docs`.
 - LiDAR: `livox`, `sweep_buffer`, `host_clock`.
 - Height above ground: `ground_tracker`, `ground_plane`.
-- Autopilot: `mavlink`, `mavlink_parser`, `transport`, `frames`, `thrust`, `estimator_reset`.
+- Autopilot: `mavlink`, `mavlink_parser`, `mavlink_signing`, `transport`, `datagram_filter`, `frames`, `thrust`,
+  `estimator_reset`.
 - Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
 - Programs: `run`, `preflight`, `input_checks`, `bundle_export`, `connections`, `settings`.
 """

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import ipaddress
+import socket
+
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
 from aero_planner.onboard.mavlink import MavlinkLink, MavlinkSender
+from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.thrust import ThrustModel
 
-__all__ = ["make_sender", "open_lidar", "open_link", "thrust_model"]
+__all__ = ["is_loopback", "make_sender", "open_lidar", "open_link", "thrust_model"]
+
+
+def is_loopback(host: str) -> bool:
+    """Return True if only programs of this computer can reach an address of it."""
+    try:
+        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    except (OSError, ValueError):
+        return False
 
 
 def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
@@ -16,7 +28,7 @@ def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
 
     Raises:
         ImportError: pymavlink is not installed; names the extra to install.
-        ValueError: The URL is not understood.
+        ValueError: The URL is not understood, or the signing key can't be read.
         OSError: The port is in use or the device does not exist; says what to do.
     """
     settings = config.mavlink
@@ -28,6 +40,8 @@ def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
             system=settings.system,
             component=settings.component,
             state_rate=settings.state_rate,
+            goal_senders=_goal_senders(config),
+            key=_signing_key(config),
         )
     except OSError as error:
         raise OSError(
@@ -43,7 +57,28 @@ def make_sender(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkSender:
         ImportError: pymavlink is not installed; names the extra to install.
     """
     system, component = config.mavlink.system, config.mavlink.component
-    return MavlinkSender(None, system=system, component=component, thrust=thrust_model(config, vehicle))
+    key = _signing_key(config)
+    return MavlinkSender(
+        None, system=system, component=component, thrust=thrust_model(config, vehicle), key=key, link_id=1
+    )
+
+
+def _goal_senders(config: OnboardConfig) -> list[tuple[int, str | None]]:
+    """Return system id and address of each sender of goals; None stands for the autopilot's connection."""
+    senders: list[tuple[int, str | None]] = []
+    for entry in config.mavlink.goal_senders.split(","):
+        system, _, address = entry.partition("@")
+        senders.append(
+            (config.mavlink.system, None)
+            if entry == "vehicle"
+            else (int(system), None if address == "autopilot" else address)
+        )
+    return senders
+
+
+def _signing_key(config: OnboardConfig) -> bytes | None:
+    path = config.mavlink.signing_key_file
+    return None if path == "none" else load_key(path)
 
 
 def thrust_model(config: OnboardConfig, vehicle: VehicleConfig) -> ThrustModel:
@@ -56,9 +91,16 @@ def open_lidar(config: OnboardConfig) -> LivoxSource:
 
     Raises:
         OSError: The port is in use; says what to do.
+        ValueError: The sensor's address is missing although other computers can reach the port.
     """
     settings = config.lidar
     sensor = None if settings.sensor == "any" else settings.sensor
+    if sensor is None and not is_loopback(settings.host):
+        raise ValueError(
+            f"lidar.sensor is any, but every computer in the network can send points to {settings.host}:"
+            f"{settings.port}; set lidar.sensor to the sensor's address, for a Mid-360 192.168.1.1xx with the last two "
+            "digits of its serial number, or lidar.host to 127.0.0.1."
+        )
     try:
         return LivoxSource(settings.port, host=settings.host, sensor=sensor, keep_uncertain=settings.keep_uncertain)
     except OSError as error:

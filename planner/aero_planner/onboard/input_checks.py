@@ -145,6 +145,10 @@ def _check_dropped(link: VehicleLink) -> Iterator[Check]:
         finding = ", ".join(f"{count} x {reason}" for reason, count in link.dropped.items())
         advice = "Let the autopilot send its position in MAV_FRAME_LOCAL_NED or LOCAL_FRD, and only when it has one."
         yield Check("unusable messages", finding, ok=False, required=False, advice=advice)
+    if link.ignored:
+        finding = ", ".join(f"{count} x {what}" for what, count in link.ignored.items())
+        advice = "Name the senders of goals in mavlink.goal_senders; find out who poses as the autopilot."
+        yield Check("ignored messages", finding, ok=False, required=False, advice=advice)
 
 
 def _check_points(

@@ -125,6 +125,11 @@ class VehicleLink(CommandSink, Protocol):
         """Number of states and goals that could not be used, by reason."""
         ...
 
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """Number of messages that were ignored because of their sender, by kind and sender."""
+        ...
+
     def poll(self) -> None:
         """Read what has arrived. Never blocks; never raises for bad data."""
         ...

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import enum
+import logging
 import socket
 import struct
 import time
@@ -22,10 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import PointCounters, PointPacket
 
 __all__ = ["CARTESIAN_CM", "CARTESIAN_MM", "LivoxPacket", "LivoxSource", "Reject", "encode_packet", "parse_packet"]
+
+_log = logging.getLogger(__name__)
 
 CARTESIAN_MM = 1
 """Data type of points in 32-bit millimetres, the sensor's default."""
@@ -44,7 +48,10 @@ _POINT = {
 _LIKELY_NOISE = 0b101010
 _POSSIBLE_NOISE = 0b111111
 _RECEIVE_BUFFER = 4_000_000  # requested size [bytes]; the kernel may give less
-_PACKETS_PER_POLL = 1024  # half a second of packets, which bounds the time of a poll during a flood
+_PACKETS_PER_POLL = 256  # six times as many as arrive in a control period
+_POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
+_DATAGRAM_MAX = 16_384  # [bytes]
+_TOLERATED = 20  # datagrams of strangers after which the kernel drops them
 
 
 class Reject(enum.Enum):
@@ -164,7 +171,8 @@ class LivoxSource:
     ) -> None:
         self.counters = PointCounters()
         self.rejects = dict.fromkeys(Reject, 0)
-        self._sensor = sensor
+        self._sensor = None if sensor is None else socket.gethostbyname(sensor)
+        self._ignored = 0
         self._noise = _LIKELY_NOISE if keep_uncertain else _POSSIBLE_NOISE
         self._time = clock
         self._clock = HostClock()
@@ -183,16 +191,20 @@ class LivoxSource:
     def poll(self) -> list[PointPacket]:
         """Return the points that have arrived since the last call, oldest first, joined by data type.
 
-        At most half a second of packets is read at once. The rest waits in the socket, whose buffer is bounded.
+        A flood takes a bounded time. The rest waits in the socket, whose buffer is bounded.
         """
         waiting: list[tuple[LivoxPacket, float]] = []
         result: list[PointPacket] = []
+        deadline = time.thread_time() + _POLL_TIME
         for _ in range(_PACKETS_PER_POLL):
+            if time.thread_time() > deadline:
+                break
             try:
-                data, address = self._socket.recvfrom(65535)
+                data, address = self._socket.recvfrom(_DATAGRAM_MAX)
             except OSError:  # nothing has arrived, or an earlier datagram has caused an error
                 break
             if self._sensor is not None and address[0] != self._sensor:
+                self._refuse(address)
                 continue
             packet = parse_packet(data)
             if isinstance(packet, Reject):
@@ -210,9 +222,21 @@ class LivoxSource:
             result.append(self._join(waiting))
         return result
 
+    @property
+    def ignored(self) -> int:
+        """Number of datagrams that were dropped: of strangers, or for lack of room."""
+        return self._ignored + count_drops(self._socket)
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+    def _refuse(self, address: tuple[str, int]) -> None:
+        if self._ignored == 0:
+            _log.warning("packets from %s:%d are ignored: the LiDAR is at %s", *address, self._sensor)
+        self._ignored += 1
+        if self._ignored == _TOLERATED and self._sensor is not None:
+            filter_senders(self._socket, [(self._sensor, None)])
 
     def _admit(self, packet: LivoxPacket) -> float | None:
         """Return the host time of the first point [s]; None for a duplicate or an inconsistent time stamp."""

@@ -1,9 +1,12 @@
 """The autopilot over MAVLink 2: receives vehicle state, heartbeat and goal; sends thrust and body rates.
 
-The state comes from ODOMETRY or, while no usable one arrives, from LOCAL_POSITION_NED with ATTITUDE_QUATERNION. A goal
-comes from SET_POSITION_TARGET_LOCAL_NED addressed to this component. The estimator counts as reset when the reset
-counter of ODOMETRY changes, when LOCAL_POSITION_NED, which has no counter, moves as no flight does
-(`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message.
+The state comes from ODOMETRY or, while no usable one arrives, from LOCAL_POSITION_NED with ATTITUDE_QUATERNION. The
+estimator counts as reset when the reset counter of ODOMETRY changes, when LOCAL_POSITION_NED, which has no counter,
+moves as no flight does (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other
+message. A goal comes from SET_POSITION_TARGET_LOCAL_NED addressed to this component.
+
+The first autopilot that is heard, with the system id of the settings, is obeyed for good: messages from elsewhere are
+ignored, except for goals from the senders that the settings name.
 
 EXTENDED_SYS_STATE tells whether the vehicle is in the air. A DISTANCE_SENSOR that looks down measures the height of the
 ground. The covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
@@ -14,10 +17,12 @@ sent: nothing here can arm the vehicle or switch its mode.
 
 from __future__ import annotations
 
+import logging
 import math
+import socket
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,12 +33,15 @@ from aero_planner.onboard.frames import attitude_from_ned, frd_from_flu, world_f
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.mavlink_parser import MavlinkParser
+from aero_planner.onboard.mavlink_signing import SignatureChecker, signing_time
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.onboard.transport import Transport, open_transport
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
 __all__ = ["MavlinkLink", "MavlinkSender", "load_dialect"]
+
+_log = logging.getLogger(__name__)
 
 _ODOMETRY_TIMEOUT = 1.0  # [s] without ODOMETRY after which the other two messages are used
 _PAIR_TIMEOUT = 0.1  # [s] between the stamps of a position and an attitude that are used together
@@ -47,7 +55,14 @@ _INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
 _LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
 _LIMIT = 1e6  # [m], [m/s]; larger values have no precision left in float32
-_BYTES_PER_POLL = 65_536  # bounds the time of a poll during a flood
+_DATAGRAMS_PER_POLL = 128  # twenty times as many as arrive in a control period
+_POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
+_GOAL = "SET_POSITION_TARGET_LOCAL_NED"
+_WANTED = (
+    "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
+    _GOAL,
+)  # fmt: skip
+_IGNORED_MAX = 20  # kinds of ignored messages that are told apart
 
 
 def load_dialect() -> Any:
@@ -74,6 +89,8 @@ class MavlinkSender:
         component: Component id of this computer.
         thrust: Thrust model of the vehicle.
         clock: Host time [s].
+        key: Key with which every message is signed, 32 bytes; None signs none.
+        link_id: Number of the connection in the signatures; each sender has its own.
 
     Raises:
         ImportError: pymavlink is not installed.
@@ -91,6 +108,8 @@ class MavlinkSender:
         component: int,
         thrust: ThrustModel,
         clock: Callable[[], float] = time.monotonic,
+        key: bytes | None = None,
+        link_id: int = 0,
     ) -> None:
         self.transport = transport
         self.sent = 0
@@ -101,6 +120,9 @@ class MavlinkSender:
         self._time = clock
         self._packer = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         self._sending = threading.Lock()
+        self._signing = self._packer.signing
+        self._signing.secret_key, self._signing.link_id = key, link_id
+        self._signing.sign_outgoing = key is not None
 
     def send(self, command: ArrayLike) -> None:
         """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
@@ -127,9 +149,14 @@ class MavlinkSender:
     def send_message(self, message: Any) -> bool:
         """Send one of the dialect's messages; return False if there is no transport or no room."""
         with self._sending:
+            self._signing.timestamp = max(self._signing.timestamp, self._signing_time())
             data = message.pack(self._packer)
             self._packer.seq = (self._packer.seq + 1) % 256
             return self.transport is not None and self.transport.send(bytes(data))
+
+    def _signing_time(self) -> int:
+        """Return the time stamp of the next signature."""
+        return signing_time()
 
 
 class MavlinkLink(MavlinkSender):
@@ -142,6 +169,9 @@ class MavlinkLink(MavlinkSender):
         system: System id of the autopilot and of this computer.
         component: Component id of this computer.
         state_rate: ODOMETRY messages per second that are requested from the autopilot; 0 requests no messages.
+        goal_senders: System id and address of each sender of goals; None for the address stands for the autopilot's
+            connection.
+        key: Key of the signatures, 32 bytes; messages without a valid one are ignored. None accepts all.
         clock: Host time [s].
 
     Raises:
@@ -152,8 +182,9 @@ class MavlinkLink(MavlinkSender):
         state: See `VehicleLink`.
         goal: See `VehicleLink`.
         parser: Parser of what is received, with its counters.
-        received: Number of messages understood, by name.
+        received: Number of messages used, by name.
         dropped: Number of states and goals that could not be used, by message and reason.
+        ignored: Number of messages that were ignored because of their sender, by kind and sender.
     """
 
     def __init__(
@@ -165,18 +196,31 @@ class MavlinkLink(MavlinkSender):
         system: int = 1,
         component: int = 191,
         state_rate: float = 100.0,
+        goal_senders: Collection[tuple[int, str | None]] | None = None,
+        key: bytes | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         load_dialect()  # raises before the transport is opened
-        self._transport = open_transport(url, baud=baud)
-        super().__init__(self._transport, system=system, component=component, thrust=thrust, clock=clock)
-        self.parser = MavlinkParser(self._dialect, datagrams=self._transport.datagrams)
+        senders = ((system, None),) if goal_senders is None else goal_senders
+        self._goal_senders = frozenset((number, host and socket.gethostbyname(host)) for number, host in senders)
+        hosts = {host for _, host in self._goal_senders if host is not None}
+        self._transport = open_transport(url, baud=baud, allowed=hosts)
+        super().__init__(self._transport, system=system, component=component, thrust=thrust, clock=clock, key=key)
+        self._signatures = None if key is None else SignatureChecker(key)
+        self.parser = MavlinkParser(
+            self._dialect,
+            datagrams=self._transport.datagrams,
+            wanted=_WANTED,
+            systems={system, *(sender for sender, _ in self._goal_senders)},
+            signatures=self._signatures,
+        )
         self._state_rate = state_rate
         self._polling = threading.Lock()
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
         self.received: dict[str, int] = {}
         self.dropped: dict[str, int] = {}
+        self.ignored: dict[str, int] = {}
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = self._heartbeat_sent = self._requested = -np.inf
@@ -199,11 +243,7 @@ class MavlinkLink(MavlinkSender):
         if not self._polling.acquire(blocking=False):
             return  # another thread is polling
         try:
-            budget = _BYTES_PER_POLL
-            while budget > 0 and (data := self._transport.receive()) is not None:
-                budget -= len(data)
-                for message in self.parser.parse(data):
-                    self._process(message)
+            self._receive()
             now = self._time()
             if now - self._heartbeat_sent >= 1.0:
                 self._heartbeat_sent = now
@@ -217,16 +257,38 @@ class MavlinkLink(MavlinkSender):
         """Release the connection."""
         self._transport.close()
 
+    @property
+    def strangers(self) -> int:
+        """Number of datagrams that were dropped unread: of strangers, or for lack of room."""
+        return self._transport.ignored
+
+    def _signing_time(self) -> int:
+        # The autopilot accepts no time stamp older than its own.
+        return signing_time() if self._signatures is None else max(signing_time(), self._signatures.newest)
+
+    def _receive(self) -> None:
+        """Read what has arrived, within the limits of one poll."""
+        deadline = time.thread_time() + _POLL_TIME
+        for _ in range(_DATAGRAMS_PER_POLL):
+            data = self._transport.receive()
+            if data is None:
+                return
+            for message in self.parser.parse(data):
+                self._process(message)
+            if time.thread_time() > deadline:
+                return
+
     def _process(self, message: Any) -> None:
-        name = message.get_type()
-        if name.startswith("UNKNOWN"):
-            name = "UNKNOWN"
-        self.received[name] = self.received.get(name, 0) + 1
-        if name == "SET_POSITION_TARGET_LOCAL_NED":
-            self._process_goal(message)
+        name, sender = message.get_type(), self._transport.sender
+        if name == _GOAL:
+            self._process_goal(message, sender)
         if (message.get_srcSystem(), message.get_srcComponent()) != (self._system, 1):
             return
+        if sender is not None:
+            self._ignore(f"{name} of the autopilot from {sender}", "only the first autopilot that was heard is obeyed")
+            return
         self._transport.accept_sender()
+        self.received[name] = self.received.get(name, 0) + 1
         if name == "HEARTBEAT":
             self._process_heartbeat(message)
         elif name == "EXTENDED_SYS_STATE":
@@ -377,16 +439,31 @@ class MavlinkLink(MavlinkSender):
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
         )  # fmt: skip
 
-    def _process_goal(self, message: Any) -> None:
+    def _process_goal(self, message: Any, sender: str | None) -> None:
         is_for_us = message.target_system in (0, self._system) and message.target_component in (0, self._component)
         if not is_for_us:
             return
+        system = message.get_srcSystem()
+        if self._transport.peer is None:
+            return  # the autopilot is not known yet, so neither is whether it forwards this
+        if (system, sender) not in self._goal_senders:
+            entry = f"{system}@{sender or 'autopilot'}"
+            self._ignore(f"goal from {entry}", f"add {entry} to mavlink.goal_senders to obey it")
+            return
+        self.received[_GOAL] = self.received.get(_GOAL, 0) + 1
         position = world_from_ned([message.x, message.y, message.z])
         ignored = message.type_mask & 0b111  # POSITION_TARGET_TYPEMASK_X_IGNORE, Y, Z
         local = message.coordinate_frame == self._dialect.MAV_FRAME_LOCAL_NED
         if ignored or not local or not np.abs(position).max() <= _LIMIT:
             return self._drop("SET_POSITION_TARGET_LOCAL_NED in another frame, incomplete, or not finite")
         self.goal = position
+
+    def _ignore(self, what: str, advice: str) -> None:
+        if what not in self.ignored:
+            if len(self.ignored) >= _IGNORED_MAX:
+                return
+            _log.warning("ignored: %s; %s", what, advice)
+        self.ignored[what] = self.ignored.get(what, 0) + 1
 
     def _drop(self, reason: str) -> None:
         self.dropped[reason] = self.dropped.get(reason, 0) + 1

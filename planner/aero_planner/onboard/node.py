@@ -173,6 +173,7 @@ class Node:
             "lidar_packets": counters.packets,
             "lidar_lost": counters.lost,
             "lidar_bad": counters.bad,
+            "messages_ignored": sum(self._link.ignored.values()),
             "points_dropped": self._replanner.dropped_points,
             "ground_height": self.ground.height,
             "ground_source": self.ground.source.name,

@@ -30,6 +30,7 @@ __all__ = [
 
 
 _ADDRESS = r"[A-Za-z0-9_.:-]+"
+_SENDER = rf"(?:vehicle|[0-9]{{1,3}}@{_ADDRESS})"
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class LidarSettings(ParameterSection, section="lidar"):
         56301, 0, 65535, "UDP port to which the sensor sends its points; 0 uses any free port.", label="UDP port"
     )
     sensor: str = text(
-        "any", _ADDRESS, "an address, or any", "Address of the sensor; packets from other addresses are ignored.",
+        "any", _ADDRESS, "an address, or any", "Address of the sensor; packets from other addresses are ignored. Any "
+        "is accepted only where lidar.host is a loopback address.",
         label="Sensor address",
     )  # fmt: skip
     keep_uncertain: bool = switch(
@@ -79,7 +81,8 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
 
     url: str = text(
         "udpin:127.0.0.1:14540", r"[A-Za-z0-9_./:,-]+", "a connection such as udpin:0.0.0.0:14540 or /dev/ttyTHS1",
-        "Connection in the notation of pymavlink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, or a serial device.",
+        "Connection in the notation of pymavlink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, or a serial device. With "
+        "udpin, the first autopilot that is heard is the only one from then on.",
         label="Connection",
     )  # fmt: skip
     baud: int = structural(921_600, 1200, 12_500_000, "Bits per second of a serial device.", label="Baud rate")
@@ -89,6 +92,17 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
     component: int = structural(
         191, 1, 255, "Component id of this computer; 191 is the first onboard computer.", label="Component id"
     )
+    goal_senders: str = text(
+        "vehicle", rf"{_SENDER}(,{_SENDER})*", "vehicle, or a list such as vehicle,255@autopilot,255@192.168.1.20",
+        "Who may send goals, separated by commas: vehicle, the autopilot's own system; SYSTEM@autopilot, another "
+        "system, such as a ground station, whose messages the autopilot forwards; SYSTEM@ADDRESS, one that sends them "
+        "here itself.", label="Senders of goals",
+    )  # fmt: skip
+    signing_key_file: str = text(
+        "none", r"[A-Za-z0-9_./~+-]+", "a path, or none",
+        "File with the key of MAVLink's signatures: 64 hexadecimal digits, or a passphrase. With it, every message is "
+        "signed, and messages without a valid signature are ignored.", label="Signing key file",
+    )  # fmt: skip
     state_rate: float = live(
         100.0, "Hz", 0.0, 500.0, "Rate at which the autopilot is asked to send its state; 0 sends no request."
     )

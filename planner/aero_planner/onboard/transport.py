@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import socket
+from collections.abc import Collection
 from typing import Protocol
+
+from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 
 __all__ = ["Transport", "open_transport"]
 
+_log = logging.getLogger(__name__)
+
 _CHUNK = 4096
+_TOLERATED = 20  # datagrams of strangers after which the kernel drops them
+_LOGGED_SENDERS = 5
 
 
 class Transport(Protocol):
@@ -17,6 +25,8 @@ class Transport(Protocol):
 
     datagrams: bool
     """True if each `receive` returns whole messages; False for a stream of bytes."""
+    sender: str | None
+    """Address from which the last received data came; None if it came from the peer, or if the peer is unknown."""
 
     @property
     def peer(self) -> str | None:
@@ -26,12 +36,20 @@ class Transport(Protocol):
         """
         ...
 
+    @property
+    def ignored(self) -> int:
+        """Number of datagrams that were dropped: of strangers, or for lack of room."""
+        ...
+
     def receive(self) -> bytes | None:
-        """Return the next part of what has arrived, oldest first; None if there is nothing left."""
+        """Return the next part of what has arrived, oldest first; None if there is nothing left.
+
+        It is empty if it came from neither the peer, once that is known, nor an allowed address.
+        """
         ...
 
     def accept_sender(self) -> None:
-        """Make the sender of the last received data the peer, to which `send` goes from now on."""
+        """Make the sender of the last received data the peer, for good, unless there is a peer already."""
         ...
 
     def send(self, data: bytes) -> bool:
@@ -43,13 +61,14 @@ class Transport(Protocol):
         ...
 
 
-def open_transport(url: str, *, baud: int | None = 921_600) -> Transport:
+def open_transport(url: str, *, baud: int | None = 921_600, allowed: Collection[str] = ()) -> Transport:
     """Open "udpin:ADDRESS:PORT", "udpout:ADDRESS:PORT" or a serial device such as "/dev/ttyTHS1".
 
     Args:
         url: What to open.
         baud: Baud rate of a serial device [bit/s]. None keeps the device's settings and buffers, for a device that
             another process has already opened.
+        allowed: Addresses other than the peer from which datagrams are received.
 
     Raises:
         ValueError: The URL has another form, or the system does not support the baud rate.
@@ -60,7 +79,7 @@ def open_transport(url: str, *, baud: int | None = 921_600) -> Transport:
         host, _, number = rest.rpartition(":")
         if not host or not number.isdigit() or int(number) > 65535:
             raise ValueError(f"the connection {url!r} has no address and port; write it as {kind}:127.0.0.1:14540.")
-        return _Udp(host, int(number), listen=kind == "udpin")
+        return _Udp(host, int(number), listen=kind == "udpin", allowed=allowed)
     if url.startswith("/"):
         return _Serial(url, baud)
     raise ValueError(
@@ -72,10 +91,13 @@ def open_transport(url: str, *, baud: int | None = 921_600) -> Transport:
 class _Udp:
     datagrams = True
 
-    def __init__(self, host: str, port: int, *, listen: bool) -> None:
-        self._peer = None if listen else (host, port)
-        self._is_peer_fixed = not listen
+    def __init__(self, host: str, port: int, *, listen: bool, allowed: Collection[str]) -> None:
+        self.sender: str | None = None
+        self._peer = None if listen else (socket.gethostbyname(host), port)
+        self._allowed = frozenset(socket.gethostbyname(name) for name in allowed)
         self._last_sender: tuple[str, int] | None = None
+        self._strangers: set[tuple[str, int]] = set()
+        self._ignored = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
@@ -88,16 +110,39 @@ class _Udp:
     def peer(self) -> str | None:
         return None if self._peer is None else f"udpout:{self._peer[0]}:{self._peer[1]}"
 
+    @property
+    def ignored(self) -> int:
+        return self._ignored + count_drops(self._socket)
+
     def receive(self) -> bytes | None:
         try:
-            data, self._last_sender = self._socket.recvfrom(65535)
+            data, sender = self._socket.recvfrom(_CHUNK)
         except OSError:  # nothing has arrived, or an earlier datagram has caused an error
             return None
-        return data
+        self._last_sender = sender
+        if self._peer is None or sender == self._peer:
+            self.sender = None
+            return data
+        self.sender = sender[0]
+        if sender[0] in self._allowed:
+            return data
+        self._refuse(sender)
+        return b""
+
+    def _refuse(self, sender: tuple[str, int]) -> None:
+        """Count a datagram of a stranger, name the first strangers in the log, and then let the kernel drop them."""
+        assert self._peer is not None
+        self._ignored += 1
+        if sender not in self._strangers and len(self._strangers) < _LOGGED_SENDERS:
+            self._strangers.add(sender)
+            _log.warning("datagrams from %s:%d are ignored: the autopilot is at %s:%d", *sender, *self._peer)
+        if self._ignored == _TOLERATED:
+            filter_senders(self._socket, [self._peer, *((host, None) for host in self._allowed)])
 
     def accept_sender(self) -> None:
-        if not self._is_peer_fixed:
+        if self._peer is None and self._last_sender is not None:
             self._peer = self._last_sender
+            _log.info("the autopilot is at %s:%d", *self._peer)
 
     def send(self, data: bytes) -> bool:
         if self._peer is None:
@@ -114,6 +159,7 @@ class _Udp:
 
 class _Serial:
     datagrams = False
+    sender: str | None = None
 
     def __init__(self, device: str, baud: int | None) -> None:
         self.peer = device
@@ -142,6 +188,10 @@ class _Serial:
             termios.tcflush(self._file, termios.TCIOFLUSH)
         except termios.error as error:
             raise OSError(f"{self.peer} is not a serial device: {error.args[-1]}") from error
+
+    @property
+    def ignored(self) -> int:
+        return 0
 
     def receive(self) -> bytes | None:
         with contextlib.suppress(OSError):

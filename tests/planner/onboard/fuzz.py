@@ -133,7 +133,10 @@ class FuzzMavlink:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        self.link = MavlinkLink(f"udpin:127.0.0.1:{self.port}", ThrustModel(), clock=lambda: self.now)
+        senders = [(1, None), (200, None), (200, "127.0.0.1")]
+        self.link = MavlinkLink(
+            f"udpin:127.0.0.1:{self.port}", ThrustModel(), goal_senders=senders, clock=lambda: self.now
+        )
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.sequence, self.wild = 0, False
         self.kinds = list(self.dialect.mavlink_map.values())

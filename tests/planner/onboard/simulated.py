@@ -45,6 +45,7 @@ class SimulatedLink:
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
         self.dropped: dict[str, int] = {}
+        self.ignored: dict[str, int] = {}
         self.resets = 0
         self.armed = self.offboard = False
         self.in_air: bool | None = True

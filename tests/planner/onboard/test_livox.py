@@ -231,6 +231,25 @@ def test_with_an_address_only_the_sensor_is_heard():
     source.close()
 
 
+def test_a_flood_of_strangers_leaves_room_for_the_sensor(caplog):
+    source = LivoxSource(0, host="127.0.0.1", sensor="127.0.0.2")
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor,
+    ):
+        sensor.bind(("127.0.0.2", 0))
+        for k in range(20_000):
+            stranger.sendto(by_hand([(1000, 0, 0)], [0]), ("127.0.0.1", source.port))
+            if k == 100:
+                assert source.poll() == []
+        sensor.sendto(by_hand([(2000, 0, 0)], [0]), ("127.0.0.1", source.port))
+        (packet,) = source.poll()
+    assert packet.points.tolist() == [[2.0, 0.0, 0.0]]
+    assert source.ignored == 20_000 and source.counters.bad == 0
+    assert caplog.text.count("are ignored: the LiDAR is at 127.0.0.2") == 1
+    source.close()
+
+
 def test_a_port_in_use_is_an_error(source):
     with pytest.raises(OSError, match="in use"):
         LivoxSource(source.port, host="127.0.0.1")

@@ -95,7 +95,8 @@ def port() -> int:
 
 @pytest.fixture
 def link(clock, port):
-    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(2.0, hover_thrust=0.4), clock=clock)
+    senders = [(1, None), (255, None), (255, "127.0.0.1")]
+    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(2.0, hover_thrust=0.4), goal_senders=senders, clock=clock)
     yield link
     link.close()
 
@@ -423,6 +424,7 @@ def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
 
 
 def test_goals(link, autopilot):
+    autopilot.heartbeat()
     (station := Peer(autopilot.address[1], 255, 190)).send(goal_message((10, 2, -3)))
     link.poll()
     np.testing.assert_allclose(link.goal, [10, -2, 3])
@@ -434,6 +436,87 @@ def test_goals(link, autopilot):
     np.testing.assert_allclose(link.goal, [10, -2, 3])
     assert link.dropped == {"SET_POSITION_TARGET_LOCAL_NED in another frame, incomplete, or not finite": 3}
     station.socket.close()
+
+
+def test_the_first_autopilot_is_pinned(link, autopilot, clock, caplog):
+    state_after(link, autopilot, odometry((1, 2, -3)))
+    impostors = Peer(autopilot.address[1]), Peer(autopilot.address[1])
+    for k, impostor in enumerate(impostors):
+        impostor.heartbeat()
+        impostor.send(odometry((9, 9, 9), time=6.0 + k), landed_state(2))
+        link.poll()
+    np.testing.assert_allclose(link.state.state.position, [1, -2, 3])
+    assert not link.state.armed and link.state.in_air is None
+    link.send([9.81, 0, 0, 0])
+    assert len(autopilot.received("SET_ATTITUDE_TARGET")) == 1
+    assert not any(impostor.received("SET_ATTITUDE_TARGET") for impostor in impostors)
+    # The address of a ground station is allowed, but not to pose as the autopilot.
+    assert link.ignored["HEARTBEAT of the autopilot from 127.0.0.1"] == 2
+    assert caplog.text.count("ignored: HEARTBEAT of the autopilot from 127.0.0.1; only the first autopilot") == 1
+    for impostor in impostors:
+        impostor.socket.close()
+
+
+@pytest.fixture
+def strict_link(clock, port):
+    """A link that takes goals only from the vehicle."""
+    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(), clock=clock)
+    yield link
+    link.close()
+
+
+def test_goals_come_from_named_senders_only(strict_link, port, clock, caplog):
+    autopilot, forwarded, station = Peer(port), Peer(port, 255, 190), Peer(port, 255, 190)
+    autopilot.heartbeat()
+    strict_link.poll()
+    autopilot.send(goal_message((1, 0, 0)))
+    strict_link.poll()
+    np.testing.assert_allclose(strict_link.goal, [1, 0, 0])
+    forwarded.socket.close()
+    forwarded.socket = autopilot.socket  # a ground station whose messages the autopilot forwards
+    for stranger in (forwarded, station):
+        stranger.send(goal_message((7, 7, 7)))
+        strict_link.poll()
+    np.testing.assert_allclose(strict_link.goal, [1, 0, 0])
+    assert "datagrams from 127.0.0.1" in caplog.text  # named in the log
+    autopilot.socket.close()
+    station.socket.close()
+
+
+@pytest.mark.parametrize("entry", [(255, None), (255, "127.0.0.1")])
+def test_a_ground_station_is_obeyed_only_on_the_way_that_was_named(clock, port, entry, caplog):
+    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(), goal_senders=[(1, None), entry], clock=clock)
+    autopilot, forwarded, station = Peer(port), Peer(port, 255, 190), Peer(port, 255, 190)
+    autopilot.heartbeat()
+    forwarded.socket.close()
+    forwarded.socket = autopilot.socket
+    station.send(goal_message((2, 0, 0)))
+    forwarded.send(goal_message((1, 0, 0)))
+    link.poll()
+    assert link.goal is not None
+    np.testing.assert_allclose(link.goal, [1 if entry[1] is None else 2, 0, 0])
+    if entry[1] is not None:
+        assert link.ignored == {"goal from 255@autopilot": 1}
+        assert "add 255@autopilot to mavlink.goal_senders to obey it" in caplog.text
+    link.close()
+    autopilot.socket.close()
+    station.socket.close()
+
+
+def test_a_flood_of_strangers_reaches_neither_parser_nor_buffer(strict_link, port, clock):
+    autopilot, stranger = Peer(port), Peer(port, 1, 1)
+    autopilot.heartbeat()
+    strict_link.poll()
+    for k in range(2000):
+        stranger.send(odometry(time=5.0 + k))
+        if k % 50 == 0:
+            strict_link.poll()
+    state_after(strict_link, autopilot, odometry((1, 2, 3)))
+    np.testing.assert_allclose(strict_link.state.state.position, [1, -2, -3])  # the buffer had room for it
+    assert strict_link.received == {"HEARTBEAT": 1, "ODOMETRY": 1} and strict_link.parser.bad == 0
+    assert strict_link.strangers == 2000
+    autopilot.socket.close()
+    stranger.socket.close()
 
 
 def test_garbage_does_not_swallow_later_messages(link, autopilot):
@@ -448,17 +531,16 @@ def test_garbage_does_not_swallow_later_messages(link, autopilot):
     assert link.state is not None
 
 
-def test_unknown_messages_are_counted_as_one(link, autopilot):
+def test_unknown_messages_are_skipped(link, autopilot):
     for number in (60_000, 60_001, 16_000_000):
         header = bytes([0xFD, 0, 0, 0, 0, 1, 1]) + number.to_bytes(3, "little")
         autopilot.socket.sendto(header + b"\0\0", autopilot.address)
     link.poll()
-    assert link.received == {"UNKNOWN": 3}
+    assert link.received == {} and link.parser.skipped == 3
 
 
 def test_a_flood_is_read_in_parts(link, autopilot, monkeypatch):
-    size = len(bytes(odometry().pack(autopilot.protocol)))
-    monkeypatch.setattr(mavlink_module, "_BYTES_PER_POLL", 20 * size)
+    monkeypatch.setattr(mavlink_module, "_DATAGRAMS_PER_POLL", 20)
     for _ in range(50):
         autopilot.send(odometry())
     for total in (20, 40, 50, 50):

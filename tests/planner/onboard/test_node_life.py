@@ -98,6 +98,7 @@ class StandingLink:
         self.armed = self.offboard = False
         self.goal = np.array(GOAL)
         self.dropped: dict[str, int] = {}
+        self.ignored: dict[str, int] = {}
         self.many = threading.Event()
         """Set when twenty commands have arrived since `count` was zero."""
         self.count = 0

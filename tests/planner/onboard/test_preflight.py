@@ -11,6 +11,7 @@ import pytest
 
 from aero_planner import Planner
 from aero_planner.check_report import Check, CheckReport
+from aero_planner.onboard.connections import open_lidar
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.preflight import check_thrust, preflight
 from aero_planner.onboard.settings import OnboardConfig
@@ -99,6 +100,21 @@ def test_a_low_floor_needs_a_distance_sensor(drone: Simulation):
     assert check.ok and check.finding.startswith("at a height of 0.30 m, measured by the autopilot's distance sensor")
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.50"])
+def test_beyond_loopback_the_sensors_address_is_required(host: str):
+    config = OnboardConfig().replace({"lidar.host": host, "lidar.port": 0})
+    with pytest.raises(ValueError, match=r"set lidar\.sensor to the sensor's address"):
+        open_lidar(config)
+    named = config.replace({"lidar.host": "0.0.0.0", "lidar.sensor": "192.168.1.142"})
+    open_lidar(named).close()
+
+
+def test_messages_of_strangers_are_a_warning(drone: Simulation):
+    drone.link.ignored["goal from 255@autopilot"] = 3
+    check = run_checks(drone)["ignored messages"]
+    assert check.finding == "3 x goal from 255@autopilot" and not check.ok and not check.required
+
+
 def test_unusable_messages_are_a_warning(drone: Simulation):
     drone.link.dropped["ODOMETRY in frames 0 and 1"] = 300
     check = run_checks(drone)["unusable messages"]
@@ -132,7 +148,13 @@ def test_the_complete_report(tmp_path: Path):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     config = OnboardConfig().replace(
-        {"lidar.port": 0, "lidar.points_max": 2000, "mavlink.url": f"udpin:127.0.0.1:{port}", "telemetry.port": 0}
+        {
+            "lidar.host": "127.0.0.1",
+            "lidar.port": 0,
+            "lidar.points_max": 2000,
+            "mavlink.url": f"udpin:127.0.0.1:{port}",
+            "telemetry.port": 0,
+        }
     )
     report = preflight(FAST, config, log=tmp_path, listen=0.1)
     found = {check.name: check for check in report.checks}

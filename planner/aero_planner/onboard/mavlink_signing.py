@@ -1,0 +1,76 @@
+"""Signatures of MAVLink 2: who does not know the key can neither command nor pose as the autopilot.
+
+A signature has a link id, a time stamp in steps of 10 us since 2015, and six bytes of the SHA-256 of key and frame.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+from pathlib import Path
+
+__all__ = ["SignatureChecker", "load_key", "signing_time"]
+
+_EPOCH = 1_420_070_400  # 2015-01-01 [s]
+_TICKS = 100_000  # per second
+_MAX_DELAY = 60 * _TICKS  # by which the first time stamp of a stream may be late
+
+
+def signing_time() -> int:
+    """Return the present time stamp of a signature, in steps of 10 us since 2015."""
+    return max(0, int((time.time() - _EPOCH) * _TICKS))
+
+
+def load_key(path: str | Path) -> bytes:
+    """Return the key in a file: 64 hexadecimal digits, or a passphrase, whose SHA-256 is the key as in ground stations.
+
+    Raises:
+        ValueError: The file can't be read, or is empty; says what to do.
+    """
+    try:
+        text = Path(path).expanduser().read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not a text file"
+        raise ValueError(f"can't read the signing key {path} (mavlink.signing_key_file): {reason}.") from error
+    if not text:
+        raise ValueError(
+            f"the signing key {path} (mavlink.signing_key_file) is empty; write 64 hexadecimal digits or a passphrase."
+        )
+    if len(text) == 64:
+        try:
+            return bytes.fromhex(text)
+        except ValueError:
+            pass
+    return hashlib.sha256(text.encode()).digest()
+
+
+class SignatureChecker:
+    """Checks the signatures of received frames.
+
+    Args:
+        key: The secret key, 32 bytes.
+
+    Attributes:
+        newest: Newest time stamp that was accepted, or the time at the start.
+    """
+
+    def __init__(self, key: bytes) -> None:
+        self.newest = signing_time()
+        self._key = key
+        self._streams: dict[tuple[int, int, int], int] = {}
+
+    def accept(self, frame: bytes) -> bool:
+        """Return True if a frame of MAVLink 2 has a valid signature that is newer than the last one of its stream."""
+        if frame[0] != 0xFD or not frame[2] & 1:
+            return False
+        expected = hashlib.sha256(self._key + frame[:-6]).digest()[:6]
+        if not hmac.compare_digest(expected, frame[-6:]):
+            return False
+        # Only a valid signature moves the time on: otherwise a forged frame from the future would lock its stream.
+        stamp, stream = int.from_bytes(frame[-12:-6], "little"), (frame[-13], frame[5], frame[6])
+        is_new = stamp > self._streams.get(stream, self.newest - _MAX_DELAY)
+        if is_new:
+            self._streams[stream] = stamp
+            self.newest = max(self.newest, stamp)
+        return is_new

@@ -1,0 +1,146 @@
+"""Signatures, with pymavlink at the other end of the connection."""
+
+from __future__ import annotations
+
+import hashlib
+import socket
+import time
+
+import pytest
+
+from aero_planner.config import VehicleConfig
+from aero_planner.onboard.connections import make_sender, open_link
+from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
+from aero_planner.onboard.mavlink_signing import load_key
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.transport import open_transport
+
+mavlink = load_dialect()
+KEY = bytes(range(32))
+PYMAVLINK_EPOCH = 1420070400
+
+
+class Autopilot:
+    """An autopilot that signs with pymavlink and, with a key, refuses what is not signed."""
+
+    def __init__(self, key: bytes | None) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setblocking(False)
+        self.port = self.socket.getsockname()[1]
+        self.protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+        self.protocol.robust_parsing = True
+        self.peer = ("127.0.0.1", 0)
+        if key is not None:
+            self.protocol.signing.secret_key, self.protocol.signing.sign_outgoing = key, True
+            self.protocol.signing.timestamp = int((time.time() - PYMAVLINK_EPOCH) * 1e5)
+
+    def heartbeat(self, mode: int = 0) -> bytes:
+        return bytes(mavlink.MAVLink_heartbeat_message(2, 12, 129, mode, 4, 3).pack(self.protocol))
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendto(data, self.peer)
+
+    def receive(self) -> list[str]:
+        names = []
+        while True:
+            try:
+                data, self.peer = self.socket.recvfrom(2048)
+            except BlockingIOError:
+                return names
+            names += [message.get_type() for message in self.protocol.parse_buffer(data) or []]
+
+
+@pytest.fixture
+def key_file(tmp_path):
+    path = tmp_path / "key"
+    path.write_text(KEY.hex())
+    return path
+
+
+def connect(autopilot: Autopilot, key_file=None) -> MavlinkLink:
+    changes = {"mavlink.url": f"udpout:127.0.0.1:{autopilot.port}"}
+    if key_file is not None:
+        changes["mavlink.signing_key_file"] = str(key_file)
+    link = open_link(OnboardConfig().replace(changes), VehicleConfig())
+    link.poll()  # sends a heartbeat
+    return link
+
+
+def test_pymavlink_accepts_signed_commands_and_only_those(key_file):
+    for link_key, expected in ((key_file, "SET_ATTITUDE_TARGET"), (None, "BAD_DATA")):
+        autopilot = Autopilot(KEY)
+        link = connect(autopilot, link_key)
+        autopilot.receive()
+        link.send([9.81, 0, 0, 0])
+        assert autopilot.receive() == [expected]
+        link.close()
+
+
+def test_the_failsafe_process_signs_on_a_link_of_its_own(key_file):
+    autopilot = Autopilot(KEY)
+    link = connect(autopilot, key_file)
+    link.send([9.81, 0, 0, 0])
+    config = OnboardConfig().replace({"mavlink.signing_key_file": str(key_file)})
+    sender = make_sender(config, VehicleConfig())
+    assert link.peer is not None
+    sender.transport = transport = open_transport(link.peer, baud=None)
+    sender.send([9.81, 0, 0, 0])
+    link.send([9.81, 0, 0, 0])
+    assert autopilot.receive()[-3:] == ["SET_ATTITUDE_TARGET"] * 3
+    link.close()
+    transport.close()
+
+
+def test_messages_without_a_valid_signature_are_ignored(key_file):
+    genuine, unsigned, other = Autopilot(KEY), Autopilot(None), Autopilot(bytes(32))
+    link = connect(genuine, key_file)
+    genuine.receive()
+    first = genuine.heartbeat()
+    forged = bytearray(genuine.heartbeat())
+    forged[-12:-6] = b"\xff" * 6  # a time stamp from the future, which must not lock out the genuine sender
+    damaged = bytearray(genuine.heartbeat())
+    damaged[-1] ^= 1
+    for data in (unsigned.heartbeat(), other.heartbeat(), bytes(forged), bytes(damaged)):
+        genuine.send(data)
+    link.poll()
+    assert link.received == {} and link.parser.unsigned == 4
+    second = genuine.heartbeat()
+    genuine.send(second)
+    link.poll()
+    assert link.received == {"HEARTBEAT": 1}
+    for replayed in (second, first):
+        genuine.send(replayed)
+    link.poll()
+    assert link.received == {"HEARTBEAT": 1} and link.parser.unsigned == 6
+    link.close()
+
+
+def test_time_stamps_follow_an_autopilot_whose_clock_is_ahead(key_file):
+    autopilot = Autopilot(KEY)
+    autopilot.protocol.signing.timestamp += 10 * 60 * 100_000
+    link = connect(autopilot, key_file)
+    autopilot.receive()
+    link.send([9.81, 0, 0, 0])
+    autopilot.receive()
+    autopilot.send(autopilot.heartbeat())
+    link.poll()
+    link.send([9.81, 0, 0, 0])
+    assert autopilot.receive()[-1] == "SET_ATTITUDE_TARGET"
+    link.close()
+
+
+def test_keys_are_hexadecimal_or_passphrases(tmp_path):
+    path = tmp_path / "key"
+    path.write_text(f"{KEY.hex()}\n")
+    assert load_key(path) == KEY
+    path.write_text("correct horse\n")
+    assert load_key(path) == hashlib.sha256(b"correct horse").digest()
+    path.write_text("  \n")
+    with pytest.raises(ValueError, match="is empty"):
+        load_key(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match="not a text file"):
+        load_key(path)
+    with pytest.raises(ValueError, match="No such file"):
+        load_key(tmp_path / "absent")
