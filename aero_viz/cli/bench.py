@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -17,10 +17,10 @@ from aero_viz.cli.flags import (
     RayFlag,
     flight_rules,
 )
-from aero_viz.cli.output import print_json, progress_bar
+from aero_viz.cli.output import print_json, print_report, progress_bar
 from aero_viz.errors import UserError
 
-__all__ = ["bench"]
+__all__ = ["bench", "bench_compare"]
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -114,3 +114,24 @@ def bench(
         print_json({**run.header, "output": str(folder), "summary": summary, "worlds": world_records(run)})
     else:
         print(format_summaries(summaries), *format_worlds(run), folder / "report.md", sep="\n")
+
+
+def bench_compare(
+    a: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="A")]],
+    b: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="B")]],
+    *,
+    json: bool = False,
+) -> None:
+    """Compare two runs of a benchmark through the same worlds.
+
+    A sign test over the worlds says whether the difference is significant. The runs may differ in the configuration and
+    in the versions of the packages. Fly each with its own --output.
+
+    Args:
+        a: Folder of the results of the first run.
+        b: Folder of the results of the second run.
+        json: Print one JSON object.
+    """
+    from aero_viz.evaluation.bench.comparison import compare_runs
+
+    print_report(compare_runs(a, b), as_json=json)

@@ -38,11 +38,13 @@ def parse(verbs: Mapping[str, Verb], arguments: Sequence[str], *, prog: str, des
         UserError: no verb or an unknown verb was requested.
         SystemExit: code 0 after help has been printed, 2 after tyro has reported a mistake on stderr.
     """
-    first = arguments[0] if arguments else ""
-    if first in verbs:
-        import tyro
+    for words in (2, 1):  # "bench compare" before "bench"
+        name = " ".join(arguments[:words])
+        if name in verbs:
+            import tyro
 
-        return tyro.cli(_deferred(verbs[first].load()), prog=f"{prog} {first}", args=arguments[1:])
+            return tyro.cli(_deferred(verbs[name].load()), prog=f"{prog} {name}", args=arguments[words:])
+    first = arguments[0] if arguments else ""
     if first in ("-h", "--help"):
         print(_format_help(verbs, prog=prog, description=description))
         raise SystemExit(0)
@@ -75,5 +77,7 @@ def _parse_with_all_verbs(verbs: Mapping[str, Verb], arguments: Sequence[str], *
 
     app: Any = tyro.extras.SubcommandApp()
     for name, verb in verbs.items():
+        if " " in name:
+            continue  # the shell completes the first word
         app.command(_deferred(verb.load()), name=name)
     return app.cli(prog=prog, args=arguments)

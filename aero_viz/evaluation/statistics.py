@@ -6,14 +6,29 @@ import statistics
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal, Protocol
 
-__all__ = ["METRICS", "Summary", "sign_test", "summarise", "wilson_interval"]
+__all__ = ["METRICS", "PairedComparison", "Summary", "sign_test", "summarise", "wilson_interval"]
 
 METRICS = (
     "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance", "min_clearance", "flight_time_s",
 )  # fmt: skip
 """Fields of `FlightResult` that are averaged over the flights that arrived, as in the paper's table."""
+_SIGNIFICANCE = 0.05
+
+
+class Flown(Protocol):
+    """What a comparison needs of a flight."""
+
+    @property
+    def arrived(self) -> bool:
+        """True if the flight arrived."""
+        ...
+
+    @property
+    def flight_time_s(self) -> float:
+        """Duration of the flight [s]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -69,6 +84,68 @@ def sign_test(wins: int, losses: int) -> float:
     from scipy.stats import binomtest
 
     return float(binomtest(wins, wins + losses).pvalue)
+
+
+@dataclass(frozen=True)
+class PairedComparison:
+    """The comparison of flights A and B through the same worlds."""
+
+    pairs: int
+    """Number of worlds."""
+    arrived_a: int
+    """Number of worlds in which A arrives."""
+    arrived_b: int
+    """Number of worlds in which B arrives."""
+    only_a: int
+    """Number of worlds in which A arrives and B does not."""
+    only_b: int
+    """Number of worlds in which B arrives and A does not."""
+    faster_a: int
+    """Number of worlds in which both arrive, A earlier."""
+    faster_b: int
+    """Number of worlds in which both arrive, B earlier."""
+
+    @classmethod
+    def from_flights(cls, flights_a: Sequence[Flown], flights_b: Sequence[Flown]) -> PairedComparison:
+        """Return the comparison of flights through the same worlds in the same order.
+
+        Raises:
+            ValueError: the numbers of flights differ.
+        """
+        pairs = list(zip(flights_a, flights_b, strict=True))
+        times = [(a.flight_time_s, b.flight_time_s) for a, b in pairs if a.arrived and b.arrived]
+        return cls(
+            pairs=len(pairs),
+            arrived_a=sum(a.arrived for a, _ in pairs),
+            arrived_b=sum(b.arrived for _, b in pairs),
+            only_a=sum(a.arrived and not b.arrived for a, b in pairs),
+            only_b=sum(b.arrived and not a.arrived for a, b in pairs),
+            faster_a=sum(a < b for a, b in times),
+            faster_b=sum(b < a for a, b in times),
+        )
+
+    @property
+    def p_arrival(self) -> float:
+        """P-value of the two-sided sign test on arrivals."""
+        return sign_test(self.only_a, self.only_b)
+
+    @property
+    def p_time(self) -> float:
+        """P-value of the two-sided sign test on the times of flights that both arrive."""
+        return sign_test(self.faster_a, self.faster_b)
+
+    @property
+    def verdict(self) -> Literal["A", "B", "noise"]:
+        """The better one at the 5 % level: by arrivals, and if these do not decide, by flight times."""
+        if self.p_arrival <= _SIGNIFICANCE:
+            return "A" if self.only_a > self.only_b else "B"
+        if self.p_time <= _SIGNIFICANCE:
+            return "A" if self.faster_a > self.faster_b else "B"
+        return "noise"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields, p-values and the verdict as plain values for JSON."""
+        return {**asdict(self), "p_arrival": self.p_arrival, "p_time": self.p_time, "verdict": self.verdict}
 
 
 def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -> Summary:

@@ -9,15 +9,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from aero_planner import PlannerConfig
-from aero_viz.evaluation.statistics import sign_test, wilson_interval
+from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
 from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.flight import FlightResult
 from aero_viz.text_table import format_table
 
 __all__ = ["Candidate", "Check", "Score", "TuningResult"]
-
-_SIGNIFICANCE = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,44 +48,32 @@ class Check:
 
     incumbent: Score
     best: Score
-    only_best: int
-    """Number of worlds in which the best candidate arrives and the incumbent does not."""
-    only_incumbent: int
-    """Number of worlds in which the incumbent arrives and the best candidate does not."""
-    faster: int
-    """Number of worlds in which both arrive, the best candidate earlier."""
-    slower: int
-    """Number of worlds in which both arrive, the best candidate later."""
+    paired: PairedComparison
+    """A is the incumbent and B the best candidate."""
 
     @classmethod
     def from_results(cls, incumbent: Sequence[FlightResult], best: Sequence[FlightResult]) -> Check:
         """Return the comparison of flights through the same worlds in the same order."""
-        pairs = list(zip(incumbent, best, strict=True))
-        times = [(old.flight_time_s, new.flight_time_s) for old, new in pairs if old.arrived and new.arrived]
-        return cls(
-            incumbent=Score.from_results(incumbent),
-            best=Score.from_results(best),
-            only_best=sum(new.arrived and not old.arrived for old, new in pairs),
-            only_incumbent=sum(old.arrived and not new.arrived for old, new in pairs),
-            faster=sum(new < old for old, new in times),
-            slower=sum(new > old for old, new in times),
-        )
+        paired = PairedComparison.from_flights(incumbent, best)
+        return cls(Score.from_results(incumbent), Score.from_results(best), paired)
 
     @property
     def verdict(self) -> Literal["better", "worse", "noise"]:
-        """Verdict on the best candidate by sign tests over the worlds at the 5 % level.
-
-        The first test is on arrivals. If it is not significant, the second one is on flight times.
-        """
-        for wins, losses in ((self.only_best, self.only_incumbent), (self.faster, self.slower)):
-            if sign_test(wins, losses) <= _SIGNIFICANCE:
-                return "better" if wins > losses else "worse"
-        return "noise"
+        """Verdict on the best candidate by sign tests over the worlds at the 5 % level."""
+        verdicts: dict[str, Literal["better", "worse", "noise"]] = {"A": "worse", "B": "better", "noise": "noise"}
+        return verdicts[self.paired.verdict]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields and the verdict as plain values for JSON."""
-        scores = {"incumbent": self.incumbent.to_dict(), "best": self.best.to_dict()}
-        return {**asdict(self), **scores, "verdict": self.verdict}
+        """Return the scores, the comparison and the verdict as plain values for JSON."""
+        return {
+            "incumbent": self.incumbent.to_dict(),
+            "best": self.best.to_dict(),
+            "only_best": self.paired.only_b,
+            "only_incumbent": self.paired.only_a,
+            "faster": self.paired.faster_b,
+            "slower": self.paired.faster_a,
+            "verdict": self.verdict,
+        }
 
 
 @dataclass(frozen=True)
@@ -190,15 +176,15 @@ class TuningResult:
             return [
                 "Warning: the search was interrupted before the check, and its winner looks better in it than it is."
             ]
-        check = self.check
+        paired = self.check.paired
         comparison = (
-            f"In fresh worlds only the best candidate arrives in {check.only_best}, only the incumbent in "
-            f"{check.only_incumbent}; where both arrive, the best is faster in {check.faster} and slower in "
-            f"{check.slower}."
+            f"In fresh worlds only the best candidate arrives in {paired.only_b}, only the incumbent in "
+            f"{paired.only_a}; where both arrive, the best is faster in {paired.faster_b} and slower in "
+            f"{paired.faster_a}."
         )
         verdict = {
             "better": "The best candidate is significantly better (sign test, 5 %).",
             "worse": "Warning: the best candidate is significantly worse (sign test, 5 %); the incumbent is kept.",
             "noise": "Warning: the difference is not significant (sign test, 5 %); fly more flights to find out.",
         }
-        return [comparison, verdict[check.verdict]]
+        return [comparison, verdict[self.check.verdict]]

@@ -43,7 +43,7 @@ def search(world: World, *, flights: int = 2, check: int = 1, **options: Any) ->
 def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World) -> None:
     result = search(poles, check=6, seed=1)
     assert result.best and result.best.trial is not None and result.chosen.anchors.lookahead > 2.0
-    assert result.check is not None and result.check.verdict == "better" and result.check.faster == 6
+    assert result.check is not None and result.check.verdict == "better" and result.check.paired.faster_b == 6
     times = [score.flight_time_s for score in (result.check.incumbent, result.check.best)]
     assert times[0] and times[1] and times[1] < 0.7 * times[0]
     incumbent, *candidates = result.candidates

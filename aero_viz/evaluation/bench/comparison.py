@@ -1,0 +1,141 @@
+"""The comparison of two runs of a benchmark through the same worlds: two configurations or versions of the planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.result_folder import read_folder
+from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
+from aero_viz.text_table import format_table
+
+__all__ = ["RunComparison", "compare_runs"]
+
+_SAME = ("benchmark", "seed", "lidar", "simulation")
+"""Keys of the header that must be equal, because the worlds or the flights depend on them besides the planner."""
+
+_HEADER = ("row", "worlds", "A arrives", "B arrives", "only A", "only B", "p", "A faster", "B faster", "p", "better")
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """What is compared of a flight."""
+
+    arrived: bool
+    flight_time_s: float
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Two runs of the same benchmark."""
+
+    rows: dict[str, PairedComparison]
+    """Comparison by row, and over all rows as "all"."""
+    differences: dict[str, tuple[Any, Any]]
+    """Parameters and versions that differ, with the values of A and B."""
+    unpaired: int
+    """Number of flights that only one of the two runs has."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for JSON."""
+        return {
+            "rows": {label: paired.to_dict() for label, paired in self.rows.items()},
+            "differences": {name: {"a": a, "b": b} for name, (a, b) in self.differences.items()},
+            "unpaired": self.unpaired,
+        }
+
+    def format_table(self) -> str:
+        """Return the differences and one line per row as text."""
+        lines = [f"{name}: A {a}, B {b}" for name, (a, b) in self.differences.items()] or ["A and B do not differ."]
+        header = [
+            "row",
+            "worlds",
+            "A arrives",
+            "B arrives",
+            "only A",
+            "only B",
+            "p",
+            "A faster",
+            "B faster",
+            "p",
+            "better",
+        ]
+        cells = [[label, *_cells(paired)] for label, paired in self.rows.items()]
+        lines += ["", format_table(cells, header=header, right=range(1, len(header) - 1))]
+        lines.append(
+            "p: two-sided sign test over the worlds. Better: p is at most 5 %, by arrivals, else by flight times."
+        )
+        if self.unpaired:
+            lines.append(f"{self.unpaired} flights were left out, because only one of the two runs has them.")
+        return "\n".join(lines)
+
+
+def compare_runs(folder_a: str | Path, folder_b: str | Path) -> RunComparison:
+    """Return the comparison of the runs in two folders of results, over the flights that both have.
+
+    Raises:
+        UserError: a folder holds no results, the runs are not of the same worlds, or no flight is in both.
+    """
+    (header_a, flights_a), (header_b, flights_b) = _read(folder_a), _read(folder_b)
+    for key in _SAME:
+        if header_a[key] != header_b[key]:
+            raise UserError(
+                f"{folder_a} and {folder_b} cannot be compared: {key} is {header_a[key]!r} in one and "
+                f"{header_b[key]!r} in the other; fly both with the same worlds, drone and LiDAR."
+            )
+    keys = [key for key in flights_a if key in flights_b]
+    if not keys:
+        raise UserError(f"{folder_a} and {folder_b} have no flight through the same world.")
+    labels = [*dict.fromkeys(row for row, *_ in keys), "all"]
+    rows = {
+        label: PairedComparison.from_flights(
+            *([flights[key] for key in keys if label in (key[0], "all")] for flights in (flights_a, flights_b))
+        )
+        for label in (labels if len(labels) > 2 else labels[:1])
+    }
+    return RunComparison(rows, _differences(header_a, header_b), len(flights_a) + len(flights_b) - 2 * len(keys))
+
+
+def _read(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int], _Flight]]:
+    """Return the header and the flights by row, index and seed of the world."""
+    header, flights = read_folder(Path(folder))
+    if header is None:
+        raise UserError(f"{folder} holds no results of `aero-viz bench`.")
+    return header, {(f["row"], f["index"], f["world_seed"]): _Flight(f["arrived"], f["flight_time_s"]) for f in flights}
+
+
+def _differences(header_a: dict[str, Any], header_b: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    found = {}
+    for key in ("config", "versions", "device"):
+        values_a, values_b = _flatten(header_a[key], key), _flatten(header_b[key], key)
+        names = {**values_a, **values_b}
+        found.update({n: (values_a.get(n), values_b.get(n)) for n in names if values_a.get(n) != values_b.get(n)})
+    return {name.removeprefix("config."): values for name, values in found.items()}
+
+
+def _flatten(value: Any, name: str) -> dict[str, Any]:
+    """Return the leaves of nested dictionaries by path."""
+    if not isinstance(value, dict):
+        return {name: value}
+    return {path: leaf for key, child in value.items() for path, leaf in _flatten(child, f"{name}.{key}").items()}
+
+
+def _cells(paired: PairedComparison) -> list[str]:
+    def share(arrived: int) -> str:
+        low, high = wilson_interval(arrived, paired.pairs)
+        return f"{100.0 * arrived / paired.pairs:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+
+    return [
+        str(paired.pairs),
+        share(paired.arrived_a),
+        share(paired.arrived_b),
+        str(paired.only_a),
+        str(paired.only_b),
+        f"{paired.p_arrival:.2g}",
+        str(paired.faster_a),
+        str(paired.faster_b),
+        f"{paired.p_time:.2g}",
+        paired.verdict,
+    ]
