@@ -69,6 +69,7 @@ class SimulatedAutopilot:
         vehicle: the true state of the vehicle.
         mode, armed: reported by the next heartbeat.
         frozen: True makes the autopilot repeat its last state.
+        parameters: PX4's parameters by name; an int where PX4's is an integer.
         setpoints: all setpoints that were understood.
         refused: number of setpoints with another frame, with values that are not finite, or for another component.
         violations: requests that only the pilot may make: arming, mode changes, stick inputs.
@@ -98,6 +99,15 @@ class SimulatedAutopilot:
             place[2] = ground
         self.vehicle = Vehicle(model, place[None], [heading], period=PERIOD, device="cpu", seeds=[seed])
         self.mode, self.armed, self.frozen = Mode.HOLD, False, False
+        self.parameters: dict[str, float | int] = {
+            "COM_OF_LOSS_T": loss_time,
+            "COM_OBL_RC_ACT": 5,
+            "COM_RC_OVERRIDE": 3,
+            "COM_RCL_EXCEPT": 0,
+            "NAV_RCL_ACT": 1,
+            "THR_MDL_FAC": float(compensation),
+            "MPC_THR_HOVER": float(hover_thrust),
+        }
         self.setpoints: list[Setpoint] = []
         self.refused = 0
         self.violations: list[str] = []
@@ -262,6 +272,8 @@ class SimulatedAutopilot:
                 self._handle_setpoint(message)
             elif name == "COMMAND_LONG":
                 self._handle_command(message)
+            elif name == "PARAM_REQUEST_READ":
+                self._send_parameter(str(message.param_id))
             elif name in _PILOT_MESSAGES:
                 self.violations.append(name)
 
@@ -309,6 +321,16 @@ class SimulatedAutopilot:
             is_supported = False
         result = d.MAV_RESULT_ACCEPTED if is_supported else d.MAV_RESULT_UNSUPPORTED
         self._send(d.MAVLink_command_ack_message(message.command, result))
+
+    def _send_parameter(self, name: str) -> None:
+        """Send a parameter in PX4's encoding, in which a float carries the bits of an integer."""
+        d = self._dialect
+        if name not in self.parameters:
+            return
+        value, kind = self.parameters[name], d.MAV_PARAM_TYPE_REAL32
+        if isinstance(value, int):
+            value, kind = struct.unpack("<f", struct.pack("<i", value))[0], d.MAV_PARAM_TYPE_INT32
+        self._send(d.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
 
     def _send_due_messages(self) -> None:
         d = self._dialect

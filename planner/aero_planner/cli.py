@@ -21,6 +21,7 @@ from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version
 if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
     from aero_planner.deploy.bundle import Bundle
+    from aero_planner.onboard.px4_parameters import ParameterChange
     from aero_planner.onboard.settings import OnboardConfig
 
 __all__ = ["GROUP", "main", "write_bundle"]
@@ -110,6 +111,9 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
         "--listen", type=float, default=3.0, help="time to listen to sensor and autopilot [s] (default: 3)"
     )
     preflight.add_argument("--json", action="store_true", help="print one JSON object")
+    preflight.add_argument(
+        "--set", action="store_true", help="offer to write the PX4 parameters that should have other values"
+    )
     preflight.set_defaults(call=_preflight)
 
     export = verbs.add_parser("export", help="compile for a drone that has no compiler", description=_export.__doc__)
@@ -174,7 +178,10 @@ def _validate(options: argparse.Namespace) -> int:
 
 
 def _preflight(options: argparse.Namespace) -> int:
-    """Check versions, device, ports, sensor, autopilot, thrust and disk. Sends no commands. Exit code 0 or 2."""
+    """Check versions, device, ports, sensor, autopilot, its parameters, thrust and disk. Exit code 0 or 2.
+
+    Commands nothing. With --set, parameters of the autopilot are written after a question.
+    """
     from aero_planner.onboard.preflight import preflight
 
     if not 0.1 <= options.listen <= 600.0:
@@ -186,10 +193,18 @@ def _preflight(options: argparse.Namespace) -> int:
             bundle.fit(planner, options.device)
         report = preflight(
             planner, onboard, device=options.device, goal=options.goal, log=options.log, listen=options.listen,
-            bundle=bundle,
+            bundle=bundle, confirm=_confirm_changes if options.set else None,
         )  # fmt: skip
     print(json.dumps(report.to_dict()) if options.json else report.format_table())
     return 0 if report.passed else 2
+
+
+def _confirm_changes(changes: Sequence[ParameterChange]) -> bool:
+    """Ask on the terminal whether to write parameters of the autopilot."""
+    for change in changes:
+        print(f"{change.name}: {change.before:g} -> {change.value:g}", file=sys.stderr)
+    print("Write these parameters to the autopilot? [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def _export(options: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import socket
+import struct
 from typing import Any
 
 import numpy as np
@@ -414,3 +415,14 @@ def test_attitudes_are_reached_with_bounded_rates(make):
     assert c.autopilot.engage()  # begins with the attitude
     c.run(0.1, mask=0, attitude=(math.cos(half), 0.0, -math.sin(half), 0.0))
     assert pitch(c) == pytest.approx(0.1 * math.radians(220.0), rel=0.1)
+
+
+def test_parameters_are_sent_in_px4s_encoding(make):
+    c = make(loss_time=0.5)
+    for name in (b"COM_OF_LOSS_T", b"NAV_RCL_ACT", b"ABSENT"):
+        c.send(mavlink.MAVLink_param_request_read_message(1, 1, name, -1))
+    c.run(0.1, every=None)
+    number, action = (message for _, message in c.got("PARAM_VALUE"))
+    assert (number.param_id, number.param_value) == ("COM_OF_LOSS_T", 0.5)
+    assert action.param_type == mavlink.MAV_PARAM_TYPE_INT32
+    assert struct.unpack("<i", struct.pack("<f", action.param_value)) == (1,)

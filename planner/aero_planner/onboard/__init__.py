@@ -10,5 +10,5 @@
 - Autopilot: `mavlink`, `mavlink_parser`, `mavlink_signing`, `transport`, `datagram_filter`, `frames`, `thrust`,
   `estimator_reset`.
 - Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
-- Programs: `run`, `preflight`, `input_checks`, `bundle_export`, `connections`, `settings`.
+- Programs: `run`, `preflight`, `input_checks`, `px4_parameters`, `bundle_export`, `connections`, `settings`.
 """

@@ -20,6 +20,7 @@ from __future__ import annotations
 import logging
 import math
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
@@ -60,8 +61,10 @@ _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left w
 _GOAL = "SET_POSITION_TARGET_LOCAL_NED"
 _WANTED = (
     "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
-    _GOAL,
+    "PARAM_VALUE", _GOAL,
 )  # fmt: skip
+_PARAMETERS_MAX = 5000
+_FLOAT, _INTEGER = struct.Struct("<f"), struct.Struct("<i")
 _IGNORED_MAX = 20  # kinds of ignored messages that are told apart
 
 
@@ -184,6 +187,8 @@ class MavlinkLink(MavlinkSender):
         parser: Parser of what is received, with its counters.
         received: Number of messages used, by name.
         dropped: Number of states and goals that could not be used, by message and reason.
+        parameters: Values of the autopilot's parameters that have arrived, by name; integers, too, in PX4's encoding.
+        is_px4: True if the autopilot says that it is a PX4; None before its first heartbeat.
         ignored: Number of messages that were ignored because of their sender, by kind and sender.
     """
 
@@ -221,6 +226,9 @@ class MavlinkLink(MavlinkSender):
         self.received: dict[str, int] = {}
         self.dropped: dict[str, int] = {}
         self.ignored: dict[str, int] = {}
+        self.parameters: dict[str, float] = {}
+        self.is_px4: bool | None = None
+        self._integers: set[str] = set()
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = self._heartbeat_sent = self._requested = -np.inf
@@ -293,6 +301,8 @@ class MavlinkLink(MavlinkSender):
             self._process_heartbeat(message)
         elif name == "EXTENDED_SYS_STATE":
             self._process_landed_state(message)
+        elif name == "PARAM_VALUE":
+            self._process_parameter(message)
         elif name == "DISTANCE_SENSOR":
             self._process_distance(message)
         elif name == "ODOMETRY":
@@ -305,6 +315,7 @@ class MavlinkLink(MavlinkSender):
     def _process_heartbeat(self, message: Any) -> None:
         self._heartbeat_time = now = self._time()
         self._armed = bool(message.base_mode & self._dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.is_px4 = message.autopilot == self._dialect.MAV_AUTOPILOT_PX4
         custom = message.base_mode & self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self._offboard = bool(custom) and message.custom_mode >> 16 & 0xFF == _PX4_OFFBOARD
         if self.state is not None:
@@ -328,6 +339,29 @@ class MavlinkLink(MavlinkSender):
                 command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_SET_MESSAGE_INTERVAL, 0
                 parameters = number, 1e6 / rate, *[0.0] * 5
                 self.send_message(d.MAVLink_command_long_message(self._system, *command, *parameters))
+
+    def request_parameter(self, name: str) -> None:
+        """Ask the autopilot for a parameter, which then appears in `parameters`."""
+        d = self._dialect
+        target = self._system, d.MAV_COMP_ID_AUTOPILOT1
+        self.send_message(d.MAVLink_param_request_read_message(*target, name.encode(), -1))
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Ask the autopilot to change a parameter that it has reported; its answer then appears in `parameters`."""
+        d = self._dialect
+        is_integer = name in self._integers
+        kind = d.MAV_PARAM_TYPE_INT32 if is_integer else d.MAV_PARAM_TYPE_REAL32
+        content = _FLOAT.unpack(_INTEGER.pack(int(value)))[0] if is_integer else value
+        target = self._system, d.MAV_COMP_ID_AUTOPILOT1
+        self.send_message(d.MAVLink_param_set_message(*target, name.encode(), content, kind))
+
+    def _process_parameter(self, message: Any) -> None:
+        name, value = str(message.param_id), float(message.param_value)
+        if message.param_type == self._dialect.MAV_PARAM_TYPE_INT32:
+            self._integers.add(name)
+            value = float(_INTEGER.unpack(_FLOAT.pack(value))[0])  # PX4 sends the bits of the integer
+        if name in self.parameters or len(self.parameters) < _PARAMETERS_MAX:
+            self.parameters[name] = value
 
     def _process_landed_state(self, message: Any) -> None:
         self._landed_state, self._landed_time = message.landed_state, self._time()

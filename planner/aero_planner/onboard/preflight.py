@@ -9,7 +9,7 @@ import shutil
 import statistics
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,9 +18,18 @@ from numpy.typing import ArrayLike
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import Bundle
-from aero_planner.onboard.connections import open_lidar, open_link, thrust_model
+from aero_planner.onboard.connections import is_loopback, open_lidar, open_link, thrust_model
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.px4_parameters import (
+    ParameterChange,
+    check_parameters,
+    find_changes,
+    parameter_names,
+    read_parameters,
+    write_parameters,
+)
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.telemetry import listen
 
@@ -45,6 +54,7 @@ def preflight(
     log: str | Path | None = None,
     listen: float = 3.0,
     bundle: Bundle | None = None,
+    confirm: Callable[[Sequence[ParameterChange]], bool] | None = None,
 ) -> CheckReport:
     """Check this computer, open the connections and listen to them; nothing is commanded.
 
@@ -56,6 +66,10 @@ def preflight(
         log: File or folder of the flight log; None for no log.
         listen: Time to listen to sensor and autopilot [s].
         bundle: Bundle whose kernels are used; it must fit configuration and device.
+        confirm: Asked whether to write changes of PX4's parameters, which is done if it returns True; None writes none.
+
+    Raises:
+        ValueError: Parameters were to be written to a vehicle that is armed.
     """
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
@@ -66,7 +80,8 @@ def preflight(
     checks += [link_check, lidar_check]
     try:
         if link is not None and lidar is not None:
-            checks += check_inputs(link, lidar, onboard, goal=goal, listen=listen)
+            checks += [*check_inputs(link, lidar, onboard, goal=goal, listen=listen), *_check_autopilot(link, onboard)]
+            checks += _check_parameters(link, onboard, confirm)
     finally:
         for connection in (link, lidar):
             if connection is not None:
@@ -207,6 +222,38 @@ def _check_failsafe_process(planner: PlannerConfig, onboard: OnboardConfig) -> C
         advice = "The node doesn't start without the process that brakes if the node's process dies."
         return Check(name, str(error), ok=False, advice=advice)
     return Check(name, f"starts in {time.monotonic() - start:.1f} s")
+
+
+def _check_autopilot(link: MavlinkLink, onboard: OnboardConfig) -> Iterator[Check]:
+    if link.peer is None or link.is_px4 is None:
+        return
+    kind, _, rest = onboard.mavlink.url.partition(":")
+    is_private = kind != "udpin" or is_loopback(rest.rpartition(":")[0])
+    is_signed = onboard.mavlink.signing_key_file != "none"
+    finding = f"{'PX4' if link.is_px4 else 'not a PX4'} at {link.peer.removeprefix('udpout:')}"
+    advice = (
+        "The first one that is heard in the network is obeyed: check that this is its address, and use a serial port, "
+        "udpout:ADDRESS:PORT, or mavlink.signing_key_file."
+    )
+    yield Check("autopilot", finding, ok=is_private or is_signed, required=False, advice=advice)
+
+
+def _check_parameters(
+    link: MavlinkLink, onboard: OnboardConfig, confirm: Callable[[Sequence[ParameterChange]], bool] | None
+) -> Iterator[Check]:
+    """Check PX4's parameters, after writing the changes that `confirm` agrees to."""
+    if not link.is_px4:
+        return
+    names = parameter_names(onboard)
+    values = read_parameters(link, names)
+    changes = find_changes(values, onboard)
+    if changes and confirm is not None and confirm(changes):
+        refused = write_parameters(link, changes)
+        values |= read_parameters(link, [change.name for change in changes])
+        if refused:
+            advice = "The autopilot did not confirm them: set them with a ground station."
+            yield Check("parameters", f"not written: {', '.join(refused)}", ok=False, advice=advice)
+    yield from check_parameters(values, onboard)
 
 
 def _open(name: str, open_connection: Callable[[], T]) -> tuple[T | None, Check]:

@@ -1,0 +1,212 @@
+"""PX4's parameters over MAVLink: which values the node needs, why, and how they are read and written."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+
+from aero_planner.check_report import Check
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.settings import OnboardConfig
+
+__all__ = [
+    "ParameterChange",
+    "check_parameters",
+    "find_changes",
+    "parameter_names",
+    "read_parameters",
+    "write_parameters",
+]
+
+_TIMEOUT = 2.0  # [s] for an answer
+_RETRY_PERIOD = 0.4  # [s] between two requests
+_POLL_PERIOD = 0.01  # [s]
+_MAX_LOSS_TIME = 0.5  # [s]
+_CONTROL_PERIODS = 4.0  # in which the failsafe process must have sent its first command
+_MAX_HOVER_ERROR = 0.05  # relative
+_TOLERANCE = 1e-6
+
+_OVERRIDE_OFFBOARD, _EXCEPT_OFFBOARD = 2, 4  # bits of COM_RC_OVERRIDE and COM_RCL_EXCEPT
+_HOLD, _POSITION = 5, 0  # values of COM_OBL_RC_ACT
+_RCL_HOLD, _RCL_LAND = 1, 3  # values of NAV_RCL_ACT
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """What the node needs of a parameter."""
+
+    name: str
+    wanted: str
+    """The accepted values in words."""
+    reason: str
+    accepts: Callable[[float], bool]
+    repair: Callable[[float], float] | None = None
+    """Returns the value to write instead of a wrong one; None if only the user can know it."""
+    required: bool = True
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A parameter to be written."""
+
+    name: str
+    value: float
+    """The value to write; whole numbers for integers."""
+    before: float
+    """The present value."""
+
+
+def read_parameters(
+    link: MavlinkLink,
+    names: Collection[str],
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], object] = time.sleep,
+) -> dict[str, float]:
+    """Return the values of those parameters that the autopilot reports within two seconds."""
+    for name in names:
+        link.parameters.pop(name, None)
+    _request(link, names, lambda name: link.request_parameter(name), clock, sleep)
+    return {name: link.parameters[name] for name in names if name in link.parameters}
+
+
+def write_parameters(
+    link: MavlinkLink,
+    changes: Sequence[ParameterChange],
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], object] = time.sleep,
+) -> list[str]:
+    """Write parameters and return the names of those that the autopilot does not confirm.
+
+    Raises:
+        ValueError: The vehicle is armed, or it is unknown whether it is; nothing was written.
+    """
+    if link.state is None or link.state.armed:
+        raise ValueError("the parameters are written only while the vehicle is disarmed; disarm it first.")
+    values = {change.name: change.value for change in changes}
+    for name in values:
+        link.parameters.pop(name, None)
+    _request(link, values, lambda name: link.set_parameter(name, values[name]), clock, sleep)
+    return [
+        name for name, value in values.items()
+        if not math.isclose(link.parameters.get(name, math.nan), value, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    ]  # fmt: skip
+
+
+def check_parameters(values: dict[str, float], onboard: OnboardConfig) -> Iterator[Check]:
+    """Compare the parameters that the autopilot reported with those that the node needs."""
+    for wanted in _wanted(onboard):
+        if wanted.name not in values:
+            advice = f"Check by hand that it is {wanted.wanted}: {wanted.reason}"
+            yield Check(wanted.name, "not reported", ok=False, required=False, advice=advice)
+            continue
+        value = values[wanted.name]
+        advice = wanted.reason
+        if wanted.repair is not None:
+            advice += f" Set it to {wanted.repair(value):g}, or run preflight with --set."
+        finding = f"{value:g}; wanted: {wanted.wanted}"
+        yield Check(wanted.name, finding, ok=wanted.accepts(value), required=wanted.required, advice=advice)
+
+
+def find_changes(values: dict[str, float], onboard: OnboardConfig) -> list[ParameterChange]:
+    """Return the changes that turn the reported parameters into those that the node needs."""
+    return [
+        ParameterChange(wanted.name, wanted.repair(values[wanted.name]), values[wanted.name])
+        for wanted in _wanted(onboard)
+        if wanted.repair is not None and wanted.name in values and not wanted.accepts(values[wanted.name])
+    ]
+
+
+def parameter_names(onboard: OnboardConfig) -> list[str]:
+    """Return the names of the parameters that are checked."""
+    return [wanted.name for wanted in _wanted(onboard)]
+
+
+def _wanted(onboard: OnboardConfig) -> list[_Wanted]:
+    shortest = onboard.limits.deadline + _CONTROL_PERIODS / onboard.rates.control
+    loss_time = max(0.2, shortest)
+    hover, curve = onboard.thrust.hover_thrust, onboard.thrust.curve
+    wanted = [
+        _Wanted(
+            "COM_OF_LOSS_T",
+            f"{shortest:g} to {max(_MAX_LOSS_TIME, loss_time):g} s",
+            "For this time PX4 blindly obeys the last command after the stream ends; a shorter one is less than the "
+            "failsafe process may need.",
+            lambda value: shortest - _TOLERANCE <= value <= max(_MAX_LOSS_TIME, loss_time) + _TOLERANCE,
+            lambda _: loss_time,
+        ),
+        _Wanted(
+            "COM_OBL_RC_ACT",
+            "5 (Hold) or 0 (Position)",
+            "What PX4 does after this time: it must stop the drone, without a detour.",
+            lambda value: value in (_HOLD, _POSITION),
+            lambda _: _HOLD,
+        ),
+        _Wanted(
+            "COM_RC_OVERRIDE",
+            "bit 1 set",
+            "The sticks must take over in OFFBOARD as well.",
+            lambda value: bool(int(value) & _OVERRIDE_OFFBOARD),
+            lambda value: int(value) | _OVERRIDE_OFFBOARD,
+        ),
+        _Wanted(
+            "COM_RCL_EXCEPT",
+            "bit 2 clear",
+            "The loss of the transmitter must end OFFBOARD as well.",
+            lambda value: not int(value) & _EXCEPT_OFFBOARD,
+            lambda value: int(value) & ~_EXCEPT_OFFBOARD,
+        ),
+        _Wanted(
+            "NAV_RCL_ACT",
+            "1 (Hold) or 3 (Land)",
+            "What PX4 does when the transmitter is lost. Its default, Return, first climbs to 30 m, through the trees.",
+            lambda value: value in (_RCL_HOLD, _RCL_LAND),
+            lambda _: _RCL_HOLD,
+        ),
+        _Wanted(
+            "THR_MDL_FAC",
+            "any value" if curve == 0.0 else "0, because thrust.curve is not",
+            "A curve that both PX4 and the node compensate gives the wrong thrust: set thrust.curve to 0.",
+            lambda value: curve == 0.0 or value == 0.0,
+        ),
+        _Wanted(
+            "MPC_THR_HOVER",
+            f"{hover:g}, as thrust.hover_thrust",
+            "Set thrust.hover_thrust to the measured hover thrust: with one that is 10 % wrong, the drone climbs or "
+            "sinks at 1 m/s^2.",
+            lambda value: abs(value - hover) <= _MAX_HOVER_ERROR * hover,
+            required=False,
+        ),
+    ]
+    if "@autopilot" in onboard.mavlink.goal_senders:
+        wanted.append(
+            _Wanted(
+                "MAV_1_FORWARD",
+                "1, if the node is connected to TELEM 2 by MAV_1_CONFIG",
+                "Without it, PX4 does not forward the goals of a ground station.",
+                lambda value: value == 1,
+                required=False,
+            )
+        )
+    return wanted
+
+
+def _request(
+    link: MavlinkLink,
+    names: Collection[str],
+    send: Callable[[str], object],
+    clock: Callable[[], float],
+    sleep: Callable[[float], object],
+) -> None:
+    """Call `send` for each name, again until the autopilot has answered, or the time is over."""
+    end, next_try = clock() + _TIMEOUT, -math.inf
+    while clock() < end and (missing := [name for name in names if name not in link.parameters]):
+        if clock() >= next_try:
+            next_try = clock() + _RETRY_PERIOD
+            for name in missing:
+                send(name)
+        sleep(_POLL_PERIOD)
+        link.poll()
