@@ -6,7 +6,8 @@
   `readiness_log`,
   `safety_docs`.
 - LiDAR: `livox`, `sweep_buffer`, `host_clock`.
-- Height above ground: `ground_tracker`, `ground_plane`.
+- Measured by the LiDAR: the height above ground (`ground_tracker`, `ground_plane`), and how far the autopilot's
+  estimate drifts (`drift_monitor`, `cloud_drift`).
 - Autopilot: `mavlink`, `mavlink_parser`, `mavlink_signing`, `transport`, `datagram_filter`, `frames`, `thrust`,
   `estimator_reset`.
 - Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.

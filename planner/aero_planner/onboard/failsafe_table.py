@@ -25,7 +25,7 @@ __all__ = [
     "DETECTION",
     "FAULTS",
     "HARMLESS_AT_REST",
-    "NOT_FLYING",
+    "NOT_READY",
     "REACTIONS",
     "REACTION_OVERRIDES",
     "THRESHOLDS",
@@ -109,6 +109,10 @@ class Inputs:
     """Standard deviation of the position as estimated by the autopilot [m]; NaN if unknown."""
     velocity_std: float
     """The same for the velocity [m/s]."""
+    drift_angle: float
+    """Error of the attitude that the LiDAR has measured in the last seconds [rad]; NaN if it has not."""
+    drift_speed: float
+    """The same for the velocity [m/s]."""
     inside_fence: bool
     loop_age: float
     """Time since the previous tick began; 0 at the first tick."""
@@ -151,6 +155,7 @@ class Cause(enum.Enum):
     PLAN_UNSAFE = "no safe candidate, or a plan based on a stale cloud"
     ON_GROUND = "the vehicle is on the ground, taking off or landing"
     IN_AIR_UNKNOWN = "the autopilot does not report whether the vehicle is in the air"
+    CLOUD_DRIFTS = "the cloud does not stand still: the autopilot's attitude, position or time stamps are wrong"
     STOPPING = "the node was asked to stop"
     STATE_TIMEOUT = "no vehicle state for too long to continue by dead reckoning"
     LINK_TIMEOUT = "no heartbeat for too long to continue"
@@ -170,7 +175,7 @@ FAULTS = (
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
-NOT_FLYING = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN)
+NOT_READY = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN, Cause.CLOUD_DRIFTS)
 """Causes that, like the faults, prevent READY, but that do not disturb a flight."""
 
 REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
@@ -252,6 +257,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.PLAN_UNSAFE: lambda i, _: i.plan_status != PlanStatus.OK,
     Cause.ON_GROUND: lambda i, _: i.in_air is False,
     Cause.IN_AIR_UNKNOWN: lambda i, _: i.in_air is None,
+    Cause.CLOUD_DRIFTS: lambda i, lim: i.drift_angle > math.radians(lim.drift_angle) or i.drift_speed > lim.drift_speed,
     Cause.STOPPING: lambda i, _: i.stopping,
     Cause.STATE_TIMEOUT: lambda i, lim: _exceeds(i.state_age, lim.state_age + lim.blind_time),
     Cause.LINK_TIMEOUT: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age + lim.blind_time),
@@ -266,7 +272,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     ),
     Cause.ALL_CLEAR: lambda i, lim: _is_clear(i, lim),
     Cause.STANDBY: lambda i, lim: (
-        _is_clear(i, lim) and not _has_any(NOT_FLYING, i, lim) and not (i.armed and i.offboard)
+        _is_clear(i, lim) and not _has_any(NOT_READY, i, lim) and not (i.armed and i.offboard)
     ),
 }
 
@@ -333,7 +339,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition((_S.ARRIVED, _S.HOLDING), Cause.STOPPING, _S.HANDED_BACK),
     # Faults that are present now.
     Transition((_S.READY,), Cause.STOPPING, _S.WAITING),
-    *(Transition((_S.READY,), cause, _S.WAITING) for cause in (*FAULTS, *NOT_FLYING)),
+    *(Transition((_S.READY,), cause, _S.WAITING) for cause in (*FAULTS, *NOT_READY)),
     Transition((_S.FLYING,), Cause.STOPPING, _S.BRAKING),
     *(Transition((_S.FLYING,), fault, _S.BRAKING) for fault in FAULTS),
     *(Transition((_S.ARRIVED,), fault, _S.BRAKING) for fault in FAULTS if fault not in HARMLESS_AT_REST),

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.check_report import Check
+from aero_planner.onboard.cloud_drift import measure_drift
 from aero_planner.onboard.failsafe_table import is_inside_fence
 from aero_planner.onboard.ground_tracker import GroundSource, GroundTracker
 from aero_planner.onboard.interfaces import PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.sweep_buffer import make_sweep_buffer
+from aero_planner.onboard.sweep_buffer import SweepBuffer, make_sweep_buffer
 
 __all__ = ["check_inputs"]
 
@@ -72,6 +73,7 @@ def check_inputs(
     checks = [*_check_vehicle(last, states / duration, now, onboard), *_check_dropped(link)]
     unplaced = sweeps.dropped + sweeps.waiting
     checks += _check_points(lidar, points, per_sweep, now - newest_point, unplaced, onboard)
+    checks += [_check_drift(sweeps, last, onboard)] if last is not None and points else []
     checks += [_check_ground(ground, onboard)] if last is not None else []
     checks += _check_positions(last, goal if goal is not None else link.goal, ground.height, onboard)
     return checks
@@ -190,6 +192,22 @@ def _check_points(
             advice="States must arrive at least every 0.25 s, with times that fit the host's clock.",
         ),
     ]
+
+
+def _check_drift(sweeps: SweepBuffer, sample: VehicleSample, onboard: OnboardConfig) -> Check:
+    older, newer, interval = sweeps.halves()
+    drift = measure_drift(older, newer, np.asarray(sample.state.position, dtype=np.float64))
+    name, limits = "cloud against itself", onboard.limits
+    if drift is None:
+        advice = "Too little is visible to measure whether the estimate drifts."
+        return Check(name, "not measured", ok=False, required=False, advice=advice)
+    angle, speed = math.degrees(drift.angle), drift.shift / interval
+    advice = (
+        f"While the drone stands still, at most {limits.drift_angle:g} deg and {limits.drift_speed:g} m/s are "
+        "accepted: check the autopilot's estimate, and lidar.mount_* if it happens only while the drone is turned."
+    )
+    is_still = angle <= limits.drift_angle and speed <= limits.drift_speed
+    return Check(name, f"moves {speed:.2f} m/s and turns {angle:.1f} deg in {interval:g} s", ok=is_still, advice=advice)
 
 
 def _check_ground(ground: GroundTracker, onboard: OnboardConfig) -> Check:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
+from aero_planner.onboard.drift_monitor import DriftMonitor
 from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
@@ -110,6 +111,7 @@ class Node:
         self.safety = SafetyMachine(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle)
         self._stop_controller = StopController(self._vehicle, config.brake)
+        self._drift = DriftMonitor()
         self._watchdog = Watchdog(
             link,
             self._stop_controller,
@@ -272,6 +274,9 @@ class Node:
 
     def _gather_inputs(self, now: float, loop_age: float) -> tuple[Inputs, MotionState | None]:
         latest, sample, goal = self._link.state, self._sample, self.goal
+        if (measured := self._replanner.take_drift()) is not None:
+            self._drift.add(now, *measured)
+        self._drift.update(now)
         plan = self.schedule.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
         position = np.full(3, np.nan) if motion is None else motion.position
@@ -288,6 +293,8 @@ class Node:
             in_air=None if latest is None else latest.in_air,
             position_std=math.nan if latest is None else latest.position_std,
             velocity_std=math.nan if latest is None else latest.velocity_std,
+            drift_angle=self._drift.angle,
+            drift_speed=self._drift.speed,
             inside_fence=is_inside_fence(position, self.config.limits, ground=self.ground.height),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.onboard.cloud_drift import Drift, measure_drift
 from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
 from aero_planner.onboard.ground_plane import find_ground
 from aero_planner.onboard.interfaces import PlanResult, PointPacket, VehicleSample
@@ -27,6 +28,10 @@ _log = logging.getLogger(__name__)
 
 _ARRIVALS = 4096
 """States and packets that wait for the planning thread; if it hangs, the oldest are dropped."""
+_DRIFT_PERIOD = 0.7
+"""Time between two comparisons of the cloud with itself [s]."""
+_HOVER_SPEED = 1.0
+"""Speed up to which it is compared [m/s]."""
 _GROUND_PERIOD = 1.0
 """Time between two looks for the ground in the cloud [s]."""
 _MOST_SWEEPS = 256
@@ -84,7 +89,8 @@ class Replanner:
         self._max_latency = 0.5 * config.limits.plan_age
         self._floor = config.limits.fence_height_min
         self._ground: tuple[int, float] | None = None  # reset counter and height of a new measurement
-        self._next_ground = -np.inf
+        self._next_ground = self._next_drift = -np.inf
+        self._drift: tuple[Drift, float] | None = None
         self._schedule = schedule
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
@@ -126,6 +132,11 @@ class Replanner:
         if not np.isfinite(cloud_age) or start < self._next_cloud:
             return None
         result = None if snapshot.goal is None else self._plan(snapshot, snapshot.goal, cloud, cloud_age, start)
+        if start >= self._next_drift and not snapshot.follows_plan and snapshot.motion.speed <= _HOVER_SPEED:
+            self._next_drift = start + _DRIFT_PERIOD
+            older, newer, interval = self._sweeps.halves()
+            drift = measure_drift(older, newer, snapshot.motion.position)
+            self._drift = None if drift is None else (drift, interval)
         if start >= self._next_ground:  # last, so that no plan waits for it
             self._next_ground = start + _GROUND_PERIOD
             height = find_ground(cloud.points, snapshot.motion.position)
@@ -193,6 +204,11 @@ class Replanner:
         """
         measured, self._ground = self._ground, None
         return measured[1] if measured is not None and measured[0] == resets else None
+
+    def take_drift(self) -> tuple[Drift, float] | None:
+        """Return the drift of the estimate and its interval [s], if it was measured since the last call."""
+        measured, self._drift = self._drift, None
+        return measured
 
     def _count_failure(self, message: str) -> None:
         self.failures += 1

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from aero_planner.onboard.failsafe_table import (
     COMMANDING,
-    NOT_FLYING,
+    NOT_READY,
     Cause,
     Inputs,
     Reaction,
@@ -72,8 +72,8 @@ class SafetyMachine:
         """Return what keeps the drone from flying a plan: the faults and, before a take-over, what READY needs."""
         if self.inputs is None or self.state in COMMANDING:
             return self.active_faults()
-        not_flying = [cause for cause in NOT_FLYING if cause_applies(cause, self.inputs, self._limits)]
-        return (*self.active_faults(), *not_flying)
+        not_ready = [cause for cause in NOT_READY if cause_applies(cause, self.inputs, self._limits)]
+        return (*self.active_faults(), *not_ready)
 
     def step(self, now: float, inputs: Inputs) -> Reaction:
         """Process the inputs of one tick at the time `now` [s] and return the reaction that is due."""

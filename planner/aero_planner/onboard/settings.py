@@ -158,6 +158,14 @@ class LimitSettings(ParameterSection, section="limits"):
         0.5, "m/s", 0.05, 20.0, "Standard deviation of the velocity, as the autopilot reports it, above which the "
         "drone brakes.", label="Maximum velocity uncertainty",
     )  # fmt: skip
+    drift_angle: float = live(
+        1.5, "deg", 0.1, 45.0, "Error of the attitude, as measured by the LiDAR in half a second of hover, above "
+        "which the node is not ready.", label="Maximum drift of the attitude",
+    )  # fmt: skip
+    drift_speed: float = live(
+        0.3, "m/s", 0.01, 20.0, "Error of the velocity, as measured by the LiDAR in hover, above which the node "
+        "is not ready.", label="Maximum drift of the position",
+    )  # fmt: skip
     heartbeat_age: float = live(
         3.0, "s", 0.2, 10.0, "Time without a heartbeat after which the link counts as lost; PX4 sends one per second.",
         label="Heartbeat timeout",

@@ -132,6 +132,22 @@ class SweepBuffer:
             self._unread = 0
             return Sweeps(points for points, _ in self._chunks), now - self._newest
 
+    def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+        """Return the points of the older and of the newer half of the time kept [m], and the time between the two [s].
+
+        Both have shape [n, 3], world frame.
+        """
+        with self._lock:
+            middle = self._newest - 0.5 * self._window
+            older = [points for points, time in self._chunks if time <= middle]
+            newer = [points for points, time in self._chunks if time > middle]
+        none = np.zeros((0, 3), dtype=np.float32)
+        return (
+            np.concatenate(older) if older else none,
+            np.concatenate(newer) if newer else none,
+            0.5 * self._window,
+        )
+
     def _place_waiting(self) -> None:
         newest = self._poses.newest_time
         if not self._waiting or not np.isfinite(newest):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aero_planner import Plan, Planner, PlanStatus
+from aero_planner import Plan, Planner, PlanStatus, VehicleState
 from aero_planner.onboard.failsafe_table import Cause, Reaction, State
 from aero_planner.onboard.ground_tracker import GroundSource
 from aero_planner.onboard.plan_schedule import ScheduledPlan
@@ -155,6 +155,26 @@ def test_the_floor_lies_above_the_ground_that_the_distance_sensor_sees(small_pla
     assert simulation.node.statistics()["ground_source"] == "RANGE"
     simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, 1.7]))
     simulation.run(0.2)
+    assert simulation.node.state is State.READY
+
+
+def test_with_an_estimate_that_drifts_it_is_not_ready(small_planner: Planner):
+    simulation = Simulation(small_planner, WORLD, GOAL)
+    simulation.run(3.0)
+    assert simulation.node.state is State.READY
+    began = simulation.now
+
+    def drift(state: VehicleState) -> VehicleState:
+        offset = np.array([0.0, 0.5, 0.0]) * (simulation.now - began)
+        return dataclasses.replace(state, position=np.asarray(state.position) + offset)
+
+    simulation.link.spoil = drift
+    simulation.run(3.0)
+    assert simulation.node.state is State.WAITING
+    assert simulation.node.safety.missing() == (Cause.CLOUD_DRIFTS,)
+    simulation.link.spoil = lambda state: state
+    simulation.link.resets += 1
+    simulation.run(5.0)
     assert simulation.node.state is State.READY
 
 

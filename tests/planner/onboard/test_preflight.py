@@ -40,7 +40,7 @@ def test_a_drone_in_order_passes(drone: Simulation):
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
         "vehicle state", "heartbeat", "vehicle mode", "landed state", "position uncertainty", "velocity uncertainty",
-        "LiDAR", "cloud", "packets", "deskewing", "ground", "position", "goal",
+        "LiDAR", "cloud", "packets", "deskewing", "cloud against itself", "ground", "position", "goal",
     }  # fmt: skip
     assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded

@@ -52,6 +52,8 @@ WELL = Inputs(
     in_air=True,
     position_std=0.2,
     velocity_std=0.05,
+    drift_angle=math.nan,
+    drift_speed=0.1,
     inside_fence=True,
     loop_age=0.02,
     speed=3.0,
@@ -81,6 +83,8 @@ BREAKS: dict[str, dict[str, object]] = {
     "stale for the planner": {"plan_status": PlanStatus.STALE_CLOUD},
     "on the ground": {"in_air": False},
     "landed state unknown": {"in_air": None},
+    "cloud turns": {"drift_angle": math.radians(LIMITS.drift_angle) + 0.01},
+    "cloud moves": {"drift_speed": LIMITS.drift_speed + 0.01},
 }
 
 
@@ -137,6 +141,7 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     if target is State.READY:
         assert well and not ours  # a node that finds itself in OFFBOARD does not start
         assert inputs.in_air is True  # nor one that finds itself on the ground
+        assert not inputs.drift_speed > LIMITS.drift_speed and not inputs.drift_angle > math.radians(LIMITS.drift_angle)
     if reaction is Reaction.HOLD and target is State.HOLDING:
         assert not any(cause_applies(fault, inputs, LIMITS) for fault in UNLOCATED)
     if state is State.HANDED_BACK:
@@ -340,6 +345,16 @@ def test_a_drone_on_the_ground_is_never_ready():
     assert safety.state is State.READY and safety.missing() == ()
     now = run(safety, dataclasses.replace(WELL, offboard=False, in_air=False), 0.02, now)
     assert safety.state is State.WAITING
+
+
+def test_a_cloud_that_drifts_prevents_a_take_over_and_disturbs_no_flight():
+    drifting = dataclasses.replace(WELL, drift_speed=LIMITS.drift_speed + 0.01)
+    safety = SafetyMachine(LIMITS)
+    now = run(safety, dataclasses.replace(drifting, armed=False, offboard=False), 0.1, 0.0)
+    assert safety.state is State.WAITING and safety.missing() == (Cause.CLOUD_DRIFTS,)
+    safety, now = flying()
+    run(safety, drifting, 1.0, now)
+    assert safety.state is State.FLYING
 
 
 def test_a_landed_state_does_not_disturb_a_flight():

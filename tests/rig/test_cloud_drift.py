@@ -1,0 +1,77 @@
+"""The drift of an estimate in the clouds of a simulated Mid-360."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner.onboard.cloud_drift import Drift, measure_drift
+from aero_planner.quaternions import quaternion_from_angles
+from aero_viz.catalog import load_world
+from aero_viz.scenes import World
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.sensors.lidar import LIDARS, Lidar
+
+PLACE = np.array([0.0, 0.0, 2.0])
+SWEEPS = 10
+
+
+def drift_in(world: World, error: Callable[[int], tuple[float, ...]]) -> Drift | None:
+    """Return the drift between two half seconds of hover; `error` gives x, y [m], roll and pitch [deg] of a sweep."""
+    model = LIDARS["mid360"]
+    lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[0])
+    pose = pose_of(PLACE, 0.0, 0.0)
+    finished, sweeps = wp.zeros(1, dtype=int, device="cpu"), []
+    for k in range(SWEEPS):
+        x, y, roll, pitch = error(k)
+        estimated = pose_of(PLACE + np.array([x, y, 0.0]), roll, pitch)
+        lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, finished=finished,
+                   estimated_poses=estimated, estimated_poses_before=estimated)  # fmt: skip
+        points = lidar.points.numpy()[0]
+        sweeps.append(points[np.isfinite(points).all(axis=1)].copy())
+    half = SWEEPS // 2
+    return measure_drift(np.concatenate(sweeps[:half]), np.concatenate(sweeps[half:]), PLACE)
+
+
+def pose_of(position: NDArray[np.float64], roll: float, pitch: float) -> tuple[wp.array, wp.array]:
+    quaternion = tuple(quaternion_from_angles(roll, pitch, 0.0))
+    return (
+        wp.array([tuple(position)], dtype=wp.vec3, device="cpu"),
+        wp.array([quaternion], dtype=wp.vec4, device="cpu"),
+    )
+
+
+@pytest.fixture(scope="module")
+def forest() -> World:
+    return load_world("forest", seed=0)
+
+
+def test_an_exact_estimate_does_not_drift(forest: World):
+    drift = drift_in(forest, lambda _: (0.0, 0.0, 0.0, 0.0))
+    assert drift is not None and drift.angle < np.radians(0.2) and drift.shift < 0.03
+
+
+def test_a_wrong_velocity_is_measured(forest: World):
+    drift = drift_in(forest, lambda k: (0.04 * k, 0.0, 0.0, 0.0))  # 0.4 m/s
+    assert drift is not None and drift.shift == pytest.approx(0.2, abs=0.02) and drift.angle < np.radians(0.2)
+
+
+def test_a_tilt_that_changes_is_measured(forest: World):
+    drift = drift_in(forest, lambda k: (0.0, 0.0, 3.0 if k >= SWEEPS // 2 else 0.0, 0.0))
+    assert drift is not None and np.degrees(drift.angle) == pytest.approx(3.0, abs=0.3) and drift.shift < 0.05
+
+
+def test_noise_of_the_attitude_is_noticed(forest: World):
+    random = np.random.default_rng(0)
+    found = [drift_in(forest, lambda _: (0.0, 0.0, *random.normal(scale=3.0, size=2))) for _ in range(3)]
+    angles = [np.degrees(drift.angle) for drift in found if drift is not None]
+    assert len(angles) == 3 and np.sqrt(np.mean(np.square(angles))) > 1.5  # above the node's default limit
+
+
+def test_without_structure_nothing_is_measured():
+    empty = World("empty", PLACE, np.array([5.0, 0, 2]))
+    assert drift_in(empty, lambda _: (0.0, 0.0, 0.0, 0.0)) is None
