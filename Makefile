@@ -1,5 +1,5 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-lowest check format bench rig audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-lowest check format bench rig fuzz audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 
@@ -36,6 +36,12 @@ bench: setup     ## measure the planner's speed on this machine
 	$(PYTHON_BIN) -m aero_planner.benchmark $(ARGS)
 	$(PYTHON_BIN) -m benchmarks.guard
 	$(PYTHON_BIN) -m benchmarks.floors
+
+fuzz: setup-dev   ## read damaged files of every format for an hour
+	@scripts/pins Fuzzing >.venv/fuzzing.txt
+	@$(PYTHON_BIN) -m pip install -q --require-hashes --no-deps --only-binary :all: -r .venv/fuzzing.txt \
+		|| echo "atheris has no build for this machine: only seeded cases are run"
+	PYTHONPATH=tests $(PYTHON_BIN) -m fuzz $(ARGS)
 
 rig: setup-dev    ## run the tests that fly the onboard node over sockets, in real time
 	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)

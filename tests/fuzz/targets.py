@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -65,6 +67,33 @@ def map_world(path: Path) -> None:
     assert np.isfinite(list(islice(opened.start, 3))).all()
 
 
+def unnamed(_: Path) -> None:
+    """Refuse a file without its name."""
+    raise UserError("the file is damaged")
+
+
+def traceback(_: Path) -> None:
+    """Fail as a reader must not."""
+    raise ZeroDivisionError
+
+
+def memory(_: Path) -> None:
+    """Take more memory than allowed."""
+    np.ones(3 << 27)
+
+
+def slow(_: Path) -> None:
+    """Take longer than allowed."""
+    start = time.process_time()
+    while time.process_time() < start + 5.5:
+        pass
+
+
+def crash(_: Path) -> None:
+    """End the process."""
+    os.abort()
+
+
 TARGETS: dict[str, Callable[[Path], None]] = {
     "recording": recording,
     "report": report,
@@ -72,4 +101,10 @@ TARGETS: dict[str, Callable[[Path], None]] = {
     "map": map_world,
     "world": world,
     "config": config,
+    # Failures that the tests of the harness cause:
+    "unnamed": unnamed,
+    "traceback": traceback,
+    "memory": memory,
+    "slow": slow,
+    "crash": crash,
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -110,3 +111,13 @@ def test_errors_are_precise_and_short(tmp_path: Path, changes: dict[str, Any], m
 def test_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="Is a directory"):
         World.load(tmp_path)
+
+
+def test_a_pipe_and_a_file_of_gigabytes_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.json")
+    with pytest.raises(UserError, match=r"pipe\.json: it is a pipe, not a regular file"):
+        World.load(tmp_path / "pipe.json")
+    with (tmp_path / "large.json").open("wb") as file:
+        file.truncate(8 << 30)
+    with pytest.raises(UserError, match=r"large\.json: it is larger than 64 MiB"):
+        World.load(tmp_path / "large.json")

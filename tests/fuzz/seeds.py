@@ -1,0 +1,89 @@
+"""Whole files of every format, written by the libraries that others write them with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bags
+import laspy
+import numpy as np
+import trimesh
+
+__all__ = ["SEEDS", "mutable_files"]
+
+_POINTS = np.random.default_rng(0).uniform(-9.0, 9.0, (300, 3))
+_BOX = trimesh.creation.box((6.0, 6.0, 6.0)).subdivide()
+_WORLD = {
+    "name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], "cylinders": [[4, 3, 0, 0, 0, 1, 0.3, 4]],
+    "boxes": [[5, 0, -0.5, 60, 60, 1, 0]], "spheres": [[3, 3, 3, 0.5]], "bounds": [[-20, -20, -2], [30, 20, 20]],
+}  # fmt: skip
+_CONFIG = "preset: paper\ncosts:\n  q_track: 5.0  # comment\nonboard:\n  limits:\n    plan_age: 0.2\n"
+
+
+def _las(version: str) -> Callable[[Path], Any]:
+    def write(path: Path) -> None:
+        content = laspy.LasData(laspy.LasHeader(point_format=6 if version == "1.4" else 3, version=version))
+        content.header.scales = np.full(3, 0.001)
+        content.x, content.y, content.z = _POINTS.T
+        content.write(str(path))
+
+    return write
+
+
+def _open3d(**options: bool) -> Callable[[Path], Any]:
+    def write(path: Path) -> None:
+        import open3d
+
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(_POINTS))
+        assert open3d.io.write_point_cloud(path, cloud, **options)
+
+    return write
+
+
+def _mesh(**options: str) -> Callable[[Path], Any]:
+    return lambda path: _BOX.export(path, **options)
+
+
+def _bag(name: str) -> Callable[[Path], Any]:
+    def write(path: Path) -> None:
+        items = [*bags.drive(4), bags.transform(0, "base", "lidar", [0, 0, 1], topic="/tf_static")]
+        items.append(bags.livox(0.15, bags.wall(30), np.arange(30) * 1000))
+        path.mkdir()
+        bags.FORMATS[name](path, sorted(items, key=lambda item: item.time))
+
+    return write
+
+
+SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    **{f"{name}.bagfolder": ("recording", _bag(name)) for name in bags.FORMATS},
+    **{f"{version}.{suffix}": ("points", _las(version)) for version in ("1.2", "1.4") for suffix in ("las", "laz")},
+    "ascii.pcd": ("points", _open3d(write_ascii=True)),
+    "binary.pcd": ("points", _open3d()),
+    "compressed.pcd": ("points", _open3d(compressed=True)),
+    "ascii.ply": ("points", _open3d(write_ascii=True)),
+    "binary.ply": ("points", _open3d()),
+    "mesh.ply": ("points", _mesh()),
+    "mesh_ascii.ply": ("points", _mesh(encoding="ascii")),
+    "a.npy": ("points", lambda path: np.save(path, _POINTS)),
+    "a.xyz": ("points", lambda path: np.savetxt(path, _POINTS, fmt="%.4f")),
+    "a.pts": ("points", lambda path: np.savetxt(path, _POINTS, fmt="%.4f", header="300", comments="")),
+    "a.obj": ("points", _mesh()),
+    "binary.stl": ("points", _mesh()),
+    "ascii.stl": ("points", _mesh(file_type="stl_ascii")),
+    "a.glb": ("points", _mesh()),
+    "a.off": ("points", _mesh()),
+    "a.json": ("world", lambda path: path.write_text(json.dumps(_WORLD))),
+    "a.yaml": ("config", lambda path: path.write_text(_CONFIG)),
+}
+"""By file name: the target, and the function that writes the file."""
+
+
+def mutable_files(seed: Path) -> tuple[Path, list[Path]]:
+    """Return what a target opens of a seed, and the files in it."""
+    if not seed.is_dir():
+        return seed, [seed]
+    files = sorted(file for file in seed.rglob("*") if file.is_file())
+    return (files[0], files) if len(files) == 1 else (files[0].parent, files)
