@@ -176,6 +176,8 @@ def readable(path: Path) -> Iterator[None]:
         raise
     except PermissionError as error:
         raise UserError(f"{path} cannot be read: permission denied") from error
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or _one_line(error)}") from error
     except Exception as error:
         raise UserError(f"{path} cannot be read and may be damaged or truncated: {_one_line(error)}") from error
 

@@ -102,7 +102,7 @@ def _check_span(points: Array, path: str | Path) -> None:
     middle = np.median(points[:, axis])
     stray = int((np.abs(points[:, axis] - middle) > 0.5 * MAP_SPAN_MAX).sum())
     raise UserError(
-        f"The map {path} spans {(upper[axis] - lower[axis]) / 1e3:,.0f} km along {'xyz'[axis]}, and at most "
+        f"The map {path} spans {(upper[axis] - lower[axis]) / 1e3:.4g} km along {'xyz'[axis]}, and at most "
         f"{MAP_SPAN_MAX / 1e3:g} km can be used: crop it; {stray} of its {len(points)} points lie more than "
         f"{0.5 * MAP_SPAN_MAX / 1e3:g} km from the middle."
     )

@@ -19,7 +19,7 @@ SECONDS_MAX = 5.0
 """CPU time that a case may take [s]. A busy machine does not fail a case."""
 MEMORY_MAX = 2 << 30
 """Memory that a case may take [bytes], the interpreter and its libraries included."""
-_PATIENCE = 25.0
+_PATIENCE = 120.0
 """Wall time after which a case that does not answer is ended [s]."""
 
 
