@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
 import select
 import subprocess
 import sys
+import time
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+
+import psutil
 
 __all__ = ["MEMORY_MAX", "SECONDS_MAX", "Outcome", "Worker"]
 
@@ -19,8 +23,10 @@ SECONDS_MAX = 5.0
 """CPU time that a case may take [s]. A busy machine does not fail a case."""
 MEMORY_MAX = 2 << 30
 """Memory that a case may take [bytes], the interpreter and its libraries included."""
-_PATIENCE = 120.0
-"""Wall time after which a case that does not answer is ended [s]."""
+_PATIENCE = 4 * SECONDS_MAX
+"""CPU time after which a case that does not answer is ended [s] .."""
+_PATIENCE_ASLEEP = 300.0
+""".. and wall time, for a case that waits for something."""
 
 
 @dataclass(frozen=True)
@@ -55,16 +61,24 @@ class Worker:
         try:
             process.stdin.write(json.dumps([target, str(path)]) + "\n")
             process.stdin.flush()
-            ready, _, _ = select.select([process.stdout], [], [], _PATIENCE)
-            line = process.stdout.readline() if ready else ""
+            has_answered = self._wait(process)
+            line = process.stdout.readline() if has_answered else ""
         except BrokenPipeError:
-            ready, line = [process.stdout], ""
+            has_answered, line = True, ""
         if line:
             return Outcome(*json.loads(line))
         process.kill()
         code = process.wait()
         self.close()
-        return Outcome("crash", f"the process ended with {code}") if ready else Outcome("hang", f"over {_PATIENCE} s")
+        return Outcome("crash", f"the process ended with {code}") if has_answered else Outcome("hang")
+
+    def _wait(self, process: subprocess.Popen[str]) -> bool:
+        """Return True when the process answers or ends, False when its patience is over."""
+        start, asleep_until = _tree_time(process.pid), time.monotonic() + _PATIENCE_ASLEEP
+        while not select.select([process.stdout], [], [], 1.0)[0]:
+            if _tree_time(process.pid) - start > _PATIENCE or time.monotonic() > asleep_until:
+                return False
+        return True
 
     def _start(self) -> subprocess.Popen[str]:
         folder = Path(__file__).parent
@@ -74,6 +88,8 @@ class Worker:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
             env=os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
         )  # fmt: skip
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n", "the worker does not start"
         return self._process
 
     def close(self) -> None:
@@ -99,6 +115,18 @@ def _status(key: str) -> int:
         if line.startswith(key + ":"):
             return int(line.split()[1]) * 1024
     raise LookupError(key)
+
+
+def _tree_time(process: int) -> float:
+    """Return the CPU time of a process and of those that it has started [s]."""
+    total = 0.0
+    with contextlib.suppress(psutil.NoSuchProcess):
+        parent = psutil.Process(process)
+        for member in (parent, *parent.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                times = member.cpu_times()
+                total += times.user + times.system
+    return total
 
 
 def _cpu_time() -> float:
@@ -149,6 +177,7 @@ def main() -> None:
 
     limit = _status("VmSize") - _status("VmRSS") + MEMORY_MAX
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    print("ready", file=answers, flush=True)
     for line in sys.stdin:
         target, path = json.loads(line)
         outcome = _run(target, Path(path))
