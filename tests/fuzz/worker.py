@@ -75,6 +75,7 @@ class Worker:
     def _wait(self, process: subprocess.Popen[str]) -> bool:
         """Return True when the process answers or ends, False when its patience is over."""
         start, asleep_until = _tree_time(process.pid), time.monotonic() + _PATIENCE_ASLEEP
+        assert process.stdout is not None
         while not select.select([process.stdout], [], [], 1.0)[0]:
             if _tree_time(process.pid) - start > _PATIENCE or time.monotonic() > asleep_until:
                 return False
