@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
-import atheris  # in the extra `fuzz`
 from fuzz.seeds import mutable_files
+
+atheris: Any = importlib.import_module("atheris")  # in the extra `fuzz`
 
 with atheris.instrument_imports(include=["aero_viz.recordings", "aero_viz.scenes"]):
     from fuzz.targets import TARGETS

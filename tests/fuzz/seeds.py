@@ -33,7 +33,7 @@ def _las(version: str) -> Callable[[Path], Any]:
     return write
 
 
-def _open3d(**options: bool) -> Callable[[Path], Any]:
+def _open3d(**options: Any) -> Callable[[Path], Any]:
     def write(path: Path) -> None:
         import open3d
 
