@@ -18,8 +18,10 @@ __all__ = [
     "MAP_SPAN_MAX",
     "MAP_VOXELS_MAX",
     "METADATA_MAX",
+    "NAME_MAX",
     "SWEEP_POINTS_MAX",
     "TEXT_MAX",
+    "TOPICS_MAX",
     "LimitExceeded",
     "ReadingBudget",
     "expansion_limit",
@@ -43,6 +45,10 @@ METADATA_MAX = _MIB
 """Largest metadata.yaml [bytes]."""
 SWEEP_POINTS_MAX = 10_000_000
 """Largest number of points in a cloud of a recording."""
+TOPICS_MAX = 2000
+"""Largest number of topics in a recording."""
+NAME_MAX = 512
+"""Longest name in a recording [characters]: topic and type, frame, field."""
 TEXT_MAX = 64 * _MIB
 """Largest world or table in a text file [bytes]."""
 DECODER_MEMORY_BASE = 1536 * _MIB

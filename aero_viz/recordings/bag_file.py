@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from aero_viz.input_limits import BLOCK_MAX, LimitExceeded, ReadingBudget
+from aero_viz.input_limits import BLOCK_MAX, NAME_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.file_bytes import FileBytes
 
 __all__ = [
@@ -100,8 +100,9 @@ class BagFile(ABC):
 
 
 def make_channel(topic: str, type_name: str, encoding: str) -> Channel:
-    """Return a channel with its full type name. Raises ValueError for names that are not printable."""
-    if not (topic + type_name + encoding).isprintable():
+    """Return a channel with its full type name. Raises ValueError for names that are long or not printable."""
+    names = topic + type_name + encoding
+    if len(names) > NAME_MAX or not names.isprintable():
         raise ValueError("a channel's name is damaged")
     return Channel(topic, _full_type_name(type_name), encoding)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from aero_viz.errors import UserError
+from aero_viz.input_limits import TOPICS_MAX
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.pose_messages import POSE_TYPES, TRANSFORM_STAMPED, decode_poses
@@ -131,6 +133,7 @@ class _Scanner:
         self.topics: dict[tuple[str, str], TopicContents] = {}
         """By name and type."""
         self._types = {*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES}
+        self._surplus = 0
         self._padded = np.zeros(HEAD_BYTES, np.uint8)
 
     def scan(self, file: BagFile) -> None:
@@ -140,6 +143,9 @@ class _Scanner:
             count += 1
             key = message.channel[:2]
             topic = self.topics.get(key)
+            if topic is None and len(self.topics) >= TOPICS_MAX:
+                self._surplus += 1
+                continue
             if topic is None:
                 topic = self.topics[key] = TopicContents(*message.channel)
             topic.count += 1
@@ -150,13 +156,18 @@ class _Scanner:
             contents.last = message.time if contents.last is None else max(contents.last, message.time)
             if message.channel.type in self._types:
                 self._add(message, file, topic)
-        for channel in file.channels.values():
+        for channel in islice(file.channels.values(), TOPICS_MAX):
             self.topics.setdefault(channel[:2], TopicContents(*channel))
         name = file.path.name
         contents.problems += [f"{name} is {problem}" for problem in file.problems]
         if file.truncated:
             precede = "1 message precedes" if count == 1 else f"{count or 'no'} messages precede"
             contents.problems.append(f"{name} is truncated: {precede} the cut")
+        if self._surplus:
+            contents.problems.append(
+                f"{name} has more than {TOPICS_MAX} topics: {self._surplus} messages on the others are left out"
+            )
+            self._surplus = 0
         if file.damaged:
             contents.problems.append(f"{file.damaged} damaged records or chunks of {name} are left out")
 
@@ -202,6 +213,7 @@ class _Scanner:
         if len(message.head) == message.size:
             return message.head
         if len(self._padded) < message.size:
-            self._padded = np.zeros(2 * message.size, np.uint8)  # pages that are never written take no memory
+            self._surplus = 0
+        self._padded = np.zeros(2 * message.size, np.uint8)  # pages that are never written take no memory
         self._padded[: len(message.head)] = np.frombuffer(message.head, np.uint8)
         return self._padded[: message.size].data

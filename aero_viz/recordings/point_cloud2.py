@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_viz.input_limits import SWEEP_POINTS_MAX
+from aero_viz.input_limits import NAME_MAX, SWEEP_POINTS_MAX
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
 
 if TYPE_CHECKING:
@@ -59,7 +59,9 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
         DamagedMessage: the message is damaged, contradicts itself, or lacks one of x, y, z.
     """
     cloud: PointCloud2 = decode_message(message, POINT_CLOUD2, encoding)
-    names = ", ".join(field.name for field in cloud.fields)
+    names = ", ".join(field.name for field in cloud.fields[:64])[:NAME_MAX]
+    if len(cloud.header.frame_id) > NAME_MAX:
+        raise DamagedMessage("the name of its frame is too long")
     if not (names + cloud.header.frame_id).isprintable():
         raise DamagedMessage("a name in it is damaged")
     # A field may have several elements. Only the first one matters here.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from aero_viz.input_limits import NAME_MAX
 from aero_viz.recordings.poses import SPEED_MAX
 from aero_viz.recordings.ros_messages import TF_TYPES, decode_message
 
@@ -52,7 +53,8 @@ class StampedPose(NamedTuple):
     def defect(self) -> str:
         """Reason why the pose cannot be used, empty if it can; completes "The pose cannot be used because ..."."""
         position, quaternion, velocity = self.values[:3], self.values[3:7], self.values[7:]
-        if not (self.parent + self.child).isprintable():
+        names = self.parent + self.child
+        if len(names) > NAME_MAX or not names.isprintable():
             return "a name in it is damaged"
         if not all(abs(value) < _MAX_COORDINATE for value in position):  # NaN compares false
             return "its position is not valid"

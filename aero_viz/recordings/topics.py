@@ -24,6 +24,9 @@ __all__ = ["ChosenPoses", "PoseSource", "choose_cloud_topic", "choose_poses", "r
 _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
 """Types of messages that fit each role of a topic, and what to say about another type."""
 
+_SHOWN, _SHOWN_LENGTH = 8, 80
+"""Number of names that a message lists, and their length."""
+
 _FARTHEST_POSE = 1e5
 """Distance from the median position along an axis [m] beyond which a pose is damaged."""
 
@@ -75,7 +78,7 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     if name is not None:
         topics = [_find_topic(contents, name, "points")]
     if not topics:
-        held = ", ".join(f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics) or "no topics"
+        held = _join([f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics], ", ") or "no topics"
         raise UserError(f"{contents.path} has no PointCloud2 topic with messages; it holds {held}")
     if not topics[0].clouds:
         reason = topics[0].reason or "there are no messages"
@@ -113,7 +116,7 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
             if best.covered.mean() >= _SUFFICIENT_COVERAGE:
                 return best
     if best.source is None:
-        names = " and ".join(topic.name for topic in candidates)
+        names = _join([topic.name for topic in candidates], " and ")
         raise UserError(
             f"the poses on {names} of {contents.path} do not overlap the sweeps in time: "
             "record both together or name another topic with pose_topic"
@@ -212,4 +215,12 @@ def _find_topic(contents: Contents, name: str, role: str) -> TopicContents:
 
 
 def _suggest(topics: Sequence[TopicContents]) -> str:
-    return f"; choose {' or '.join(topic.name for topic in topics)}" if topics else ""
+    return f"; choose {_join([topic.name for topic in topics], ' or ')}" if topics else ""
+
+
+def _join(names: list[str], separator: str) -> str:
+    """Return the first names as one text, and how many more there are."""
+    shown = separator.join(
+        name if len(name) <= _SHOWN_LENGTH else f"{name[:_SHOWN_LENGTH]}.." for name in names[:_SHOWN]
+    )
+    return shown + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")

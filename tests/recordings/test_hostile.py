@@ -295,3 +295,21 @@ def test_jumps_of_the_position_are_said(mcap_of):
     with open_recording(mcap_of(items)) as recording:
         assert recording.poses is not None and np.abs(recording.poses.velocities).max() < 1e3
         assert any("the positions on /pose jump" in problem for problem in recording.problems)
+
+
+def test_thousands_of_topics_and_endless_names_cost_little(worker, tmp_path):
+    def text(value: str) -> bytes:
+        return struct.pack("<I", len(value)) + value.encode()
+
+    def message(number: int, topic: str) -> bytes:
+        channel = struct.pack("<HH", number, 1) + text(topic) + text("cdr") + struct.pack("<I", 0)
+        return record(4, channel) + record(5, struct.pack("<HIQQ", number, 0, 0, 0) + b"abcd")
+
+    schema = record(3, struct.pack("<H", 1) + text("std_msgs/msg/String") + text("ros2msg") + struct.pack("<I", 0))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap(schema, mcap_chunk(b"".join(message(1, f"/topic{i}") for i in range(100_000)))))
+    outcome = worker.run("recording", path)
+    assert outcome.kind == "refused" and "and 1992 more" in outcome.text
+    assert worker.run("report", path).kind == "done"
+    path.write_bytes(mcap(schema, message(1, "/t" * 1_000_000)))
+    assert worker.run("recording", path).kind == "refused"
