@@ -13,6 +13,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_planner.mailbox import Mailbox
+from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
@@ -68,6 +69,8 @@ class Dashboard:
         """All panels."""
         self.source: SourceInfo | None = None
         """Source of the last frame that was shown."""
+        self.history = FlightHistory()
+        """Every tick of the source so far."""
         self.update_ms: deque[float] = deque(maxlen=300)
         """Durations of the last updates [ms]."""
         self.eye: NDArray[np.float64] | None = None
@@ -77,7 +80,7 @@ class Dashboard:
         self._panels_due = 0.0
         self._panels_outdated = False
         self._sink: Mailbox[Any] | None = None
-        self._page = Page(self.server, session, self.layers, self.refresh)
+        self._page = Page(self.server, session, self.layers, self.history, self.refresh)
         if panels:
             self._camera, self.panels = build(self._page, open_source=open_source, choices=choices, seed=seed)
         else:
@@ -85,6 +88,7 @@ class Dashboard:
             self.panels = [self._camera]
         self._sink = session.subscribe(self._show_newest, name="dashboard")
         self._event_sinks: list[Mailbox[Any]] = [
+            session.subscribe(self.history.add, every=True, name="history"),
             session.subscribe_notices(self._notify),
             session.subscribe_playing(lambda _: self.refresh()),
         ]
@@ -136,7 +140,7 @@ class Dashboard:
         eyes = self._camera.eyes if self.eye is None else [self.eye]
         for layer in self.layers.values():
             if layer.visible:
-                layer.eyes = eyes
+                layer.eyes, layer.history = eyes, self.history
                 changes += layer.update(frame)
         now = time.monotonic()
         self._panels_outdated = now < self._panels_due

@@ -6,7 +6,7 @@ from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
 from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Option, apply
 from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
-from aero_viz.dashboard.layers.drone import DroneLayer, TrailLayer
+from aero_viz.dashboard.layers.drone import DroneLayer, GhostLayer, TrailLayer
 from aero_viz.dashboard.layers.goal import GoalLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
@@ -24,6 +24,7 @@ LAYERS: tuple[type[Layer], ...] = (
     CoarseCellLayer,
     DroneLayer,
     TrailLayer,
+    GhostLayer,
     RecordedPathLayer,
     GoalLayer,
     ObstacleLayer,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
+from aero_viz.dashboard.history import FlightHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -112,6 +113,8 @@ class Layer:
         """True if the source provides what the layer draws."""
         self.eyes: Sequence[NDArray[np.float64]] = ()
         """Positions of the cameras of all visitors [m], each of shape [3], world frame."""
+        self.history: FlightHistory | None = None
+        """Every tick of the source so far; None before the first update."""
         self.options: tuple[Option, ...] = ()
         """Choices that the page offers for this layer."""
         self._root = server.scene.add_frame(f"/{self.name}", show_axes=False, visible=self.on_by_default)

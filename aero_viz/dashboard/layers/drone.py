@@ -10,9 +10,10 @@ from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polyl
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.session.frame import Frame
 
-__all__ = ["DroneLayer", "TrailLayer"]
+__all__ = ["DroneLayer", "GhostLayer", "TrailLayer"]
 
 _TRAIL_SEGMENTS = 512
+_GHOST = palette.unmapped(palette.GHOST)
 _TRAIL = palette.unmapped(palette.TRAIL)
 
 
@@ -41,6 +42,38 @@ class DroneLayer(Layer):
             (self.pose, "position", np.asarray(state.position, dtype=np.float64)),
             (self.pose, "wxyz", np.asarray(state.quaternion, dtype=np.float64)),
             (self.pose, "visible", True),
+        ]
+
+
+class GhostLayer(Layer):
+    """The future that was left when the flight forked: its path, and a faint drone at the current time."""
+
+    name, title = "ghost", "Future before the fork"
+    keys = (ColorKey("future before the fork", palette.GHOST),)
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self.available = False
+        self._lines = Lines(scene, "/ghost/line", thickness=2.0, capacity=_TRAIL_SEGMENTS)
+        self._pose = scene.add_frame("/ghost/body", show_axes=False, visible=False)
+        for name, (mesh, _, _) in quadrotor().items():
+            scene.add_mesh_simple(
+                f"/ghost/body/{name}", mesh.vertices, mesh.faces, color=palette.GHOST, opacity=0.5, flat_shading=True,
+                side="double",
+            )  # fmt: skip
+
+    def update(self, frame: Frame) -> list[Change]:
+        past = None if self.history is None else self.history.past()
+        self.available = past is not None and past.differs_at is not None
+        if past is None or past.differs_at is None:
+            return [*self._lines.show(np.zeros((0, 2, 3)), _GHOST), (self._pose, "visible", False)]
+        path = past.ghost[:, -3:]
+        step = -(-len(path) // (_TRAIL_SEGMENTS - 1))
+        vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
+        at = min(int(np.searchsorted(past.ghost[:, 0], frame.time + 1e-9)), len(path)) - 1
+        return [
+            *self._lines.show(polylines(vertices), _GHOST),
+            (self._pose, "position", path[max(at, 0)]),
+            (self._pose, "visible", at >= 0),
         ]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import viser
 
+from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
@@ -30,6 +31,8 @@ class Page:
     session: BaseSession
     layers: Mapping[str, Layer]
     """The layers by name."""
+    history: FlightHistory
+    """Every tick of the source so far."""
     refresh: Callable[[], None]
     """Shows the newest frame again, after a change that brings no new frame."""
 

@@ -1,117 +1,212 @@
-"""Charts of the flight."""
+"""Curves of the flight over source time, as one drawing with a cursor at the current tick."""
 
 from __future__ import annotations
 
-import bisect
-from typing import Any, NamedTuple
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import viser
-import viser.uplot
+from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
+from aero_viz.dashboard.history import CLEARANCE_MAX, COLUMNS, Event, Past
 from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.palette import css
+from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
-from aero_viz.session.source import SourceInfo
 
-__all__ = ["ChartPanel"]
+__all__ = ["CURVES", "ChartPanel", "Curve", "envelope", "table"]
 
-_ROWS = 150
-"""Longest curve. It must stay short, since every update sends the whole curve."""
-_AXIS: Any = {
-    "stroke": palette.css(palette.MUTED),
-    "grid": {"stroke": palette.css(palette.GRID_SECTION), "width": 1},
-    "size": 42,
+_WIDTH, _HEIGHT = 300, 46
+"""Size of one curve in the drawing [pixels]."""
+_GAP = 0.25
+"""Time without ticks from which a line is interrupted [s]; ten ticks if that is longer."""
+_EVENT_COLORS = {
+    "braking": palette.WARNING,
+    "end": palette.BAD,
+    "parameters": palette.BRAND,
+    "goal": palette.GOAL,
 }
 
+Array = NDArray[np.float64]
 
-class _Row(NamedTuple):
-    """Values of one tick."""
 
-    time: float
-    speed: float
-    clearance: float
-    reach: float
-    """Largest clearance that the planner measures [m]."""
-    plan_ms: float
+@dataclass(frozen=True)
+class Curve:
+    """One curve: columns of the history that share an axis."""
+
+    label: str
+    columns: tuple[str, ...]
+    colors: tuple[palette.Rgb, ...]
+    number: str
+    """Format of a value."""
+    top: float | None = None
+    """Upper end of the axis; None takes the largest value."""
+    is_log: bool = False
+
+
+CURVES = (
+    Curve("speed [m/s]", ("speed",), (palette.NOSE,), ".2f"),
+    Curve("true clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
+    Curve(
+        "best S2: all, goal, collision", ("cost", "goal_cost", "collision_cost"),
+        (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", is_log=True,
+    ),
+    Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f"),
+    Curve("safe candidates", ("safe",), (palette.GOOD,), ".0f"),
+    Curve("effective samples", ("samples",), (palette.RECORDED,), ".1f"),
+)  # fmt: skip
 
 
 class ChartPanel(Panel):
-    """Speed, clearance and plan time over source time, with a vertical line at the current tick."""
+    """Curves of every tick, the events of the flight, and the future that was left where the flight forked."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._rows: list[_Row] = []
-        self._frame: Frame | None = None
-        self._reach = self.session.config.costs.distance_max
-        self.motion = _chart(gui, _motion_series(self._reach))
-        self.plan_time = _chart(gui, (_curve("plan [ms]", palette.GUIDE), _MARK))
+        self._shown: tuple[Frame, int] | None = None
+        self.drawing = gui.add_html("")
+        """The drawing."""
+        labels = [curve.label for curve in CURVES]
+        self._picked = gui.add_dropdown("Save", ("all curves", *labels), hint="Curves to save, with a row per tick.")
+        save = gui.add_button("Download CSV", icon=viser.Icon.DOWNLOAD, color="gray", hint="Save the curves as CSV.")
 
-    def on_new_source(self, source: SourceInfo) -> list[Change]:
-        self._rows, self._frame = [], None
-        return []
+        @save.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                curves = [curve for curve in CURVES if self._picked.value in ("all curves", curve.label)]
+                content = table(self.page.history.past().rows, curves)
+                event.client.send_file_download("flight.csv", content.encode(), save_immediately=True)
 
     def update(self, frame: Frame) -> list[Change]:
-        previous, self._frame = self._frame, frame
-        if frame is previous:
+        past = self.page.history.past()
+        if not len(past.rows) or (frame, len(past.rows)) == self._shown:
             return []
-        changes: list[Change] = [(self.motion, "visible", True), (self.plan_time, "visible", True)]
-        row = _row(frame)
-        if row.reach != self._reach:
-            self._reach = row.reach
-            changes.append((self.motion, "series", (_TIME, *_motion_series(self._reach))))
-        # After a step back the later rows stay visible. They belong to another flight once this one advances again.
-        advanced = previous is not None and frame.epoch == previous.epoch and frame.time > previous.time
-        self._rows = [r for r in self._rows if r.time < row.time or (r.time > row.time and not advanced)]
-        if len(self._rows) >= _ROWS:
-            time = np.array([r.time for r in self._rows])
-            del self._rows[1 + int(np.argmin(time[2:] - time[:-2]))]  # where rows are closest
-        bisect.insort(self._rows, row)
-        # With a single row the time axis would have no length, and the page would keep the previous axis.
-        rows = self._rows if len(self._rows) > 1 else [row, row._replace(time=row.time + frame.source.period)]
-        current = rows.index(row)
-        # The vertical line is a spike: three rows at the same time, of which the middle one is 1.
-        time, speed, clearance, reach, plan = np.array([*rows[:current], row, row, *rows[current:]]).T
-        mark = (np.arange(len(time)) == current + 1).astype(np.float64)
-        changes.append((self.motion, "data", (time, speed, clearance, reach, mark)))
-        return [*changes, (self.plan_time, "data", (time, plan, mark))]
+        self._shown = frame, len(past.rows)
+        return [(self.drawing, "content", markup.block(_drawing(past, frame), _fork(past, frame)))]
 
 
-def _row(frame: Frame) -> _Row:
-    return _Row(
-        time=frame.time,
-        speed=float(np.linalg.norm(np.asarray(frame.observation.actual_state.velocity))),
-        clearance=float(frame.plan.clearance[int(frame.plan.best)].min()),
-        reach=frame.config.costs.distance_max,
-        plan_ms=frame.timings_ms.get("plan", 0.0),
-    )
+def table(rows: Array, curves: Sequence[Curve]) -> str:
+    """Return rows of a history as CSV: the time and the columns of some curves."""
+    columns = ["time", *dict.fromkeys(column for curve in curves for column in curve.columns)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([[f"{value:.9g}" for value in row] for row in rows[:, [COLUMNS.index(name) for name in columns]]])
+    return text.getvalue()
 
 
-def _curve(label: str, color: palette.Rgb, **options: Any) -> viser.uplot.Series:
-    return viser.uplot.Series(label=label, stroke=palette.css(color), width=1.5, **options)
+def envelope(time: Array, values: Array, span: tuple[float, float], *, gap: float) -> list[list[tuple[float, float]]]:
+    """Return lines (x, value) through all values, at most four points per column of pixels.
+
+    Each column keeps its first, smallest, largest and last value, so that no dip is lost. Lines end where the time
+    between two values is longer than `gap`.
+
+    Args:
+        time: increasing [s], shape [n].
+        values: shape [n].
+        span: times at the left and right edge [s].
+        gap: longest time to draw a line across [s].
+    """
+    lines: list[list[tuple[float, float]]] = []
+    place = (time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
+    for part in np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > gap) + 1):
+        line: list[tuple[float, float]] = []
+        columns = np.floor(place[part]).astype(int)
+        for column in np.split(part, np.flatnonzero(np.diff(columns)) + 1):
+            if len(column):
+                kept = {int(column[0]), int(column[values[column].argmin()]), int(column[values[column].argmax()])}
+                line += [(float(place[i]), float(values[i])) for i in sorted(kept | {int(column[-1])})]
+        if line:
+            lines.append(line)
+    return lines
 
 
-_TIME = viser.uplot.Series(label="t [s]")
-_MARK = viser.uplot.Series(
-    label="now", scale="mark", stroke=palette.css(palette.DRONE), width=1.0, points={"show": False}
-)
-
-
-def _motion_series(reach: float) -> tuple[viser.uplot.Series, ...]:
+def _drawing(past: Past, frame: Frame) -> str:
+    """Return all curves over one axis of time as SVG."""
+    ends = [past.rows[-1, 0], frame.time, *past.ghost[-1:, 0]]
+    span = (float(min(past.rows[0, 0], frame.time)), float(max(ends)))
+    gap = max(_GAP, 10.0 * frame.source.period)
+    at = int(np.clip(np.searchsorted(past.rows[:, 0], frame.time + 1e-9) - 1, 0, len(past.rows) - 1))
+    cursor = (frame.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
+    parts = [_curve(curve, past, span, gap, at) for curve in CURVES]
+    height = len(CURVES) * (_HEIGHT + 18)
+    marks = "".join(_mark(event, span) for event in past.events)
     return (
-        _curve("speed [m/s]", palette.TRAIL),
-        _curve("clearance [m]", palette.CHOSEN),
-        _curve(f"≥ {reach:.2f} m", palette.MUTED, dash=(4, 4), points={"show": False}),
-        _MARK,
+        f'<svg viewBox="0 0 {_WIDTH} 12" preserveAspectRatio="none" style="width:100%;height:12px">{marks}</svg>'
+        f'<div style="position:relative">{"".join(parts)}'
+        f'<svg class="aero-marks" viewBox="0 0 {_WIDTH} {height}" preserveAspectRatio="none" '
+        f'style="position:absolute;inset:0;width:100%;height:100%;pointer-events:none">'
+        f'<line class="aero-cursor" x1="{cursor:.1f}" x2="{cursor:.1f}" y1="0" y2="{height}" '
+        f'stroke="currentColor" stroke-width="1" vector-effect="non-scaling-stroke"/></svg></div>'
+        f'<div style="display:flex;justify-content:space-between;font-size:11px"><span>{span[0]:.2f} s</span>'
+        f"<span>{span[1]:.2f} s</span></div>"
+        f"{_list(past.events)}"
     )
 
 
-def _chart(gui: viser.GuiApi, series: tuple[viser.uplot.Series, ...]) -> viser.GuiUplotHandle:
-    return gui.add_uplot(
-        (np.zeros(2),) * (1 + len(series)),
-        (_TIME, *series),
-        scales={"x": viser.uplot.Scale(time=False), "mark": viser.uplot.Scale(range=(0.02, 1.0))},
-        axes=(_AXIS, _AXIS),
-        height=130,
-        visible=False,
+def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: int) -> str:
+    indices = [COLUMNS.index(name) for name in curve.columns]
+    everything = np.vstack((past.rows[:, indices], past.ghost[:, indices]))
+    top = curve.top or max(float(np.nanmax(everything)), 1e-9)
+    height = max(_scaled(curve, top), 1e-9)
+
+    def paths(rows: Array, opacity: float) -> str:
+        drawn = ""
+        for index, color in zip(indices, curve.colors, strict=True):
+            for line in envelope(rows[:, 0], rows[:, index].clip(0.0, top), span, gap=gap):
+                points = " ".join(
+                    f"{x:.1f},{_HEIGHT - 1 - (_HEIGHT - 3) * _scaled(curve, y) / height:.1f}" for x, y in line
+                )
+                drawn += (
+                    f'<polyline points="{points}" fill="none" stroke="{css(color, opacity)}" stroke-width="1.4" '
+                    f'stroke-linejoin="round" vector-effect="non-scaling-stroke"/>'
+                )
+        return drawn
+
+    value = " / ".join(f"{past.rows[at, index]:{curve.number}}" for index in indices)
+    is_beyond = curve.top is not None and past.rows[at, indices[0]] >= curve.top
+    heading = markup.heading(curve.label, f"{'≥ ' if is_beyond else ''}{value}")
+    return (
+        f'<div style="height:18px;font-size:11px">{heading}</div>'
+        f'<svg class="aero-curve" data-curve="{curve.columns[0]}" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
+        f'preserveAspectRatio="none" style="display:block;width:100%;height:{_HEIGHT}px;'
+        f'background:{css(palette.MUTED, 0.10)}">{paths(past.ghost, 0.35)}{paths(past.rows, 1.0)}'
+        f'<text x="2" y="9" font-size="8" fill="{css(palette.MUTED)}">{top:.4g}</text></svg>'
+    )
+
+
+def _scaled(curve: Curve, value: float) -> float:
+    return float(np.log1p(value)) if curve.is_log else value
+
+
+def _mark(event: Event, span: tuple[float, float]) -> str:
+    x = (event.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
+    color = css(_EVENT_COLORS.get(event.kind, palette.MUTED))
+    return f'<rect class="aero-event" x="{x - 1.5:.1f}" y="0" width="3" height="12" fill="{color}"/>'
+
+
+def _list(events: Sequence[Event], most: int = 6) -> str:
+    """Return the last events, one per line."""
+    lines = [
+        f'<div style="font-size:11px"><span style="color:{css(_EVENT_COLORS.get(event.kind, palette.MUTED))}">'
+        f"{event.time:.2f} s</span> {markup.text(event.text)}</div>"
+        for event in events[-most:]
+    ]
+    more = f'<div style="font-size:11px">{markup.muted(f"{len(events) - most} earlier events")}</div>'
+    return (more if len(events) > most else "") + "".join(lines)
+
+
+def _fork(past: Past, frame: Frame) -> str:
+    """Return a sentence on the future that was left."""
+    if not len(past.ghost) or past.differs_at is None:
+        return ""
+    before = (past.ghost_outcome or "not over").replace("_", " ")
+    now = (frame.outcome or "flying").replace("_", " ")
+    return (
+        f'<div style="font-size:11px" class="aero-fork">Forked: the faint curves are the future before, which '
+        f"differs from {past.differs_at:.2f} s on. Before: {markup.text(before)} at {past.ghost[-1, 0]:.2f} s. "
+        f"Now: {markup.text(now)} at {frame.time:.2f} s.</div>"
     )

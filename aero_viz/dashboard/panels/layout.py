@@ -41,6 +41,7 @@ def build(
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))
+    with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
         panels.append(ChartPanel(page))
     with tabs.add_tab("Layers", viser.Icon.STACK_2):
         panels.append(LayerPanel(page))

@@ -1,0 +1,112 @@
+"""Rows, events and forks of a flight's history."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_viz.dashboard.history import CLEARANCE_MAX, COLUMNS, FlightHistory, true_clearance
+from aero_viz.dashboard.panels.charts import CURVES, envelope, table
+from aero_viz.session import Session
+
+
+@pytest.fixture
+def session():
+    session = Session(small_source(), config=small_config())
+    yield session
+    session.close()
+
+
+def fly(session: Session, history: FlightHistory, ticks: int) -> None:
+    for _ in range(ticks):
+        history.add(session.tick())
+
+
+def test_every_tick_has_a_row_and_going_back_keeps_them(session):
+    history = FlightHistory()
+    fly(session, history, 20)
+    flown = history.past().rows
+    assert flown.shape == (20, len(COLUMNS))
+    np.testing.assert_allclose(np.diff(flown[:, 0]), session.source.period)
+    session.step(-10)
+    history.add(session.frame)
+    session.seek(0.1).result()
+    history.add(session.frame)
+    np.testing.assert_array_equal(history.past().rows[:, 0], flown[:, 0])
+    assert not len(history.past().ghost)
+
+
+def test_the_same_flight_again_is_no_fork_and_another_weight_is_one(session):
+    history = FlightHistory()
+    fly(session, history, 30)
+    flown = history.past().rows
+    session.seek(float(flown[9, 0])).result()
+    history.add(session.frame)
+    fly(session, history, 5)
+    past = history.past()
+    assert len(past.ghost) == 20 and past.differs_at is None
+    session.seek(float(flown[9, 0])).result()
+    history.add(session.frame)
+    session.configure({"costs.q_track": 50.0, "vehicle.speed_limit": 1.0})
+    history.add(session.frame)
+    fly(session, history, 10)
+    past = history.past()
+    assert past.differs_at is not None and flown[9, 0] < past.differs_at <= flown[14, 0]
+    assert [event.kind for event in past.events] == ["parameters"]
+    assert "costs.q_track" in past.events[0].text and "50.0" in past.events[0].text
+
+
+def test_a_fork_keeps_the_outcome_of_the_future_that_was_left(session):
+    history = FlightHistory()
+    while session.frame is None or session.frame.outcome is None:
+        fly(session, history, 1)
+    end = session.frame
+    assert [event.kind for event in history.past().events][-1] == "end"
+    session.seek(0.2).result()
+    history.add(session.frame)
+    session.set_goal(np.add(end.observation.goal.position, (0.0, 0.5, 0.0))).result()
+    history.add(session.frame)
+    fly(session, history, 3)
+    past = history.past()
+    assert past.ghost_outcome == end.outcome and past.ghost[-1, 0] == pytest.approx(end.time)
+    assert [event.kind for event in past.events] == ["goal"]
+
+
+def test_another_source_starts_a_new_history(session):
+    history = FlightHistory()
+    fly(session, history, 5)
+    session.set_source(small_source()).result()
+    history.add(session.frame)
+    assert len(history.past().rows) == 1
+
+
+def test_clearance_is_the_true_one_up_to_its_limit(session):
+    frame = session.tick()
+    position = np.asarray(frame.observation.actual_state.position)
+    exact = float(frame.source.world.distance(position[None])[0])
+    assert true_clearance(frame) == pytest.approx(min(exact, CLEARANCE_MAX))
+    assert exact > frame.config.costs.distance_max, "beyond what the planner measures"
+
+
+def test_no_dip_is_lost_and_no_line_crosses_a_jump():
+    time = np.arange(5000) * 0.02
+    time[2500:] += 7.0
+    values = np.ones(5000)
+    values[1234], values[4321] = -3.0, 9.0
+    lines = envelope(time, values, (time[0], time[-1]), gap=0.25)
+    assert len(lines) == 2
+    assert {value for line in lines for _, value in line} == {1.0, -3.0, 9.0}
+    assert sum(map(len, lines)) < 1500
+    assert lines[0][-1][0] < lines[1][0][0]
+
+
+def test_the_table_has_a_row_for_every_tick(session):
+    history = FlightHistory()
+    fly(session, history, 4)
+    rows = list(csv.DictReader(io.StringIO(table(history.past().rows, CURVES[:2]))))
+    assert list(rows[0]) == ["time", "speed", "clearance"]
+    assert [float(row["time"]) for row in rows] == pytest.approx(history.past().rows[:, 0])
