@@ -96,12 +96,15 @@ def open_source(
         # The configuration is not known yet: refuse only what no configuration can reach.
         refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
         return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
+    from aero_viz.logs.replay import FlightReplay, is_flight_log
     from aero_viz.recordings import RecordingSource, open_recording
 
     recording = open_recording(
         spec, points_topic=points_topic, pose_topic=pose_topic, odometry=odometry, progress=progress
     )
     try:
+        if is_flight_log(spec):
+            return FlightReplay(recording, spec, goal_ahead=goal_ahead)
         return RecordingSource(recording, goal_ahead=goal_ahead)
     except Exception:
         recording.close()

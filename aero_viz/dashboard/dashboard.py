@@ -27,6 +27,8 @@ from aero_viz.session.source import Opener, SourceInfo
 
 __all__ = ["Dashboard"]
 
+_LIVE_PLAN = ("rollouts", "guides", "anchors")
+"""Layers of the live plan."""
 _PANEL_PERIOD = 0.2
 """Shortest time between two updates of the panels [s]."""
 
@@ -77,6 +79,7 @@ class Dashboard:
         """Position from which a picture will be rendered [m], shape [3]; None if only visitors look."""
         self._session = session
         self._limiter = UpdateRateLimiter()
+        self._is_replay = False
         self._panels_due = 0.0
         self._panels_outdated = False
         self._sink: Mailbox[Any] | None = None
@@ -136,6 +139,7 @@ class Dashboard:
             self.source = frame.source
             for part in (*self.layers.values(), *self.panels):
                 changes += part.on_new_source(frame.source)
+            self._choose_plan(frame.source)
         changes += self._camera.follow(frame)
         eyes = self._camera.eyes if self.eye is None else [self.eye]
         for layer in self.layers.values():
@@ -149,6 +153,15 @@ class Dashboard:
             for panel in self.panels:
                 changes += panel.update(frame)
         return changes
+
+    def _choose_plan(self, source: SourceInfo) -> None:
+        """Hide the live plan where a recorded one is shown; it can be switched on beside it."""
+        is_replay = source.recorded_plan is not None
+        if is_replay != self._is_replay:
+            self._is_replay = is_replay
+            for name in _LIVE_PLAN:
+                if name in self.layers:
+                    self.layers[name].visible = not is_replay and self.layers[name].on_by_default
 
     def close(self) -> None:
         """Close the page. The session continues."""

@@ -131,7 +131,11 @@ class FlightLog:
         """
         try:
             if not self._failed:
-                self._writer.add_metadata("flight_log", {"frames": str(self.frames), "dropped": str(dropped)})
+                last = self._last
+                facts = {"frames": str(self.frames), "dropped": str(dropped)}
+                if last is not None and last.outcome is not None:
+                    facts |= {"outcome": last.outcome, "explanation": last.explanation or ""}
+                self._writer.add_metadata("flight_log", facts)
                 self._writer.finish()
         finally:
             self._file.close()

@@ -98,6 +98,13 @@ class RecordedPoses:
         result.track = result._build_track()
         return result
 
+    def without_offset(self) -> RecordedPoses:
+        """Return the same poses in the recorded frame: the offset is zero, and far positions lose precision."""
+        result = copy.copy(self)
+        result.positions, result.offset = self.positions + self.offset, np.zeros(3)
+        result.track = result._build_track()
+        return result
+
     def covers(self, times: ArrayLike) -> NDArray[np.bool_]:
         """Return for which of the `times` [..] [s] there is a pose.
 

@@ -192,6 +192,8 @@ class RecordingSource:
     def _goal_at(self, time: float, pose: Pose) -> NDArray[np.float64]:
         if self._goal is not None:
             return self._goal
+        if (recorded := self._recorded_goal(time)) is not None:
+            return recorded
         goal = None if self._path is None else self._path.point_after(time, self._goal_ahead)
         if goal is not None:
             return goal
@@ -199,6 +201,10 @@ class RecordingSource:
         forward = rotate(pose.quaternion, np.array([1.0, 0.0, 0.0]))
         heading = np.arctan2(forward[1], forward[0])
         return pose.position + self._goal_ahead * np.array([np.cos(heading), np.sin(heading), 0.0])
+
+    def _recorded_goal(self, time: float) -> NDArray[np.float64] | None:
+        """Return the goal [3] [m] that was recorded for `time` [s]; None if there is none."""
+        return None
 
     def _window(self, time: float) -> tuple[int, int]:
         """Return the first sweep of the planner's cloud at `time` [s] and the last one + 1. It is never empty."""

@@ -85,7 +85,7 @@ class Engine:
         advance_ms = 1e3 * (time.perf_counter() - started)
         if self.source.outcome == "end":
             # A recording has no tick after its last one: keep the last plan.
-            return self._publish(dataclasses.replace(self.frame, outcome="end"))
+            return self._publish(dataclasses.replace(self.frame, outcome="end", explanation=self.source.explanation))
         return self._plan(advance_ms=advance_ms)
 
     def replan(self) -> None:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Goal, Plan, Sweeps, VehicleState
+from aero_planner import Goal, Plan, PlanStatus, Sweeps, VehicleState
 
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["Observation", "Opener", "Source", "SourceInfo"]
+__all__ = ["Observation", "Opener", "RecordedPlan", "Source", "SourceInfo"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,25 @@ class Observation:
 
 
 @dataclass(frozen=True, eq=False)
+class RecordedPlan:
+    """Plan that was flown, from a flight log. M instances with N time steps."""
+
+    time: float
+    """Source time [s]."""
+    path: NDArray[np.float32]
+    """Positions of the chosen rollout [m], shape [N+1, 3], world frame."""
+    best: int
+    """Chosen instance."""
+    kinds: tuple[str, ...]
+    """Kind of each instance, length M."""
+    status: PlanStatus
+    stage2_cost: NDArray[np.float32]
+    """S2 of each instance, shape [M]."""
+    clearance: NDArray[np.float32]
+    """Smallest distance of each instance to the cloud, at most d_max [m], shape [M]."""
+
+
+@dataclass(frozen=True, eq=False)
 class SourceInfo:
     """Facts about a source that hold as long as it runs. Two sources never share one object."""
 
@@ -70,6 +89,8 @@ class SourceInfo:
     """Obstacles of a synthetic world."""
     recorded_path: NDArray[np.float64] | None = None
     """Recorded positions [m], shape [n, 3]."""
+    recorded_plan: Callable[[float], RecordedPlan | None] | None = None
+    """Returns the plan that was flown at a time [s]; None if no plans are recorded."""
     notices: tuple[str, ...] = ()
     """Sentences for the user, such as "Open loop: the plan is displayed but not flown"."""
     settings: Mapping[str, Any] = field(default_factory=dict)

@@ -93,11 +93,11 @@ def test_clearance_is_the_true_one_up_to_its_limit(session):
 
 
 def test_no_dip_is_lost_and_no_line_crosses_a_jump():
-    time = np.arange(5000) * 0.02
+    time = np.arange(5000, dtype=np.float64) * 0.02
     time[2500:] += 7.0
     values = np.ones(5000)
     values[1234], values[4321] = -3.0, 9.0
-    lines = envelope(time, values, (time[0], time[-1]), gap=0.25)
+    lines = envelope(np.asarray(time, dtype=np.float64), values, (time[0], time[-1]), gap=0.25)
     assert len(lines) == 2
     assert {value for line in lines for _, value in line} == {1.0, -3.0, 9.0}
     assert sum(map(len, lines)) < 1500

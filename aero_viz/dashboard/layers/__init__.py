@@ -10,7 +10,7 @@ from aero_viz.dashboard.layers.drone import DroneLayer, GhostLayer, TrailLayer
 from aero_viz.dashboard.layers.goal import GoalLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
-from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer
+from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer, RecordedPlanLayer
 
 __all__ = ["LAYERS", "Bar", "BarChart", "Change", "ColorKey", "ColorScale", "Layer", "Option", "apply"]
 
@@ -26,6 +26,7 @@ LAYERS: tuple[type[Layer], ...] = (
     TrailLayer,
     GhostLayer,
     RecordedPathLayer,
+    RecordedPlanLayer,
     GoalLayer,
     ObstacleLayer,
     GroundLayer,

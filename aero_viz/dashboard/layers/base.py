@@ -205,7 +205,9 @@ def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def to_see(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return what no obstacle must hide: places [m], shape [n, 3], and the distance to keep from the view of each."""
-    path = np.asarray(frame.plan.positions[int(frame.plan.best)], dtype=np.float64)
+    recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+    path = frame.plan.positions[int(frame.plan.best)] if recorded is None else recorded.path
+    path = np.asarray(path, dtype=np.float64)
     drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
     path = path[np.linspace(0, len(path) - 1, 5).astype(int)[1:]]
     return np.vstack((drone, path)), np.array([_DRONE_MARGIN, *[_PATH_MARGIN] * len(path)])

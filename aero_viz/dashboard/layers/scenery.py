@@ -16,7 +16,7 @@ from aero_viz.scenes.mesh import SHAPES, joined_mesh
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer"]
+__all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer", "RecordedPlanLayer"]
 
 _FAINT = 0.12
 """Opacity of an obstacle that hides the drone or its plan."""
@@ -24,6 +24,7 @@ _NO_FACES = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
 _NO_MESH = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 _NO_ROWS = np.zeros(0, np.int64)
 _MOST_PATH_SEGMENTS = 2048
+_RECORDED_PLAN = palette.unmapped(palette.RECORDED_PLAN)
 _RECORDED = palette.unmapped(palette.RECORDED)
 
 
@@ -187,3 +188,23 @@ class RecordedPathLayer(Layer):
         step = -(-len(path) // _MOST_PATH_SEGMENTS)
         vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
         return self._lines.show(polylines(vertices), _RECORDED)
+
+
+class RecordedPlanLayer(Layer):
+    """Chosen rollout of the plan that was flown, from a flight log."""
+
+    name, title = "recorded_plan", "Recorded plan"
+    keys = (ColorKey("recorded plan", palette.RECORDED_PLAN),)
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self.available = False
+        self._lines = Lines(scene, "/recorded_plan/line", thickness=5.0)
+
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        self.available = source.recorded_plan is not None
+        return self._lines.show(np.zeros((0, 2, 3)), _RECORDED_PLAN)
+
+    def update(self, frame: Frame) -> list[Change]:
+        recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+        path = np.zeros((0, 3), np.float32) if recorded is None else recorded.path
+        return self._lines.show(polylines(path) if len(path) else np.zeros((0, 2, 3)), _RECORDED_PLAN)

@@ -13,6 +13,7 @@ from aero_viz.dashboard.layers import Change, ColorKey, ColorScale
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
+from aero_viz.session.source import RecordedPlan
 
 __all__ = ["StatusPanel"]
 
@@ -44,7 +45,8 @@ class StatusPanel(Panel):
         return [(self.html, "content", markup.block(*parts))]
 
     def _state(self, frame: Frame) -> str:
-        status = PlanStatus(int(np.asarray(frame.plan.status)))
+        recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+        status = PlanStatus(int(np.asarray(frame.plan.status))) if recorded is None else recorded.status
         pills = [markup.pill(*_STATUS[status])]
         if frame.outcome is not None:
             pills.append(markup.pill(frame.outcome.replace("_", " "), _OUTCOMES.get(frame.outcome, palette.WARNING)))
@@ -58,7 +60,8 @@ class StatusPanel(Panel):
             for sentence in sentences
         )
         name = f"<b>{markup.text(frame.source.name)}</b> {markup.muted(f'{frame.time:.2f} s')}"
-        return f'<div style="margin-bottom:5px">{name}</div>{"".join(pills)}{notices}'
+        flown = "" if recorded is None else f'<div style="margin-top:3px">{_recorded(recorded)}</div>'
+        return f'<div style="margin-bottom:5px">{name}</div>{"".join(pills)}{flown}{notices}'
 
     def _delay(self, frame: Frame) -> str:
         """Return the effect of late ticks: a recording and a drone drop some, a simulated flight runs slower."""
@@ -89,6 +92,14 @@ class StatusPanel(Panel):
         ]
         keys = [(entry.label, entry.color) for entry in entries if isinstance(entry, ColorKey)]
         return [*scales, markup.key(keys)]
+
+
+def _recorded(plan: RecordedPlan) -> str:
+    best = plan.best
+    return markup.text(
+        f"recorded plan: {best} of {len(plan.kinds)} ({plan.kinds[best]}), S2 {plan.stage2_cost[best]:.4g}, "
+        f"clearance {plan.clearance[best]:.2f} m"
+    )
 
 
 def _figures(frame: Frame) -> str:

@@ -17,7 +17,7 @@ from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 
 __all__ = [
-    "BODY", "DEFINITIONS", "WORLD", "Encoded", "goal_message", "plan_messages", "pose_messages", "safety_change",
+    "BODY", "DEFINITIONS", "PLAN", "PLAN_DEFINITION", "WORLD", "Encoded", "goal_message", "plan_messages", "pose_messages", "safety_change",
     "sweep",
 ]  # fmt: skip
 

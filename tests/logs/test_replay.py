@@ -1,0 +1,87 @@
+"""Replays of flight logs: goal, plans, outcome and world as they were."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_viz.catalog import open_source
+from aero_viz.logs import flight_recorder
+from aero_viz.logs.replay import FlightReplay, is_flight_log
+from aero_viz.session import Session
+from aero_viz.session.frame import Frame
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> tuple[str, list[Frame]]:
+    """A log of a flight whose goal moves after ten ticks, and the frames of that flight."""
+    path = tmp_path_factory.mktemp("log") / "flight.mcap"
+    session = Session(small_source(), config=small_config())
+    frames: list[Frame] = []
+    with flight_recorder(path) as log:
+        while not frames or frames[-1].outcome is None:
+            frames.append(session.tick())
+            log.write(frames[-1])
+            if len(frames) == 10:
+                session.set_goal(np.add(frames[-1].observation.goal.position, (0.0, 0.4, 0.2))).result()
+    session.close()
+    return str(path), frames
+
+
+@pytest.fixture
+def replay(flown) -> Iterator[Any]:
+    source = open_source(flown[0])
+    assert isinstance(source, FlightReplay)
+    yield source
+    source.close()
+
+
+def at(frames: list[Frame], time: float) -> Frame:
+    return min(frames, key=lambda frame: abs(frame.time - time))
+
+
+def test_the_motion_stays_in_the_frame_of_the_world(flown, replay):
+    frames = flown[1]
+    assert replay.info.world.name == frames[0].source.world.name
+    state = replay.observe().state
+    start = np.asarray(at(frames, 0.0).observation.actual_state.position)
+    np.testing.assert_allclose(np.asarray(state.position), start, atol=1e-5)
+    assert np.linalg.norm(state.position) > 0.5, "the first pose is not moved to the origin"
+
+
+def test_goal_and_plan_of_every_tick_are_those_of_the_log(flown, replay):
+    frames = flown[1]
+    goals = set()
+    for time in replay.info.times:
+        replay.seek(time)
+        observation, frame = replay.observe(), at(frames, time)
+        plan = replay.info.recorded_plan(time)
+        best = int(frame.plan.best)
+        assert (plan.best, plan.kinds, plan.status) == (best, frame.plan.kinds, frame.plan.status)
+        np.testing.assert_allclose(plan.path, frame.plan.positions[best], atol=1e-5)
+        np.testing.assert_allclose(plan.stage2_cost, frame.plan.stage2_cost, rtol=1e-6)
+        goals.add(tuple(np.round(observation.goal.position, 6)))
+        assert observation.ground_height == frame.observation.ground_height
+    assert goals == {tuple(np.round(frame.observation.goal.position, 6)) for frame in frames[10:] + frames[:9]}
+
+
+def test_the_outcome_is_told_at_the_start_and_at_the_end(flown, replay):
+    outcome = flown[1][-1].outcome
+    assert outcome is not None
+    assert any(outcome.replace("_", " ") in notice for notice in replay.info.notices)
+    session = Session(replay, config=small_config())
+    session.seek(replay.info.times[-1]).result()
+    frame = session.tick()
+    assert frame.outcome == "end"
+    assert outcome.replace("_", " ") in str(frame.explanation)
+
+
+def test_other_files_are_no_flight_logs(tmp_path):
+    (tmp_path / "text.mcap").write_text("no MCAP")
+    assert not is_flight_log(tmp_path / "text.mcap")
+    assert not is_flight_log(tmp_path / "absent.mcap")
+    assert not is_flight_log(tmp_path)
