@@ -7,6 +7,7 @@ import errno
 import io
 import logging
 import socket
+from typing import Any
 
 import numpy as np
 import viser
@@ -19,11 +20,13 @@ __all__ = ["LocalServer", "notify", "sky"]
 _INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
 _STYLE = "".join(
     (
-        ":root{",
+        ':root[data-mantine-color-scheme="dark"]{',
         *(f"--mantine-color-dark-{shade}:{palette.css(color)};" for shade, color in palette.PANEL.items()),
         "--mantine-color-body:var(--mantine-color-dark-7)!important}",
         # Room for the number 100000 beside a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
+        # What is below the controls of time scrolls by itself, so that these stay in view.
+        ".mantine-Tabs-panel{max-height:calc(100vh - 19rem);overflow-y:auto;overflow-x:hidden}",
         # A number or a checkbox needs little room, its label much.
         f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
         # A slider without a label belongs to the number field above it: it takes the whole row and has no number.
@@ -40,6 +43,12 @@ _STYLE = "".join(
 )
 """Style sheet of the page, for the elements of Mantine that viser builds its controls from."""
 _log = logging.getLogger(__name__)
+_NOTIFICATIONS: dict[str, tuple[str, Any, float]] = {
+    "info": ("AERO-Viz", "blue", 5.0),
+    "failure": ("The flight failed", "red", 12.0),
+    "error": ("That did not work", "red", 12.0),
+}
+"""Title, colour and duration [s] of a notification by level."""
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 
 
@@ -96,15 +105,10 @@ class LocalServer(viser.ViserServer):
 def notify(
     server: viser.ViserServer, text: str, *, level: str = "info", client: viser.ClientHandle | None = None
 ) -> None:
-    """Show a notification to `client`, or to everyone."""
-    is_error = level == "error"
+    """Show a notification to `client`, or to everyone; `level` is "info", "failure" or "error"."""
+    title, color, seconds = _NOTIFICATIONS[level]
     for target in [client] if client is not None else list(server.get_clients().values()):
-        target.add_notification(
-            "That did not work" if is_error else "AERO-Viz",
-            text,
-            color="red" if is_error else "blue",
-            auto_close_seconds=12.0 if is_error else 5.0,
-        )
+        target.add_notification(title, text, color=color, auto_close_seconds=seconds)
 
 
 def _require_free(host: str, port: int) -> None:

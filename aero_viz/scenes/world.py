@@ -30,6 +30,7 @@ _COLUMNS = {
     "spheres": "x, y, z, radius",
     "triangles": "x1, y1, z1, x2, y2, z2, x3, y3, z3",
 }
+_NAMES = {"cylinders": "cylinder", "boxes": "box", "spheres": "sphere", "triangles": "triangle"}
 _BOUNDS_MARGIN = 10.0  # [m]; large, so that a drone that leaves the derived bounds has flown away, not cut a corner
 _COORDINATE_MAX = 100_000.0  # [m]; farther from the origin, single precision does not resolve centimetres
 _SIZE_MAX = 100_000.0  # [m]
@@ -171,7 +172,7 @@ class World:
         return nearest
 
     def nearest(self, point: ArrayLike) -> tuple[float, str]:
-        """Return the `distance` of a point [m], [3], and the obstacle it belongs to, such as '"spheres" row 3'."""
+        """Return the `distance` of a point [m], [3], and kind and row of the obstacle it belongs to, such as 'sphere 3'."""
         position = np.asarray(point, dtype=np.float64)
         candidates: list[tuple[float, str]] = [(np.inf, "nothing")]
         for key, distance in DISTANCES.items():
@@ -179,10 +180,10 @@ class World:
                 distances = distance(position, table)
                 row = int(distances.argmin())
                 is_ground = key == "boxes" and self.ground[row]
-                candidates.append((float(distances[row]), "the ground" if is_ground else f'"{key}" row {row}'))
+                candidates.append((float(distances[row]), "the ground" if is_ground else f"{_NAMES[key]} {row}"))
         if len(self.triangles):
             distances, rows = self._tree.nearest(position)
-            candidates.append((float(distances[0]), f'"triangles" row {rows[0]}'))
+            candidates.append((float(distances[0]), f"{_NAMES['triangles']} {rows[0]}"))
         return min(candidates)
 
     @property

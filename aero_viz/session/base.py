@@ -178,7 +178,7 @@ class BaseSession(ABC):
         for publisher in (self._frames, self._notices, self._playing_changes):
             publisher.unsubscribe(sink, timeout=timeout)
 
-    def notify(self, text: str, *, level: Literal["info", "error"] = "info") -> None:
+    def notify(self, text: str, *, level: Literal["info", "failure", "error"] = "info") -> None:
         """Publish a notice."""
         self._notices.publish(Notice(level, text))
 

@@ -54,6 +54,7 @@ class Frame:
 class Notice:
     """A message for the user."""
 
-    level: Literal["info", "error"]
+    level: Literal["info", "failure", "error"]
+    """"failure": a flight did not arrive; "error": something that was asked for did not work."""
     text: str
     """One or more sentences."""

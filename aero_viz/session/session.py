@@ -279,7 +279,8 @@ class Session(BaseSession):
             if self._announced_epoch != frame.epoch:
                 self._announced_epoch = frame.epoch
                 sentences = [f"{self.source.name}: {_OUTCOMES.get(outcome, outcome)}"]
-                self.notify(" ".join(sentences if frame.explanation is None else [*sentences, frame.explanation]))
+                text = " ".join(sentences if frame.explanation is None else [*sentences, frame.explanation])
+                self.notify(text, level="info" if outcome in ("arrived", "end") else "failure")
         return frame
 
     def start(self, *, play: bool = True) -> None:

@@ -13,7 +13,7 @@ from tests.browser.desk import open_desk
 def small(browser):
     """1280 x 720: a common laptop's screen, or a quarter of a large one."""
     with open_desk(browser, ticks=30, size=(1280, 720), layers=["drone"]) as desk:
-        desk.wait_for(lambda: "cost, rank" in desk.page.locator("body").inner_text(), "the planner's panel")
+        desk.wait_for(lambda: "shorter is better" in desk.page.locator("body").inner_text(), "the planner's panel")
         yield desk
 
 

@@ -56,7 +56,7 @@ def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str]
     path.write_text(json.dumps({"name": "inside", "start": [0, 0, 2], "goal": [9, 0, 2], "spheres": [[0, 0, 2, 1.0]]}))
     result = run_json(capsys, "fly", str(path))
     assert result["reason"] == "collision"
-    assert result["explanation"] == 'The start is inside an obstacle, 1.000 m deep in "spheres" row 0, at (0, 0, 2).'
+    assert result["explanation"] == "The start is inside an obstacle, 1.000 m deep in sphere 0, at (0, 0, 2)."
 
 
 def test_disturbances_reach_the_flight_and_its_log(

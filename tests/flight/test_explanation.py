@@ -26,9 +26,9 @@ def world(**tables) -> World:
     ("tables", "sentence"),
     [
         ({"spheres": [[5, 5, 2, 1], [0, 0, 2.5, 1]]},
-         'The start is inside an obstacle, 0.500 m deep in "spheres" row 1, at (0, 0, 2).'),
+         'The start is inside an obstacle, 0.500 m deep in sphere 1, at (0, 0, 2).'),
         ({"spheres": [[0, 0, 3.2, 1]]},
-         'The start is 0.200 m from "spheres" row 0, closer than the radius of 0.25 m, at (0, 0, 2).'),
+         'The start is 0.200 m from sphere 0, closer than the radius of 0.25 m, at (0, 0, 2).'),
     ],
 )  # fmt: skip
 def test_a_start_in_an_obstacle_is_reported_as_a_collision(tables, sentence) -> None:
@@ -62,13 +62,13 @@ def test_a_collision_names_the_obstacle() -> None:
     config = config.replace({"candidates.prefer_safe": False, "candidates.safe_clearance": 0.0})
     result = fly(wall, config=config, lidar=LidarModel("blind", points_per_sweep=1, dropout=1.0))
     assert result.reason == "collision" and result.explanation is not None
-    assert 'm from "boxes" row 1, closer than' in result.explanation
+    assert "m from box 1, closer than" in result.explanation
 
 
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"spheres": [[9, 0, 2.5, 1]]}, r'goal \(9, 0, 2\) lies inside an obstacle .* 0\.50 m deep in "spheres" row 0'),
+        ({"spheres": [[9, 0, 2.5, 1]]}, r"goal \(9, 0, 2\) lies inside an obstacle .* 0\.50 m deep in sphere 0"),
         ({"bounds": [[-1, -1, 0], [5, 5, 5]]}, r"goal \(9, 0, 2\) lies outside the bounds .* x -1 to 5"),
         ({"bounds": [[1, -1, 0], [9, 5, 5]]}, r"start \(0, 0, 2\) lies outside the bounds"),
         (
@@ -97,8 +97,8 @@ def test_a_far_goal_is_refused_depending_on_speed_and_time() -> None:
 
 def test_nearest_names_kind_and_row() -> None:
     mixed = world(boxes=[GROUND, [3, 3, 1, 1, 1, 2, 0]], cylinders=[[6, 0, 0, 0, 0, 1, 0.5, 4]], spheres=[[0, 9, 2, 1]])
-    assert mixed.nearest([6.0, 1.0, 3.0]) == (pytest.approx(0.5), '"cylinders" row 0')
-    assert mixed.nearest([3.0, 3.0, 2.5]) == (pytest.approx(0.5), '"boxes" row 1')
+    assert mixed.nearest([6.0, 1.0, 3.0]) == (pytest.approx(0.5), "cylinder 0")
+    assert mixed.nearest([3.0, 3.0, 2.5]) == (pytest.approx(0.5), "box 1")
     assert mixed.nearest([-5.0, 0.0, 1.0]) == (pytest.approx(1.0), "the ground")
-    assert mixed.nearest([0.0, 9.0, 2.0]) == (pytest.approx(-1.0), '"spheres" row 0')
+    assert mixed.nearest([0.0, 9.0, 2.0]) == (pytest.approx(-1.0), "sphere 0")
     assert world().nearest([0.0, 0.0, 0.0]) == (math.inf, "nothing")

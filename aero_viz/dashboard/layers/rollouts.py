@@ -65,14 +65,18 @@ class RolloutLayer(Layer):
         plan, best = frame.plan, int(frame.plan.best)
         scale = cost_scale(plan, by=self.color_by.value)
         colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
+        height = 1.0 - 0.9 * cost_scale(plan, by="log cost")
+        others = plan.stage2_cost - plan.goal_cost - plan.collision_cost
         bars = [
             Bar(
-                height=1.0 - 0.9 * scale[i],
+                height=float(height[i]),
                 tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
-                f"{plan.collision_cost[i]:.4g} + options",
+                f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}",
                 color=palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        return BarChart(f"cost, {self.color_by.value}", f"best is {best} of {len(bars)} ({plan.kinds[best]})", bars)
+        return BarChart(
+            "S2, logarithmic: shorter is better", f"best is {best} of {len(bars)} ({plan.kinds[best]})", bars
+        )

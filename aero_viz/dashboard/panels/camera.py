@@ -32,7 +32,7 @@ _OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5,
 """Position of the camera relative to the drone [m], per view; +x points to the goal."""
 _TARGET_DISTANCE = 1.6
 """Distance from the drone to the point that the camera looks at, toward the goal [m]."""
-_REACHES = (1.0, 0.8, 0.6, 0.45, 0.33, 0.25)
+_REACHES = (1.0, 0.8, 0.6, 0.45)
 """Distances of a first view from the drone to try in turn, as a share of the full one."""
 _CLEARANCE = 0.15
 """Smallest distance of a first view from an obstacle [m]."""

@@ -18,6 +18,7 @@ from aero_viz.session.frame import Frame
 __all__ = ["ConfigurationPanel", "parse_upload"]
 
 _CHANGED = "(changed)"
+_HISTORY_HINT = "undo and redo one change of the configuration; reset all returns to the default preset."
 
 
 class ConfigurationPanel(Panel):
@@ -36,10 +37,18 @@ class ConfigurationPanel(Panel):
         presets = PlannerConfig.presets()
         hint = " ".join(f"{name}: {help}" for name, help in presets.items())
         self._preset = gui.add_dropdown("Preset", (*presets, _CHANGED), initial_value=_CHANGED, hint=hint)
-        steps = gui.add_button_group("History", ("undo", "redo", "reset all"))
+        steps = gui.add_button_group("History", ("undo", "redo", "reset all"), hint=_HISTORY_HINT)
         with gui.add_folder("File", expand_by_default=False):
-            save = gui.add_button("Download YAML", icon=viser.Icon.DOWNLOAD, color="gray")
-            load = gui.add_upload_button("Upload YAML", icon=viser.Icon.UPLOAD, color="gray", mime_type=".yaml,.yml")
+            save = gui.add_button(
+                "Download YAML", icon=viser.Icon.DOWNLOAD, color="gray", hint="Save the configuration as YAML."
+            )
+            load = gui.add_upload_button(
+                "Upload YAML",
+                icon=viser.Icon.UPLOAD,
+                color="gray",
+                mime_type=".yaml,.yml",
+                hint="Use the configuration of a YAML file.",
+            )
 
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:

@@ -39,6 +39,10 @@ class Control(ABC):
     def show(self, value: Value) -> list[Change]:
         """Return the changes that show `value`; none if the page already does."""
 
+    def disturb(self) -> list[Change]:
+        """Return the changes that let the page show another number for a moment; none without a number field."""
+        return []
+
     @abstractmethod
     def on_change(self, callback: ChangeCallback) -> None:
         """Call `callback` whenever a user changes the value."""
@@ -96,6 +100,9 @@ class SliderControl(Control):
                 changes.append((self.slider, "max", self._to_slider(min(self.info.high, _round_up(2.0 * number)))))
             changes.append((self.slider, "value", position))
         return changes
+
+    def disturb(self) -> list[Change]:
+        return [(self.number, "value", self.number.value * (1.0 + 1e-6) + 1e-6)]
 
     def on_change(self, callback: ChangeCallback) -> None:
         def take_slider(client: viser.ClientHandle) -> None:

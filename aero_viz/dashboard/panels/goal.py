@@ -29,6 +29,7 @@ class GoalPanel(Panel):
     def create(self, gui: viser.GuiApi) -> None:
         self._typed = self._dragged = -_HOLD
         self._position = gui.add_vector3("Goal", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world frame [m].")
+        self._position.precision = 3
         self._drag = gui.add_checkbox("Drag the goal", False, hint="Show arrows at the goal that move it.")
         self._arrows = self.page.server.scene.add_transform_controls(
             "/goal_arrows", scale=2.0, disable_rotations=True, depth_test=False, visible=False
@@ -65,7 +66,7 @@ class GoalPanel(Panel):
         goal, now = np.asarray(frame.observation.goal.position, dtype=np.float64), time.monotonic()
         changes: list[Change] = []
         if now - self._typed >= _HOLD:
-            changes.append((self._position, "value", tuple(float(round(x, 2)) for x in goal)))
+            changes.append((self._position, "value", tuple(float(round(x, 3)) for x in goal)))
         if now - self._dragged >= _HOLD:
             changes.append((self._arrows, "position", goal))
         return changes

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import viser
 
 from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo
-from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.controls import Control, add_control
@@ -14,6 +16,10 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
 __all__ = ["LiveParameterPanel", "ParameterTablePanel", "StructureParameterPanel"]
+
+_RESET_HINT = "Return these parameters to their defaults."
+_TYPING_DELAY = 0.2
+"""Time after which a number that was typed just before a click has arrived [s]: the page sends it with a delay."""
 
 
 class _ParameterPanel(Panel):
@@ -32,6 +38,17 @@ class _ParameterPanel(Panel):
         self._shown = config
         return [change for control in self._controls for change in control.show(config.get(control.info.path))]
 
+    def _refill(self, controls: list[Control]) -> None:
+        """Let fields that were cleared on a page show their numbers again.
+
+        The page does not report a cleared field, and ignores a number that it believes to show.
+        """
+        for control in controls:
+            apply(control.disturb())
+        self.page.server.flush()
+        self._shown = None
+        self.page.refresh_after(_TYPING_DELAY)
+
     def _configure(self, changes: dict[str, object], client: viser.ClientHandle | None) -> None:
         """Change some parameters; if the change is refused, show the values that stay."""
         if not self.page.attempt(lambda: self._session_controls.configure(changes), client):
@@ -48,7 +65,9 @@ class LiveParameterPanel(_ParameterPanel):
             with gui.add_folder(group, expand_by_default=infos[0].section == "costs"):
                 for info in infos:
                     self._add(gui, info)
-                reset = gui.add_button(f"Reset {group.lower()}", icon=viser.Icon.RESTORE, color="gray")
+                reset = gui.add_button(
+                    f"Reset {group.lower()}", icon=viser.Icon.RESTORE, color="gray", hint=_RESET_HINT
+                )
                 self._on_reset(reset, [info.path for info in infos])
 
     def _add(self, gui: viser.GuiApi, info: ParameterInfo) -> None:
@@ -60,6 +79,7 @@ class LiveParameterPanel(_ParameterPanel):
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
             default = PlannerConfig()
+            self._refill([control for control in self._controls if control.info.path in paths])
             self._configure({path: default.get(path) for path in paths}, event.client)
 
 
@@ -75,6 +95,7 @@ class StructureParameterPanel(_ParameterPanel):
 
         @apply.on_click
         async def _(event: viser.GuiEvent) -> None:
+            await asyncio.sleep(_TYPING_DELAY)
             self._configure({control.info.path: control.value for control in self._controls}, event.client)
             form.submit()
 

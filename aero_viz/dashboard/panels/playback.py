@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 import viser
 
 from aero_planner.mailbox import Mailbox
@@ -25,7 +26,8 @@ class PlaybackPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = -_HOLD
-        self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray")
+        hint = "Let time run, or stop it. Parameters still change the plan while it stands. Key: P."
+        self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint)
         if self.session.controls is not None:
             self._add_restart(gui)
         self._steps = gui.add_button_group(
@@ -92,6 +94,11 @@ class PlaybackPanel(Panel):
         self.session.step(count)
 
     def _seek(self, time: float) -> None:
+        """Go to the tick nearest to `time` [s]."""
+        frame = self.session.frame
+        times = None if frame is None else frame.source.times
+        if frame is not None:
+            time = time + 0.499 * frame.source.period if times is None else float(times[np.abs(times - time).argmin()])
         self.session.seek(time).exception()  # waits; the session reports errors itself
         self.page.refresh_after(1.1 * _HOLD)
 

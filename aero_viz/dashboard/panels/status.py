@@ -34,6 +34,13 @@ class StatusPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self.html = gui.add_html("")
+        """State and figures."""
+        with gui.add_folder("Costs of the candidates"):
+            self.costs = gui.add_html("")
+        with gui.add_folder("Time of the stages", expand_by_default=False):
+            self.stages = gui.add_html("")
+        with gui.add_folder("Legend", expand_by_default=False):
+            self.key = gui.add_html("")
         self._playback: tuple[bool, float] | None = None
         self._playback_since = 0.0
 
@@ -41,8 +48,12 @@ class StatusPanel(Panel):
         return [(self.html, "content", markup.block(markup.text(self.session.waiting_message)))]
 
     def update(self, frame: Frame) -> list[Change]:
-        parts = [self._state(frame), _figures(frame), _stages(frame), *self._charts(frame), *self._legend(frame)]
-        return [(self.html, "content", markup.block(*parts))]
+        return [
+            (self.html, "content", markup.block(self._state(frame), _figures(frame))),
+            (self.costs, "content", markup.block(*self._charts(frame))),
+            (self.stages, "content", markup.block(_stages(frame))),
+            (self.key, "content", markup.block(*self._legend(frame))),
+        ]
 
     def _state(self, frame: Frame) -> str:
         recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
@@ -115,7 +126,7 @@ def _figures(frame: Frame) -> str:
             ("distance to goal", f"{goal_distance:.1f}", "m"),
             ("clearance", f"{'≥' if is_beyond else ''}{reach if is_beyond else clearance:.2f}", "m"),
             ("filtered points", f"{len(frame.plan.filtered_points)}", f"/{len(frame.observation.points) // 1000}k"),
-            ("tick rate", f"{frame.rate:.0f}", "Hz"),
+            ("plan", f"{frame.timings_ms.get('plan', 0.0):.1f}", "ms"),
         ]
     )
 
