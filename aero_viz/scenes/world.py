@@ -172,7 +172,7 @@ class World:
         return nearest
 
     def nearest(self, point: ArrayLike) -> tuple[float, str]:
-        """Return the `distance` of a point [m], [3], and kind and row of the obstacle it belongs to, such as 'sphere 3'."""
+        """Return the `distance` of a point [m], [3], and kind and row of that obstacle, such as 'sphere 3'."""
         position = np.asarray(point, dtype=np.float64)
         candidates: list[tuple[float, str]] = [(np.inf, "nothing")]
         for key, distance in DISTANCES.items():

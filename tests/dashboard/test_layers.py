@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner import PlannerConfig, Sweeps
 from aero_viz.dashboard.layers import LAYERS, apply
 from aero_viz.dashboard.layers.base import Lines, polylines
 from aero_viz.dashboard.layers.cells import FineCellLayer
@@ -86,7 +86,7 @@ def test_the_cloud_is_thinned_evenly_and_sent_once(server, frame):
     cloud = np.random.default_rng(0).normal(size=(150_001, 3)).astype(np.float32)
     cloud[::1000] = np.nan
     layer = CloudLayer(server)
-    thick = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, points=cloud))
+    thick = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, sweeps=Sweeps([cloud])))
     points = {name: value for _, name, value in layer.update(thick)}["points"]
     assert 10_000 < len(np.unique(points, axis=0)) <= 24_000
     assert len(points) % 4096 == 0
@@ -197,7 +197,7 @@ def test_points_between_a_camera_and_the_drone_are_left_out(server, frame):
     hiding = np.linspace(eye, place, 50, dtype=np.float32)[5:-10]
     behind = np.add(place, (3.0, 4.0, 0.0)).astype(np.float32)[None]
     cloud = np.concatenate((hiding, behind))
-    shown = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, points=cloud))
+    shown = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, sweeps=Sweeps([cloud])))
     layer.eyes = [eye]
     changes = {name: value for _, name, value in layer.update(shown)}
     np.testing.assert_array_equal(np.unique(changes["points"], axis=0), behind)
