@@ -9,9 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig, Sweeps
+from aero_planner.quaternions import rotation_matrix
 from aero_viz.dashboard.layers import LAYERS, apply
 from aero_viz.dashboard.layers.base import Lines, polylines
-from aero_viz.dashboard.layers.cells import FineCellLayer
+from aero_viz.dashboard.layers.cells import FineCellLayer, anchor_cells, mean_ranges
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import cost_scale
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
@@ -139,6 +140,21 @@ def test_a_layer_follows_a_change_of_structure(server, kind):
         apply(layer.update(session.tick()))
     finally:
         session.close()
+
+
+def test_cells_are_told_apart_and_those_of_anchors_are_known(frame):
+    means = mean_ranges(frame.plan)
+    assert means.shape == frame.plan.safe_range.shape
+    assert len(np.unique(np.round(means, 2))) > len(np.unique(np.round(frame.plan.safe_range, 2)))
+    assert (means <= frame.plan.safe_range + 1e-4).all()
+    cells = anchor_cells(frame)
+    assert 1 <= len(cells) <= frame.config.anchor_count
+    # A refined anchor lies in the safe direction of the cell of its initial endpoint.
+    state = frame.observation.state
+    toward = frame.plan.anchors[: frame.config.anchor_count] - np.asarray(state.position)
+    toward = (toward / np.linalg.norm(toward, axis=1, keepdims=True)) @ rotation_matrix(state.quaternion)
+    safe = frame.plan.safe_direction.reshape(-1, 3)[cells]
+    assert (toward @ safe.T).max(axis=1) == pytest.approx(1.0, abs=1e-3)
 
 
 def solid(**tables: NDArray[np.float64]) -> FlightSource:

@@ -6,6 +6,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from aero_planner import Plan
+from aero_planner.quaternions import rotation_matrix
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines
 from aero_viz.session.frame import Frame
@@ -14,6 +16,7 @@ __all__ = ["CoarseCellLayer", "FineCellLayer"]
 
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
 _BORDER = palette.unmapped(palette.GRID_SECTION)
+_ANCHOR = palette.unmapped(palette.ANCHOR)
 _FREE = palette.unmapped(palette.VIRIDIS)
 _RANGE = palette.lit(palette.NEAR_TO_FAR)
 _SPHERE = 2.0
@@ -63,7 +66,11 @@ class FineCellLayer(Layer):
 
 
 class CoarseCellLayer(Layer):
-    """Coarse cells on a sphere of 2 m, and a line along each safe direction, longer where more range is free."""
+    """Coarse cells on a sphere of 2 m, and a line along each safe direction, longer where more range is free.
+
+    The colour is the mean range of the cell: the largest one is that of any gap, and equal for nearly all cells. Cells
+    that hold an anchor direction have lines in the colour of anchors.
+    """
 
     name, title, on_by_default = "coarse_cells", "Coarse cells and safe directions", False
 
@@ -82,15 +89,37 @@ class CoarseCellLayer(Layer):
         reach = frame.config.partition.range_max
         start = _SPHERE * directions.reshape(-1, 3)
         share = ranges.reshape(-1, 1) / reach
-        colors = palette.colorize(ranges.reshape(-1, 1), 0.0, reach, _FREE)
+        colors = palette.colorize(mean_ranges(frame.plan).reshape(-1), 0.0, reach, _FREE)
+        colors[anchor_cells(frame)] = _ANCHOR
+        colors = colors[:, None, :]
         return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), colors)]
 
     def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
         reach = f"{frame.config.partition.range_max:g} m"
         return [
-            ColorScale("safe directions: free range", "0 m", reach, palette.VIRIDIS),
+            ColorScale("safe directions: mean range of the cell", "0 m", reach, palette.VIRIDIS),
+            ColorKey("cells of anchors", palette.ANCHOR),
             ColorKey("coarse cells", palette.GRID_SECTION),
         ]
+
+
+def mean_ranges(plan: Plan) -> NDArray[np.float64]:
+    """Return the mean range of the fine cells of each coarse cell [m], shape [rows, columns]."""
+    rows, columns = plan.safe_range.shape
+    fine = np.asarray(plan.fine_range, dtype=np.float64)
+    return fine.reshape(rows, fine.shape[0] // rows, columns, fine.shape[1] // columns).mean(axis=(1, 3))
+
+
+def anchor_cells(frame: Frame) -> NDArray[np.int64]:
+    """Return the coarse cells, counted row by row, that hold the anchor directions before the refinement."""
+    rows, columns = frame.plan.safe_range.shape
+    state = frame.observation.state
+    offset = frame.plan.initial_endpoints[: frame.config.anchor_count] - np.asarray(state.position)
+    x, y, z = (np.asarray(offset, dtype=np.float64) @ rotation_matrix(state.quaternion)).T  # R^T d, as rows
+    row = (np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5) * rows
+    column = (np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * columns
+    row, column = np.clip(row.astype(int), 0, rows - 1), column.astype(int) % columns
+    return np.unique(row * columns + column)
 
 
 def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:

@@ -11,11 +11,12 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import ConfigFile, format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard, load_flight_config
 from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["ConfigurationPanel", "parse_upload"]
+__all__ = ["ConfigurationPanel", "differences", "parse_upload"]
 
 _CHANGED = "(changed)"
 _HISTORY_HINT = "undo and redo one change of the configuration; reset all returns to the default preset."
@@ -37,6 +38,8 @@ class ConfigurationPanel(Panel):
         presets = PlannerConfig.presets()
         hint = " ".join(f"{name}: {help}" for name, help in presets.items())
         self._preset = gui.add_dropdown("Preset", (*presets, _CHANGED), initial_value=_CHANGED, hint=hint)
+        self.differences = gui.add_html("")
+        """Parameters that differ from the default preset, with their defaults and as flags."""
         steps = gui.add_button_group("History", ("undo", "redo", "reset all"), hint=_HISTORY_HINT)
         with gui.add_folder("File", expand_by_default=False):
             save = gui.add_button(
@@ -86,7 +89,20 @@ class ConfigurationPanel(Panel):
         config = self.session.config
         presets = PlannerConfig.presets()
         name = next((name for name in presets if PlannerConfig.preset(name) == config), _CHANGED)
-        return [(self._preset, "value", name)]
+        return [(self._preset, "value", name), (self.differences, "content", differences(config))]
+
+
+def differences(config: PlannerConfig) -> str:
+    """Return what differs from the default preset as HTML: labels, old and new values, and the flags."""
+    default = PlannerConfig()
+    changed = [info for info in PlannerConfig.parameters() if config.get(info.path) != default.get(info.path)]
+    if not changed:
+        return ""
+    rows = [(info.title, f"{default.get(info.path)} → {config.get(info.path)}", info.path) for info in changed]
+    flags = " ".join(f"--{info.path.replace('_', '-')} {config.get(info.path)}" for info in changed)
+    heading = markup.heading("differs from the default", f"{len(changed)}")
+    code = f'<code class="aero-flags" style="user-select:all;overflow-wrap:anywhere">{markup.text(flags)}</code>'
+    return markup.block(heading, markup.table(rows), f"{markup.muted('as flags: ')}{code}")
 
 
 def parse_upload(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:
