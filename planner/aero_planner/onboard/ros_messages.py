@@ -17,8 +17,8 @@ from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 
 __all__ = [
-    "BODY", "DEFINITIONS", "PLAN", "PLAN_DEFINITION", "WORLD", "Encoded", "goal_message", "plan_messages", "pose_messages", "safety_change",
-    "sweep",
+    "BODY", "DEFINITIONS", "PLAN", "PLAN_DEFINITION", "WORLD", "Encoded", "goal_message", "plan_messages",
+    "pose_messages", "safety_change", "sweep",
 ]  # fmt: skip
 
 WORLD, BODY = "world", "body"
