@@ -77,6 +77,8 @@ class PackedArrays(Generic[Arrays]):
         })  # fmt: skip
         # On the CPU the device's memory is the host's.
         self._host = self._memory if device.is_cpu else wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=True)
+        self._device = device
+        self._downloaded = None if device.is_cpu else wp.Event(device)
         self._host_bytes: np.ndarray = self._host.numpy()
         self._host_record = self._as_record(self._host_bytes)
 
@@ -92,11 +94,16 @@ class PackedArrays(Generic[Arrays]):
         if self._host is not self._memory:
             wp.copy(self._memory, self._host)
 
-    def download(self) -> np.ndarray:
-        """Return a record whose fields are copies of the device's present values."""
-        if self._host is not self._memory:
+    def start_download(self) -> None:
+        """Order the copy to the host, after the launches so far and before later ones."""
+        if self._downloaded is not None:
             wp.copy(self._host, self._memory)
-            wp.synchronize_stream(self._memory.device)
+            self._device.stream.record_event(self._downloaded)
+
+    def finish_download(self) -> np.ndarray:
+        """Wait for the copy that `start_download` has ordered; return a record with copies of the arrays."""
+        if self._downloaded is not None:
+            wp.synchronize_event(self._downloaded)
         return self._as_record(self._host_bytes.copy())
 
 

@@ -57,6 +57,7 @@ class SweepTable:
     oldest: wp.array = array(wp.int32, "1", "", "Index of the first point of the oldest sweep.")
     start: wp.array = array(wp.int32, "S", "", "Index of the first point of each sweep.")
     count: wp.array = array(wp.int32, "B S", "", "Number of points of each sweep.")
+    is_ordered: wp.array = array(wp.int32, "S", "", "1 for a sweep whose points are listed by shell, else 0.")
 
 
 @dataclass(eq=False)
@@ -67,8 +68,9 @@ class CloudArrays:
     oldest: wp.array = array(wp.int32, "1", "", "Index of the first point of the oldest sweep.")
     start: wp.array = array(wp.int32, "S", "", "Index of the first point of each sweep.")
     count: wp.array = array(wp.int32, "B S", "", "Number of points of each sweep.")
+    is_ordered: wp.array = array(wp.int32, "S", "", "1 for a sweep whose points are listed by shell, else 0.")
     center: wp.array = array(wp.vec3, "B S", "m", "Centre of the shells of each sweep, world frame.")
-    reach: wp.array = array(wp.float32, "B S", "m", "Radius of the first shell; negative: the sweep is not ordered.")
+    reach: wp.array = array(wp.float32, "B S", "m", "Radius of the first shell of each sweep.")
     shell_ends: wp.array = array(wp.int32, "B*S E", "", "End of each shell in `order`, and the points not finite.")
     order: wp.array = array(wp.int32, "B P", "", "Indices of the points of each sweep, by shell.")
 

@@ -45,7 +45,6 @@ class Cloud:
         self._written: Any = None
         count = wp.array(ptr=point_count.ptr, dtype=int, shape=(self._batch, 1), device=device)
         arrays = allocate(CloudArrays, _Sizes(self._batch), device)
-        arrays.reach.fill_(-1.0)
         self.arrays = dataclasses.replace(arrays, points=self._new_array(1), count=count)
 
     @property

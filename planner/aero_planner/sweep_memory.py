@@ -60,7 +60,10 @@ class SweepMemory:
         arrays = allocate(CloudArrays, sizes, device)
         self.arrays = dataclasses.replace(arrays, **vars(self._table.arrays))
         self._entries: deque[_Entry] = deque()
+        self._arrived: list[_Entry] = []  # sweeps to order
+        self._ordered: list[_Entry] = []  # sweeps whose order the table does not mention yet
         self._held: Sweeps | None = None
+        self._is_changed = False  # the table on the host, since it was copied
         self._host_points: Any = None  # the same places on the host, to copy from
         self._copied: Any = None
         cloud, B = self.arrays.bundle(), sizes.B
@@ -81,18 +84,43 @@ class SweepMemory:
 
     def hold(self, sweeps: Sweeps) -> None:
         """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room."""
-        if sweeps is self._held:
-            return
-        arrived = list(sweeps)
-        kept = self._count_kept(arrived)
+        self._mark_ordered()
+        if sweeps is not self._held:
+            self._take_over(list(sweeps))
+            self._held = sweeps
+            if self._device.is_cpu:
+                self.order_arrived()
+                self._mark_ordered()
+        if self._is_changed:
+            self._table.upload()
+            self._is_changed = False
+
+    def order_arrived(self) -> None:
+        """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.
+
+        On CUDA new sweeps are therefore ordered after the plan, while the host waits for it.
+        """
+        for entry in self._arrived:
+            self._order(entry.row, len(entry.points))
+        self._ordered += self._arrived
+        self._arrived = []
+
+    def _mark_ordered(self) -> None:
+        """Let the next plan use the order of the sweeps. Until this plan is done, the table may still be copied."""
+        for entry in self._ordered:
+            self._table.host()["is_ordered"][entry.row] = 1
+            self._is_changed = True
+        self._ordered = []
+
+    def _take_over(self, sweeps: list[NDArray[np.float32]]) -> None:
+        """Drop the sweeps that left, and copy those that arrived."""
+        kept = self._count_kept(sweeps)
         while len(self._entries) > kept:
             self._entries.popleft()
-        added = self._place(arrived[kept:])
-        self._held = sweeps
+        self._arrived = self._place(sweeps[kept:])
         self._write_table()
-        for entry in added:
+        for entry in self._arrived:
             self._copy(entry)
-            self._order(entry.row, len(entry.points))
 
     def store(self, row: int, points: wp.array) -> None:
         """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
@@ -110,7 +138,7 @@ class SweepMemory:
         wp.copy(place, points)
         host = self._table.host()
         if host["count"][0, row] != size or host["start"][row] != start:
-            host["count"][:, row], host["start"][row] = size, start
+            host["count"][:, row], host["start"][row], host["is_ordered"][row] = size, start, 1
             self._table.upload()
         self._order(row, size)
 
@@ -152,11 +180,12 @@ class SweepMemory:
     def _write_table(self) -> None:
         host = self._table.host()
         host["count"][:] = 0
+        host["is_ordered"][[entry.row for entry in self._arrived]] = 0
         rows = [entry.row for entry in self._entries]
         host["start"][rows] = [entry.start for entry in self._entries]
         host["count"][0, rows] = [len(entry.points) for entry in self._entries]
         host["oldest"][0] = self._entries[0].start if self._entries else 0
-        self._table.upload()
+        self._is_changed = True
 
     def _copy(self, entry: _Entry) -> None:
         """Copy a sweep to its place, on CUDA through pinned memory and without waiting."""

@@ -97,8 +97,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
             return
         first = cloud.start[sweep]
         oldest = cloud.oldest[0]
-        reach = cloud.reach[b, sweep]
-        ordered = reach >= 0.0
+        ordered = cloud.is_ordered[sweep] != 0
         origin = position[b]
         q = wp.normalize(quaternion[b])
         forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
@@ -108,7 +107,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         range_max = params[b].range_max
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
-            count = cloud.shell_ends[counters, last_shell(origin, cloud.center[b, sweep], range_max, reach)]
+            last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])
+            count = cloud.shell_ends[counters, last]
             if worker + thread == 0:
                 wp.atomic_add(worker_dropped, worker, b, cloud.shell_ends[counters, SHELLS])
         dx = Reals()

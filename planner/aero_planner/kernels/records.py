@@ -17,8 +17,9 @@ class CloudSweeps:
     oldest: wp.array(dtype=int)  # [1], index of the first point of the oldest sweep; the others follow in the ring
     start: wp.array(dtype=int)  # [S], index of the first point of each sweep
     count: wp.array2d(dtype=int)  # [B, S], points of each sweep
+    is_ordered: wp.array(dtype=int)  # [S], 1 for a sweep whose points are listed by shell, else 0
     center: wp.array2d(dtype=wp.vec3)  # [B, S], centre of the shells, world frame [m]
-    reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]; negative where the points are not ordered
+    reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]
     shell_ends: wp.array2d(dtype=int)  # [B S, COUNTERS], see `kernels.shells`
     order: wp.array2d(dtype=int)  # [B, P], indices of the points of each sweep by shell, from its start on
 
