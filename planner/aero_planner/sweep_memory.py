@@ -88,9 +88,6 @@ class SweepMemory:
         if sweeps is not self._held:
             self._take_over(list(sweeps))
             self._held = sweeps
-            if self._device.is_cpu:
-                self.order_arrived()
-                self._mark_ordered()
         if self._is_changed:
             self._table.upload()
             self._is_changed = False
@@ -98,7 +95,7 @@ class SweepMemory:
     def order_arrived(self) -> None:
         """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.
 
-        On CUDA new sweeps are therefore ordered after the plan, while the host waits for it.
+        New sweeps are therefore ordered after a plan; on CUDA the host waits for the plan meanwhile.
         """
         for entry in self._arrived:
             self._order(entry.row, len(entry.points))
