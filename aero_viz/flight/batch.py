@@ -16,6 +16,7 @@ from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.metrics import FlightResult, config_name_of, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
+from aero_viz.flight.stage_timer import StageTimer
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
@@ -28,6 +29,7 @@ SWEEPS = 10
 """Number of sweeps in the cloud of the planner."""
 BatchProgress = Callable[[int, int, float], None]
 """Called with the number of finished flights, the number of all flights, and the simulated time [s]."""
+_TIMED_PLANS = 5
 _CUDA_TICKS_PER_CHECK = 25  # on CUDA, the host waits for the device only this often
 
 
@@ -61,7 +63,7 @@ def observe_kernel(
 class FlightBatch:
     """B flights in lock step. Every tick plans, flies and scans; all data stay on the device.
 
-    A flight takes about 6 MB of device memory with the default configuration and LiDAR.
+    A flight takes about 7 MB of device memory with the default configuration and LiDAR.
 
     Args:
         worlds: one per flight; repeat a World object to fly it several times.
@@ -151,11 +153,28 @@ class FlightBatch:
         """Fly one tick, and plan before it if a new plan is due. Finished flights do not change."""
         part = self.simulator.tick % int(self.simulator.rules.ticks_per_plan)
         if part == 0:
-            self._observe()
-            self._plan()
+            with self.simulator.timed("planner"):
+                self._observe()
+                self._plan()
         sweep, _, end = self.simulator.advance(self.planner.command, phase=part * self._phase_step)
         if end == self.simulator.lidar.model.points_per_sweep:
-            self.planner.store_sweep(sweep % SWEEPS, self.simulator.lidar.points)
+            with self.simulator.timed("sweeps"):
+                self.planner.store_sweep(sweep % SWEEPS, self.simulator.lidar.points)
+
+    def time_stages(self, ticks: int) -> dict[str, float]:
+        """Fly some ticks and return the mean time of each stage of a tick [ms].
+
+        "planner", "vehicle", "lidar" and "sweeps", which stores a complete sweep in the cloud, add up to the tick. The
+        stages of the planner at the last of these ticks follow as "planner.partition" and so on.
+        """
+        self.simulator.timer = timer = StageTimer(self.simulator.device)
+        for _ in range(ticks):
+            self.step()
+        self.simulator.timer = None
+        stages = {name: total / ticks for name, total in timer.total_ms().items()}
+        for name, times in self.planner.time_stages(_TIMED_PLANS).items():
+            stages[f"planner.{name}"] = statistics.median(times)
+        return stages
 
     def run(self, *, progress: BatchProgress | None = None) -> list[FlightResult]:
         """Fly until all flights are over, or until Ctrl-C; unfinished flights then have the reason None.

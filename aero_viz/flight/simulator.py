@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.flight_end import ARRIVED, FLYING, STALL, TIMEOUT, FlightRecord, clearance_kernel, judge_kernel
 from aero_viz.flight.metrics import initial_records, pack_rules
 from aero_viz.flight.rules import OUTCOMES, FlightRules
+from aero_viz.flight.stage_timer import StageTimer
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.world import World
@@ -50,6 +52,7 @@ class Simulator:
         tick: number of ticks flown.
         rules, noise, seeds: the arguments.
         observers: called in this order after every tick.
+        timer: measures the stages "vehicle" (motion, estimate and judgement) and "lidar"; None measures nothing.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class Simulator:
         self.rules, self.noise, self.seeds = rules, noise, tuple(seeds)
         self.tick = 0
         self.observers: list[Callable[[], None]] = []
+        self.timer: StageTimer | None = None
         init_warp()
         self.device = wp.get_device(device)
         self._worlds = DeviceWorlds(worlds, device=self.device)
@@ -114,17 +118,23 @@ class Simulator:
         Returns:
             sweep, first, end: points first .. end - 1 of `lidar.points` are new and belong to this sweep.
         """
-        self.vehicle.fly(commands, finished=self.outcome, phase=phase, tick=self.tick)
-        sweep, part = divmod(self.tick, self.ticks_per_sweep)
-        self.tick += 1
-        self.estimate.update(self.tick, finished=self.outcome)
-        self._judge()
+        with self.timed("vehicle"):
+            self.vehicle.fly(commands, finished=self.outcome, phase=phase, tick=self.tick)
+            sweep, part = divmod(self.tick, self.ticks_per_sweep)
+            self.tick += 1
+            self.estimate.update(self.tick, finished=self.outcome)
+            self._judge()
         size = self.lidar.model.points_per_sweep
         first, end = part * size // self.ticks_per_sweep, (part + 1) * size // self.ticks_per_sweep
-        self._scan(sweep, first, end)
+        with self.timed("lidar"):
+            self._scan(sweep, first, end)
         for observer in self.observers:
             observer()
         return sweep, first, end
+
+    def timed(self, stage: str) -> AbstractContextManager[None]:
+        """Return a context whose time counts for a stage, if there is a timer."""
+        return nullcontext() if self.timer is None else self.timer.stage(stage)
 
     def records(self) -> NDArray[Any]:
         """Return the `FlightRecord` of each flight as a structured array [B], a copy."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import resource
 import sys
@@ -12,16 +13,21 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from aero_planner.cli_util import run_command
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import config_from_name
 from aero_planner.forest_cloud import forest_flight
+from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
+from aero_planner.sweeps import Sweeps, as_constant
 
 __all__ = ["elapsed_ms", "main", "measure"]
 
 _WARM_UP = 3
+_SWEEPS = 10
+_PLANS_PER_SWEEP = 5
 _MIB = 2.0**20
 
 
@@ -46,7 +52,10 @@ def measure(
         seed: seed of the forest and of the noise.
 
     Returns:
-        "plan": {"median_ms", "p99_ms"} of `Planner.plan`, with the cloud in host memory and all results copied back;
+        "plan": {"median_ms", "p99_ms"} of `Planner.plan`, with the joined cloud in host memory and all results copied
+            back;
+        "sweeps": the same with `Sweeps`, of which every fifth plan gets a new one, as at 50 Hz from a LiDAR with 10 Hz;
+            one drone only;
         "launch": the same for `Planner.launch`, with everything on the device;
         "stages": the same for each stage; on CUDA, stages run one after another here, with an event between them;
         "plans_per_second" and "launches_per_second", over the batch;
@@ -60,9 +69,9 @@ def measure(
     for name, value, minimum in (("points", points, 0), ("repeat", repeat, 1)):
         if value < minimum:
             raise ValueError(f"{name} is {value}; it must be at least {minimum}.")
-    state, goal, cloud = forest_flight(points, batch, seed=seed)
+    state, goal, cloud = forest_flight(points, None if batch == 1 else batch, seed=seed)
     resident_before = _resident_bytes()
-    planner = Planner(config, device=device, seed=seed, batch=batch, threads=threads)
+    planner = Planner(config, device=device, seed=seed, batch=None if batch == 1 else batch, threads=threads)
     warp_device = wp.get_device(device)
     free_before = warp_device.free_memory if warp_device.is_cuda else 0
     stages: dict[str, list[float]] = {}
@@ -72,10 +81,12 @@ def measure(
         if i >= _WARM_UP:
             for name, milliseconds in plan.stage_ms.items():
                 stages.setdefault(name, []).append(milliseconds)
-        kept = sum(len(filtered) for filtered in plan.filtered_points) / batch
+        clouds = plan.filtered_points if isinstance(plan.filtered_points, list) else [plan.filtered_points]
+        kept = sum(map(len, clouds)) / batch
     launches = [elapsed_ms(planner.launch, device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
     if warp_device.is_cuda:
         stages |= planner.time_stages(repeat)
+    sweeps = _time_sweeps(planner, state, goal, cloud, repeat) if isinstance(cloud, np.ndarray) else None
     planner.close()
 
     if warp_device.is_cuda and wp.is_mempool_enabled(warp_device):
@@ -97,6 +108,7 @@ def measure(
         "repeat": repeat,
         "stages": {name: _summarize(times) for name, times in stages.items()},
         "plan": _summarize(total),
+        "sweeps": None if sweeps is None else _summarize(sweeps),
         "launch": _summarize(launches),
         "plans_per_second": 1e3 * batch / float(np.median(total)),
         "launches_per_second": 1e3 * batch / float(np.median(launches)),
@@ -120,6 +132,20 @@ def elapsed_ms(work: Callable[[], Any], device: str) -> float:
         return float(wp.get_event_elapsed_time(begin, end))
 
 
+def _time_sweeps(planner: Planner, state: VehicleState, goal: Goal, cloud: NDArray[Any], repeat: int) -> list[float]:
+    """Return the times of plans with sweeps that arrive one after another [ms]."""
+    arriving = itertools.cycle(as_constant(part) for part in np.array_split(cloud, _SWEEPS))
+    sweeps = Sweeps(itertools.islice(arriving, _SWEEPS))
+    times: list[float] = []
+    for i in range(repeat + _WARM_UP):
+        started = time.perf_counter()
+        if i % _PLANS_PER_SWEEP == 0:
+            sweeps = sweeps.add(next(arriving), limit=_SWEEPS)
+        planner.plan(state, goal, sweeps)
+        times.append(1e3 * (time.perf_counter() - started))
+    return times[_WARM_UP:]
+
+
 def _summarize(times: Sequence[float]) -> dict[str, float]:
     return {"median_ms": float(np.median(times)), "p99_ms": float(np.quantile(times, 0.99))}
 
@@ -137,7 +163,7 @@ def _format_report(result: dict[str, Any], preset: str) -> str:
         f"{result['steps']} steps, {result['repeat']} plans",
         f"{'':20}{'median ms':>12}{'p99 ms':>12}",
     ]
-    rows = {**result["stages"], "plan": result["plan"], "launch": result["launch"]}
+    rows = {**result["stages"], **{name: result[name] for name in ("plan", "sweeps", "launch") if result[name]}}
     lines += [f"{name:20}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
     lines += [
         f"plans per second: {result['plans_per_second']:.1f} with host copies, "

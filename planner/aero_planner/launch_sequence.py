@@ -92,11 +92,19 @@ class LaunchSequence:
             wp.capture_launch(self._graph)
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
-        """Return the time of each stage in `repeat` plans on CUDA [ms].
+        """Return the time of each stage in `repeat` plans [ms].
 
-        The stages run one after another here, with an event after each; in `run` some of them run at the same time.
+        On CUDA the stages run one after another here, with an event after each; in `run` some of them run at the same
+        time.
         """
         device = self._device
+        if device.is_cpu:
+            runs = []
+            for _ in range(repeat):
+                self.run()
+                runs.append(self.stage_ms)
+            names = dict.fromkeys(name for stage_ms in runs for name in stage_ms)
+            return {name: [stage_ms.get(name, 0.0) for stage_ms in runs] for name in names}
         events: list[tuple[str, wp.Event]] = []
 
         def record_event(name: str) -> None:

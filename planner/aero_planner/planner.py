@@ -412,8 +412,14 @@ class Planner:
         return np.concatenate((start, states), axis=3)
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
-        """Return the time of each stage in `repeat` plans on CUDA [ms], one stage after another."""
-        return self._pipeline.time_stages(repeat)
+        """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.
+
+        On CUDA the stages run one after another here, with an event between them.
+        """
+        history = self.history()
+        times = self._pipeline.time_stages(repeat)
+        self.restore(history)
+        return times
 
     def save_graph(self, path: str | os.PathLike[str]) -> Path:
         """Save the launches of a plan for the C++ host; kernels are written to a folder beside the file.

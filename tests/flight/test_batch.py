@@ -257,3 +257,16 @@ def test_configurations_and_names_must_be_one_per_flight(sparse, options):
 def test_no_worlds():
     with pytest.raises(ValueError, match="no worlds"):
         FlightBatch([])
+
+
+def test_timing_the_stages_does_not_change_the_flights(device: str):
+    world = scene("forest", seed=1, count=5)
+    batches = [FlightBatch([world] * 2, config=CONFIG, lidar=LIDAR, device=device, seed=3) for _ in range(2)]
+    for _ in range(8):
+        batches[0].step()
+    stages = batches[1].time_stages(6)
+    for _ in range(2):
+        batches[1].step()
+    assert {"planner", "vehicle", "lidar", "sweeps", "planner.partition", "planner.clearance"} <= set(stages)
+    first, second = (batch.simulator.vehicle.position.numpy() for batch in batches)
+    np.testing.assert_array_equal(first, second)

@@ -12,7 +12,7 @@ from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.external_results import ExternalResults
 from aero_viz.evaluation.bench.plots import plot
 from aero_viz.evaluation.bench.published_results import PUBLISHED
-from aero_viz.evaluation.bench.runner import Run
+from aero_viz.evaluation.bench.runner import STAGE_FIELD, Run
 from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import METRICS, Summary, summarise
 from aero_viz.text_table import format_table
@@ -21,6 +21,10 @@ __all__ = ["OURS", "format_summaries", "format_worlds", "summarise_run", "world_
 
 OURS = "AERO-Viz"
 """Name of our planner in the summaries."""
+_STAGES_NOTE = (
+    "Measured while all drones fly, 2 s after the start. Planner, vehicle, LiDAR and sweeps add up to the tick. The "
+    "stages of the planner run one after another here."
+)
 
 
 def summarise_run(run: Run, external: Sequence[ExternalResults] = ()) -> list[Summary]:
@@ -114,6 +118,7 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
         parts += ["## Targets", targets]
     if benchmark.metric == "throughput":
         parts += ["## Throughput", _throughput_table(run, own)]
+        parts += ["## Stages of a tick [ms]", _STAGES_NOTE, _stages_table(run)]
     radius = header["simulation"]["rules"]["radius"]
     parts += [f"## Paths for a radius of {radius:g} m", "\n".join(f"- {line}" for line in format_worlds(run))]
     parts += ["## Conditions", _conditions(run), "### Configuration", _config(header)]
@@ -173,6 +178,17 @@ def _throughput_table(run: Run, own: dict[str, Summary]) -> str:
     return _markdown_table(["row", "flights per minute", "flying [s]", "building [s]", "plan of a batch [ms]"], rows)
 
 
+def _stages_table(run: Run) -> str:
+    """Return the times of the stages, a row per stage and a column per batch."""
+    batches = {flight["row"]: flight for flight in run.flights}
+    names = dict.fromkeys(name for flight in batches.values() for name in flight if name.startswith(STAGE_FIELD))
+    rows = [
+        [name.removeprefix(STAGE_FIELD), *(_number(flight.get(name), 3) for flight in batches.values())]
+        for name in names
+    ]
+    return _markdown_table(["stage", *batches], rows)
+
+
 def _conditions(run: Run) -> str:
     header = run.header
     first_world = header["seed"] + run.benchmark.first_seed
@@ -229,7 +245,7 @@ def _flat(summary: Summary) -> dict[str, Any]:
 def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         if rows:
-            writer = csv.DictWriter(file, list(rows[0]))
+            writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
             writer.writeheader()
             writer.writerows(rows)
 

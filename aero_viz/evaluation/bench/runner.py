@@ -26,7 +26,13 @@ from aero_viz.scenes import World, scene
 from aero_viz.scenes.passable import is_passable
 from aero_viz.sensors import LidarModel, lidar_model
 
-__all__ = ["BenchmarkInterrupted", "Run", "run_benchmark"]
+__all__ = ["STAGE_FIELD", "BenchmarkInterrupted", "Run", "run_benchmark"]
+
+STAGE_FIELD = "stage_ms."
+"""Beginning of the names of the fields with the times of the stages of a tick [ms]."""
+_TIMED_TICK = 100
+"""Ticks after which the stages are timed: the drones are then among the obstacles."""
+_TIMED_TICKS = 25
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,7 @@ class Run:
     """Everything that the results depend on (seed, configuration, versions), the hardware and the date."""
     flights: list[dict[str, Any]]
     """One record per flight: the fields of `FlightResult`, row, index, world_seed, passable, and of its batch batch,
-    batch_size, build_s and run_s."""
+    batch_size, build_s and run_s; in a benchmark of the throughput also the times of the stages, see STAGE_FIELD."""
 
     @property
     def total(self) -> int:
@@ -236,6 +242,8 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
         "build_s": built - started,
         "run_s": time.perf_counter() - built,
     }
+    if all(flight.row.batch for flight in shard.flights) and not batch.interrupted:
+        about_batch |= _time_stages(shard, worlds)
     records = [
         {
             "row": flight.row.label,
@@ -250,6 +258,19 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
     ]
     batch.planner.close()
     return records, batch.interrupted
+
+
+def _time_stages(shard: _Shard, worlds: Sequence[World]) -> dict[str, float]:
+    """Return the times of the stages of a tick in the middle of the flights, as fields of a record [ms].
+
+    The flights begin once more, because timing the stages of the planner would delay those whose time counts.
+    """
+    batch = _build(shard, worlds)
+    for _ in range(_TIMED_TICK):
+        batch.step()
+    stages = batch.time_stages(_TIMED_TICKS)
+    batch.planner.close()
+    return {f"{STAGE_FIELD}{name}": milliseconds for name, milliseconds in stages.items()}
 
 
 @lru_cache(maxsize=4096)  # rows share worlds, and a device keeps equal objects once

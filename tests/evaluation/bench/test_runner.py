@@ -8,7 +8,8 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench import BENCHMARKS, Benchmark, Row
-from aero_viz.evaluation.bench.runner import BenchmarkInterrupted
+from aero_viz.evaluation.bench.report import write_report
+from aero_viz.evaluation.bench.runner import STAGE_FIELD, BenchmarkInterrupted
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight import fly as fly_once
 from aero_viz.scenes import scene
@@ -157,7 +158,7 @@ def test_user_errors(fly, tmp_path):
         fly("file/below")
 
 
-def test_scaling_flies_each_row_in_one_batch(fly):
+def test_scaling_flies_each_row_in_one_batch_and_times_its_stages(fly, tmp_path):
     scaling = BENCHMARKS["scaling"]
     small = [dataclasses.replace(row, batch=size, count=2) for row, size in zip(scaling.rows[:2], (1, 3), strict=True)]
     run = fly(benchmark=dataclasses.replace(scaling, rows=tuple(small)), batch=2)
@@ -166,3 +167,10 @@ def test_scaling_flies_each_row_in_one_batch(fly):
         *[("batch 16", 1, 3)] * 3,
     ]
     assert [flight["world_seed"] for flight in run.flights] == [0, 0, 1, 0]
+    for flight in run.flights:
+        stages = {name: ms for name, ms in flight.items() if name.startswith(STAGE_FIELD)}
+        assert {f"{STAGE_FIELD}{name}" for name in ("planner", "planner.partition", "lidar", "vehicle")} <= set(stages)
+        assert all(ms > 0.0 for ms in stages.values())
+    report = tmp_path / "report"
+    write_report(run, report)
+    assert "| planner.partition | " in (report / "report.md").read_text(encoding="utf-8")
