@@ -122,7 +122,7 @@ class Recording:
 
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
-        budget = ReadingBudget(0)
+        budget = ReadingBudget(0, share=0.3)
         return any(budget.is_late or len(self.sweep(i).points) for i in range(len(self._entries)))
 
     def use_poses(self, poses: RecordedPoses, name: str, problems: Iterable[str]) -> None:
