@@ -55,6 +55,8 @@ class SightLines:
 
     def _solids(self, kind: str, eye: Array, target: Array, radius: float) -> NDArray[np.int64]:
         near = self._near(kind, eye, target, radius)
+        if not len(near):
+            return near
         points = _samples(eye, target, radius)
         distance = DISTANCES[kind](points[:, None, :], self._tables[kind][near])
         return near[(distance < radius).any(axis=0)]
@@ -62,6 +64,8 @@ class SightLines:
     def _surface(self, eye: Array, target: Array, radius: float) -> NDArray[np.int64]:
         """Small triangles block a line that passes within `radius`; large ones, a line that crosses them."""
         near = self._near("triangles", eye, target, radius)
+        if not len(near):
+            return near
         points = _samples(eye, target, radius)
         is_hit = self._spheres["triangles"][1][near] < radius
         # The crossing of the line and the plane of each triangle, after Moeller and Trumbore.
@@ -81,6 +85,8 @@ class SightLines:
     def _near(self, kind: str, eye: Array, target: Array, radius: float) -> NDArray[np.int64]:
         """Return the rows whose bounding sphere comes within `radius` of the line."""
         centers, reach = self._spheres[kind]
+        if not len(centers):
+            return np.zeros(0, dtype=np.int64)
         line = target - eye
         share = np.clip((centers - eye) @ line / max(line @ line, 1e-12), 0.0, 1.0)
         distance = np.linalg.norm(eye + share[:, None] * line - centers, axis=1)

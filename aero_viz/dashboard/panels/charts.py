@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,8 @@ __all__ = ["CURVES", "ChartPanel", "Curve", "envelope", "table"]
 
 _WIDTH, _HEIGHT = 300, 46
 """Size of one curve in the drawing [pixels]."""
+_PERIOD = 0.4
+"""Shortest time between two drawings while time advances [s]: a long flight takes long to draw."""
 _GAP = 0.25
 """Time without ticks from which a line is interrupted [s]; ten ticks if that is longer."""
 _EVENT_COLORS = {
@@ -66,6 +69,7 @@ class ChartPanel(Panel):
     """Curves of every tick, the events of the flight, and the future that was left where the flight forked."""
 
     def create(self, gui: viser.GuiApi) -> None:
+        self._due = 0.0
         self._shown: tuple[Frame, int] | None = None
         self.drawing = gui.add_html("")
         """The drawing."""
@@ -81,6 +85,10 @@ class ChartPanel(Panel):
                 event.client.send_file_download("flight.csv", content.encode(), save_immediately=True)
 
     def update(self, frame: Frame) -> list[Change]:
+        now = time.monotonic()
+        if self.session.playing and now < self._due:
+            return []
+        self._due = now + _PERIOD
         past = self.page.history.past()
         if not len(past.rows) or (frame, len(past.rows)) == self._shown:
             return []
@@ -98,21 +106,21 @@ def table(rows: Array, curves: Sequence[Curve]) -> str:
     return text.getvalue()
 
 
-def envelope(time: Array, values: Array, span: tuple[float, float], *, gap: float) -> list[list[tuple[float, float]]]:
+def envelope(times: Array, values: Array, span: tuple[float, float], *, gap: float) -> list[list[tuple[float, float]]]:
     """Return lines (x, value) through all values, at most four points per column of pixels.
 
     Each column keeps its first, smallest, largest and last value, so that no dip is lost. Lines end where the time
     between two values is longer than `gap`.
 
     Args:
-        time: increasing [s], shape [n].
+        times: increasing [s], shape [n].
         values: shape [n].
         span: times at the left and right edge [s].
         gap: longest time to draw a line across [s].
     """
     lines: list[list[tuple[float, float]]] = []
-    place = (time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
-    for part in np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > gap) + 1):
+    place = (times - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
+    for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) > gap) + 1):
         line: list[tuple[float, float]] = []
         columns = np.floor(place[part]).astype(int)
         for column in np.split(part, np.flatnonzero(np.diff(columns)) + 1):
