@@ -31,14 +31,14 @@ from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 
-__all__ = ["PX4_RESPONSE", "fly_rig"]
+__all__ = ["HOST", "PX4_RESPONSE", "fly_rig", "free_ports", "rig_settings"]
 
 PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max": 3.84, "rate_z_max": 0.8}
 """Response of the vehicle to setpoints, as identified from flights of PX4 1.17 in its own simulation: parameters of
 `VehicleModel`. The largest rates are those of PX4's attitude controller about x and y (MC_ROLLRATE_MAX), and what the
 motors reach about z."""
 
-_HOST = "127.0.0.1"
+HOST = "127.0.0.1"
 _STAND = 0.1  # [m] height of the vehicle's centre above the ground on which it stands
 
 
@@ -87,15 +87,15 @@ def fly_rig(
     if speed is not None:
         config = config.replace({"vehicle.speed_limit": speed})
     lidar = lidar or LIDARS["mid360"]
-    lidar_port, mavlink_port = _free_ports(2)
-    onboard = (onboard or OnboardConfig()).replace(_rig_settings(lidar, lidar_port, mavlink_port))
+    lidar_port, mavlink_port = free_ports(2)
+    onboard = (onboard or OnboardConfig()).replace(rig_settings(lidar, lidar_port, mavlink_port))
     direction = world.goal - world.start
     with contextlib.ExitStack() as stack:
         autopilot = SimulatedAutopilot(
             VehicleModel.from_config(config, **PX4_RESPONSE),
             world.start,
             math.atan2(direction[1], direction[0]),
-            (_HOST, mavlink_port),
+            (HOST, mavlink_port),
             hover_thrust=onboard.thrust.hover_thrust,
             curve=onboard.thrust.curve,
             loss_time=loss_time,
@@ -104,7 +104,7 @@ def fly_rig(
             seed=seed,
         )
         stack.callback(autopilot.close)
-        sensor = SimulatedMid360(world, lidar, (_HOST, lidar_port), period=PERIOD, seed=seed, data_type=data_type)
+        sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed, data_type=data_type)
         stack.callback(sensor.close)
         node = NodeProcess(config, onboard, command=command)
         stack.callback(node.close)
@@ -138,24 +138,24 @@ def ground_below(world: World) -> float | None:
     return None
 
 
-def _rig_settings(lidar: LidarModel, lidar_port: int, mavlink_port: int) -> dict[str, Any]:
+def rig_settings(lidar: LidarModel, lidar_port: int, mavlink_port: int) -> dict[str, Any]:
     """Return the node's settings that depend on the rig, by path."""
     mount = zip(("x", "y", "z", "roll", "pitch", "yaw"), lidar.mount_position + lidar.mount_angles, strict=True)
     return {
-        "lidar.host": _HOST,
+        "lidar.host": HOST,
         "lidar.port": lidar_port,
-        "mavlink.url": f"udpin:{_HOST}:{mavlink_port}",
-        "mavlink.goal_senders": f"255@{_HOST}",
+        "mavlink.url": f"udpin:{HOST}:{mavlink_port}",
+        "mavlink.goal_senders": f"255@{HOST}",
         **{f"lidar.mount_{name}": value for name, value in mount},
     }
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
     """Return UDP ports of this host that are not in use now."""
     with contextlib.ExitStack() as stack:
         sockets = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
         for probe in sockets:
-            probe.bind((_HOST, 0))
+            probe.bind((HOST, 0))
         return [probe.getsockname()[1] for probe in sockets]
 
 
@@ -169,4 +169,4 @@ def _send_goal(station: socket.socket, port: int, goal: NDArray[np.float64]) -> 
         0, 1, 191, dialect.MAV_FRAME_LOCAL_NED, ignored_fields, *position, *[0.0] * 8
     )
     with contextlib.suppress(OSError):
-        station.sendto(bytes(message.pack(protocol)), (_HOST, port))
+        station.sendto(bytes(message.pack(protocol)), (HOST, port))

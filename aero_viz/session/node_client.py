@@ -172,8 +172,9 @@ class _FrameMaker:
             sweeps=Sweeps(np.array_split(points, max(int(values["sweeps"]), 1))),
             cloud_age=float(values["cloud_age"]),
         )
+        plan_arrays: dict[str, Any] = {name: arrays[name] for name in PLAN_ARRAYS}
         plan = Plan(
-            **{name: arrays[name] for name in PLAN_ARRAYS},
+            **plan_arrays,
             kinds=tuple(values["kinds"]),
             best=int(values["best"]),
             status=PlanStatus(values["status"]),

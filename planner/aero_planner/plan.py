@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Goal", "Plan", "PlanStatus", "VehicleState"]
+__all__ = ["BrakingCandidates", "Goal", "Plan", "PlanStatus", "VehicleState"]
 
 Array = NDArray[np.float32]
 
@@ -58,6 +58,18 @@ class PlanStatus(enum.IntEnum):
     """Every candidate comes too close; `controls[best]` is a braking sequence."""
     STALE_CLOUD = 2
     """The cloud is older than partition.cloud_age_max; `controls[best]` is a braking sequence."""
+
+
+@dataclass(frozen=True, eq=False)
+class BrakingCandidates:
+    """The rollouts that stop the drone: straight ahead, then alternately to the left and to the right."""
+
+    positions: Array
+    """[m], shape [5, N+1, 3], world frame."""
+    velocities: Array
+    """[m/s], shape [5, N+1, 3], world frame."""
+    clearance: Array
+    """Smallest distance to the filtered points, at most d_max [m], shape [5]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +126,8 @@ class Plan:
     """Time of each stage [ms]."""
     samples: Array | None = None
     """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
+    braking: BrakingCandidates | None = None
+    """None in plans that a drone has sent."""
 
     @property
     def command(self) -> Array:

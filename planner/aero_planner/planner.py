@@ -22,7 +22,7 @@ from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
 from aero_planner.pipeline import Pipeline
-from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
+from aero_planner.plan import BrakingCandidates, Goal, Plan, PlanStatus, VehicleState
 from aero_planner.plan_inputs import check_inputs
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
@@ -400,6 +400,11 @@ class Planner:
             status=values["status"] if self._batched else PlanStatus(int(values["status"][0])),
             dropped_points=values["dropped_points"] if self._batched else int(values["dropped_points"][0]),
             stage_ms=stage_ms,
+            braking=BrakingCandidates(
+                per_drone(values["positions"][:, M:]),
+                per_drone(values["velocities"][:, M:]),
+                per_drone(values["clearance"][:, M:].min(axis=-1)),
+            ),
             samples=per_drone(self._sampled_positions(values["positions"][:, :M])) if samples else None,
         )
 

@@ -25,21 +25,21 @@ import threading
 import time
 import zlib
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from aero_planner.config import VehicleConfig
+from aero_planner.onboard.braking_path import PATH_POINTS, BrakingPath
 from aero_planner.onboard.connections import make_sender
 from aero_planner.onboard.dead_reckoning import MotionState
-from aero_planner.onboard.mavlink import MavlinkSender
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stderr import log_to_stderr
 from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.transport import open_transport
 from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat, Watchdog
 
-__all__ = ["FailsafeProcess", "HeartbeatMemory", "main", "takeover_time"]
+__all__ = ["Failsafe", "FailsafeGuard", "FailsafeProcess", "HeartbeatMemory", "main", "takeover_time"]
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +53,28 @@ def takeover_time(onboard: OnboardConfig) -> float:
     Its first command follows within one control period.
     """
     return onboard.limits.deadline + _EXTRA_PERIODS / onboard.rates.control
+
+
+class Failsafe(Protocol):
+    """Something that brakes when the node falls silent although the drone obeys it, as seen by the node."""
+
+    lost: bool
+    """True if it has ended unexpectedly."""
+    interventions: int
+    """Number of times that it braked."""
+
+    @property
+    def braking(self) -> bool:
+        """True if it has braked since the newest heartbeat, so that the node does not know the last command."""
+        ...
+
+    def report(self, heartbeat: Heartbeat) -> None:
+        """Pass on a heartbeat of the node. Never blocks; may be called from any thread."""
+        ...
+
+    def close(self) -> None:
+        """End it without sending a command."""
+        ...
 
 
 class FailsafeProcess:
@@ -189,7 +211,9 @@ class HeartbeatMemory:
     """
 
     _HEAD = struct.Struct("<Q256s")  # number, peer
-    _NUMBERS = 16 + 4 * UPCOMING_MAX  # time, motion, command, upcoming commands; NaN where there is none
+    _UPCOMING = 20  # after time, motion with its control, and command
+    _PATH = _UPCOMING + 4 * UPCOMING_MAX
+    _NUMBERS = _PATH + 1 + 6 * PATH_POINTS  # with the upcoming commands and the path; NaN where there is none
     _SIZE = _HEAD.size + 8 * _NUMBERS + 4  # with the checksum
     _STATUS = struct.Struct("<QII")  # number of the heartbeat since which the reader brakes, running, interventions
 
@@ -212,11 +236,17 @@ class HeartbeatMemory:
         if heartbeat.motion is not None:
             motion = heartbeat.motion
             numbers[1:12] = motion.time, *motion.position, *motion.velocity, *motion.quaternion
+            if motion.control is not None:
+                numbers[12:16] = motion.control
         if heartbeat.command is not None:
-            numbers[12:16] = heartbeat.command
+            numbers[16:20] = heartbeat.command
         if heartbeat.upcoming is not None:
             upcoming = heartbeat.upcoming[:UPCOMING_MAX].ravel()
-            numbers[16 : 16 + len(upcoming)] = upcoming
+            numbers[self._UPCOMING : self._UPCOMING + len(upcoming)] = upcoming
+        if heartbeat.path is not None:
+            points = np.hstack([heartbeat.path.positions, heartbeat.path.velocities]).ravel()
+            numbers[self._PATH] = heartbeat.path.period
+            numbers[self._PATH + 1 : self._PATH + 1 + len(points)] = points
         data = self._HEAD.pack(self._number, (peer or "").encode()) + numbers.tobytes()
         start = self._number % 2 * self._SIZE
         self._memory[start : start + self._SIZE] = data + struct.pack("<I", zlib.crc32(data))
@@ -229,14 +259,19 @@ class HeartbeatMemory:
         data = max(intact, key=lambda data: self._HEAD.unpack_from(data)[0])
         number, peer = self._HEAD.unpack_from(data)
         numbers = np.frombuffer(data, np.float64, offset=self._HEAD.size)
-        motion = MotionState(float(numbers[1]), numbers[2:5], numbers[5:8], numbers[8:12])
-        command, upcoming = numbers[12:16], numbers[16:].reshape(-1, 4)
+        control = numbers[12:16] if np.isfinite(numbers[12:16]).all() else None
+        motion = MotionState(float(numbers[1]), numbers[2:5], numbers[5:8], numbers[8:12], control)
+        command, upcoming = numbers[16:20], numbers[self._UPCOMING : self._PATH].reshape(-1, 4)
         upcoming = upcoming[np.isfinite(upcoming).all(axis=1)]
+        points = numbers[self._PATH + 1 :].reshape(-1, 6)
+        points = points[np.isfinite(points).all(axis=1)]
+        path = BrakingPath(float(numbers[self._PATH]), points[:, :3], points[:, 3:]) if len(points) > 1 else None
         heartbeat = Heartbeat(
             float(numbers[0]),
             motion if motion.is_finite else None,
             command if np.isfinite(command).all() else None,
             upcoming if len(upcoming) else None,
+            path,
         )
         return SharedHeartbeat(number, heartbeat, peer.rstrip(b"\0").decode() or None)
 
@@ -263,6 +298,78 @@ class HeartbeatMemory:
 # --- the failsafe process itself --------------------------------------------------------------------------------------
 
 
+class FailsafeGuard:
+    """The work of the failsafe process, which does one step per control period.
+
+    Args:
+        memory: Heartbeats of the node.
+        onboard: Configuration of the node.
+        vehicle: Configuration of the vehicle.
+
+    Raises:
+        ImportError: pymavlink is not installed.
+    """
+
+    def __init__(self, memory: HeartbeatMemory, onboard: OnboardConfig, vehicle: VehicleConfig) -> None:
+        self._memory = memory
+        self._sender = make_sender(onboard, vehicle)
+        self._watchdog = Watchdog(
+            self._sender,
+            StopController(vehicle, onboard.brake),
+            vehicle,
+            period=1.0 / onboard.rates.control,
+            deadline=takeover_time(onboard),
+            blind_time=onboard.limits.blind_time,
+            response=onboard.response,
+            name="failsafe process",
+        )
+        self._seen = 0
+        self._peer: str | None = None
+        memory.write_status()
+
+    @property
+    def needed(self) -> bool:
+        """True if the drone obeys the node and has not yet been stopped and handed back."""
+        return self._watchdog.needed
+
+    def check(self, now: float, *, is_alone: bool) -> None:
+        """Read the newest heartbeat, and send a command if the node does not.
+
+        Args:
+            now: Host time [s].
+            is_alone: The node's process has ended.
+        """
+        newest = self._memory.read()
+        if newest is not None and newest.number != self._seen:
+            self._seen = newest.number
+            if newest.peer is not None and newest.peer != self._peer:
+                self._connect(newest.peer)
+            self._watchdog.report(newest.heartbeat)
+        if is_alone:
+            self._watchdog.declare_dead(now)
+        try:
+            self._watchdog.check(now)
+        except Exception:
+            _log.exception("the failsafe process failed")
+        self._memory.write_status(self._seen if self._watchdog.braking else 0, self._watchdog.interventions)
+
+    def close(self) -> None:
+        """Release the connection to the autopilot."""
+        if self._sender.transport is not None:
+            self._sender.transport.close()
+
+    def _connect(self, peer: str) -> None:
+        """Send commands to `peer` from now on, through this process's own connection."""
+        self._peer = peer
+        previous, self._sender.transport = self._sender.transport, None
+        if previous is not None:
+            previous.close()
+        try:
+            self._sender.transport = open_transport(peer, baud=None)
+        except (OSError, ValueError) as error:
+            _log.error("the failsafe process can't reach the autopilot at %s: %s", peer, error)
+
+
 def main() -> None:
     """Watch over the process at the other end of standard input until it has ended and the drone is handed back."""
     # The node receives these signals, too. It stops the drone first and then ends this process.
@@ -276,58 +383,17 @@ def main() -> None:
         return
     settings = json.loads(line)
     onboard = OnboardConfig.from_dict(settings["onboard"])
-    vehicle = VehicleConfig(**settings["vehicle"])
-    sender = make_sender(onboard, vehicle)
-    watchdog = Watchdog(
-        sender,
-        StopController(vehicle, onboard.brake),
-        vehicle,
-        period=1.0 / onboard.rates.control,
-        deadline=takeover_time(onboard),
-        blind_time=onboard.limits.blind_time,
-        name="failsafe process",
-    )
-    memory.write_status()
-    _watch(memory, sender, watchdog, 1.0 / onboard.rates.control)
-
-
-def _watch(memory: HeartbeatMemory, sender: MavlinkSender, watchdog: Watchdog, period: float) -> None:
-    """Check on the node once per period, until its process has ended and the watchdog is no longer needed."""
-    seen, peer, alone = 0, None, False
-    due = time.monotonic()
-    while not alone or watchdog.needed:
+    guard = FailsafeGuard(memory, onboard, VehicleConfig(**settings["vehicle"]))
+    is_alone, due, period = False, time.monotonic(), 1.0 / onboard.rates.control
+    while not is_alone or guard.needed:
         wait = max(0.0, due - time.monotonic())
-        if alone:
+        if is_alone:
             time.sleep(wait)
         elif select.select([0], [], [], wait)[0]:
-            alone = True  # the pipe is readable because its other end is closed
+            is_alone = True  # the pipe is readable because its other end is closed
         now = time.monotonic()
         due = now + period
-        newest = memory.read()
-        if newest is not None and newest.number != seen:
-            seen = newest.number
-            if newest.peer is not None and newest.peer != peer:
-                peer = newest.peer
-                _connect(sender, peer)
-            watchdog.report(newest.heartbeat)
-        if alone:
-            watchdog.declare_dead(now)
-        try:
-            watchdog.check(now)
-        except Exception:
-            _log.exception("the failsafe process failed")
-        memory.write_status(seen if watchdog.braking else 0, watchdog.interventions)
-
-
-def _connect(sender: MavlinkSender, peer: str) -> None:
-    """Send commands to `peer` from now on, through this process's own connection."""
-    previous, sender.transport = sender.transport, None
-    if previous is not None:
-        previous.close()
-    try:
-        sender.transport = open_transport(peer, baud=None)
-    except (OSError, ValueError) as error:
-        _log.error("the failsafe process can't reach the autopilot at %s: %s", peer, error)
+        guard.check(now, is_alone=is_alone)
 
 
 if __name__ == "__main__":

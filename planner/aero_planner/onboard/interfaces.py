@@ -98,8 +98,10 @@ class VehicleSample:
 class CommandSink(Protocol):
     """Receiver of commands."""
 
-    def send(self, command: ArrayLike) -> None:
+    def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
+
+        With an `attitude`, body to world, w x y z, shape [4], an autopilot that can control it turns to it by itself.
 
         Raises:
             ValueError: The command has another shape or is not finite; nothing was sent.

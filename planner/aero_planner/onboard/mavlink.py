@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
-from aero_planner.onboard.frames import attitude_from_ned, frd_from_flu, world_from_ned
+from aero_planner.onboard.frames import attitude_from_ned, attitude_to_ned, frd_from_flu, world_from_ned
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.mavlink_parser import MavlinkParser
@@ -127,8 +127,13 @@ class MavlinkSender:
         self._signing.secret_key, self._signing.link_id = key, link_id
         self._signing.sign_outgoing = key is not None
 
-    def send(self, command: ArrayLike) -> None:
+    def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
+
+        Args:
+            command: Thrust and rates.
+            attitude: Attitude to which the rates turn, body to world, w x y z, shape [4]. PX4 turns to it by
+                itself, but only after 0.4 s, in which it follows the rates. None sends rates alone.
 
         Raises:
             ValueError: The command has another shape or is not finite; nothing was sent.
@@ -142,8 +147,8 @@ class MavlinkSender:
             int(1e3 * self._time()) & 0xFFFFFFFF,
             self._system,
             self._dialect.MAV_COMP_ID_AUTOPILOT1,
-            self._dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE,
-            [1.0, 0.0, 0.0, 0.0],
+            self._dialect.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE if attitude is None else 0,
+            [1.0, 0.0, 0.0, 0.0] if attitude is None else attitude_to_ned(attitude).tolist(),
             *rates.tolist(),
             thrust,
         )

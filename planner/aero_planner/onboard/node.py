@@ -14,14 +14,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
 from aero_planner.onboard.drift_monitor import DriftMonitor
-from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
+from aero_planner.onboard.failsafe_process import Failsafe, takeover_time
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
     COMMANDING,
@@ -40,7 +41,7 @@ from aero_planner.onboard.readiness_log import ReadinessLog
 from aero_planner.onboard.replanner import ControlSnapshot, Replanner
 from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
 from aero_planner.onboard.settings import OnboardConfig, check_together
-from aero_planner.onboard.stop_controller import StopController
+from aero_planner.onboard.stop_controller import StopCommand, StopController
 from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
@@ -51,6 +52,13 @@ _log = logging.getLogger(__name__)
 
 _SWITCH_INTERVAL = 0.0005
 """Longest time for which another thread may keep the interpreter from the control loop [s]."""
+
+
+class _Command(NamedTuple):
+    """A command as `CommandSink.send` takes it."""
+
+    control: NDArray[np.float64]
+    attitude: NDArray[np.float64] | None
 
 
 class Node:
@@ -91,7 +99,7 @@ class Node:
         goal: ArrayLike | None = None,
         clock: Callable[[], float] = time.monotonic,
         observers: Sequence[Observer] = (),
-        failsafe: FailsafeProcess | None = None,
+        failsafe: Failsafe | None = None,
     ) -> None:
         check_together(planner.config, config)
         self.config = config
@@ -109,7 +117,7 @@ class Node:
         self.ground = GroundTracker()
         self._replanner = Replanner(planner, config, self.schedule, clock)
         self.safety = SafetyMachine(config.limits, on_change=self._on_change)
-        self._reckoning = DeadReckoning(self._vehicle)
+        self._reckoning = DeadReckoning(self._vehicle, config.response)
         self._stop_controller = StopController(self._vehicle, config.brake)
         self._drift = DriftMonitor()
         self._watchdog = Watchdog(
@@ -119,6 +127,7 @@ class Node:
             period=1.0 / config.rates.control,
             deadline=config.limits.deadline,
             blind_time=config.limits.blind_time,
+            response=config.response,
         )
         self._readiness = ReadinessLog()
         self.snapshot: ControlSnapshot | None = None
@@ -126,6 +135,7 @@ class Node:
         self._state_finite = True
         self._points_time = -math.inf
         self._hold: NDArray[np.float64] | None = None
+        self._path: BrakingPath | None = None
         self._stopping = False
         self._fell_silent = threading.Event()
         self._closing = threading.Event()
@@ -197,10 +207,11 @@ class Node:
         command = self._choose_command(now, reaction, inputs, motion)
         if command is not None:
             self._send(command)
-        elif previous_state in COMMANDING and self.state is State.HANDED_BACK and is_obeyed:
+        elif previous_state in COMMANDING and self.state is State.HANDED_BACK and is_obeyed and motion is not None:
             # The autopilot follows the last command until it notices the silence, so that must be a level hover.
-            self._send(self._stop_controller.hover)
-        self._report(now, motion, command if is_obeyed else None, follows_plan=reaction in AS_PLANNED)
+            self._send(self._stop_controller.level(motion))
+        obeyed = command.control if command is not None and is_obeyed else None
+        self._report(now, motion, obeyed, follows_plan=reaction in AS_PLANNED)
         # Last, so that a flood of packets delays no command.
         self._read_points()
         if self.state is State.WAITING:
@@ -306,18 +317,24 @@ class Node:
 
     def _choose_command(
         self, now: float, reaction: Reaction, inputs: Inputs, motion: MotionState | None
-    ) -> NDArray[np.float64] | None:
-        """Return thrust [N] and body rates [rad/s], shape [4]; None to send nothing."""
+    ) -> _Command | None:
+        """Return what to send; None to send nothing."""
         if reaction is not Reaction.HOLD:
             self._hold = None
+        if reaction is not Reaction.BRAKE or self.state is not State.BRAKING:
+            self._path = None
+        elif self._path is None:
+            self._path = self.schedule.path
         if reaction is Reaction.SILENT or motion is None:
             return None
         if reaction in AS_PLANNED and (planned := self.schedule.command(now)) is not None:
-            return planned
+            return _Command(self._bounded(planned), None)
         if reaction is Reaction.HOLD and self._hold is None and motion.speed <= self.config.limits.speed_stopped:
             self._hold = motion.position
         remaining = blind_time_left(inputs, self.config.limits)
-        return self._stop_controller.command(motion, hold=self._hold, remaining=remaining)
+        stop = self._stop_controller.command(motion, hold=self._hold, path=self._path, remaining=remaining)
+        # The attitude is only for a blind drone: it makes PX4 change controllers.
+        return _Command(stop.control, stop.attitude if math.isfinite(remaining) else None)
 
     def _report(
         self, now: float, motion: MotionState | None, obeyed: NDArray[np.float64] | None, *, follows_plan: bool
@@ -326,7 +343,8 @@ class Node:
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
             self.snapshot = ControlSnapshot(self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan)
-        heartbeat = Heartbeat(now, motion, obeyed, self._upcoming_commands(now) if follows_plan else None)
+        upcoming = self._upcoming_commands(now) if follows_plan else None
+        heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._path or self.schedule.path)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)
@@ -342,8 +360,8 @@ class Node:
         xy, z = vehicle.rate_xy_max, vehicle.rate_z_max
         return np.clip(command, (vehicle.thrust_min, -xy, -xy, -z), (vehicle.thrust_max, xy, xy, z))
 
-    def _send(self, command: NDArray[np.float64]) -> None:
-        self._link.send(self._bounded(command))
+    def _send(self, command: _Command | StopCommand) -> None:
+        self._link.send(*command)
         self.sent += 1
 
     def _on_change(self, change: StateChange) -> None:
@@ -395,7 +413,7 @@ class Node:
         if self._threads:
             sys.setswitchinterval(self._switch_interval)
         if self._watchdog.needed:
-            self._send(self._stop_controller.hover)  # for the same reason as in `control_once`
+            self._send(_Command(self._stop_controller.hover, None))  # for the same reason as in `control_once`
         self._link.close()
         self._lidar.close()
         for observer in self._observers:

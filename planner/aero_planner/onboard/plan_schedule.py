@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.plan import PlanStatus
 
 __all__ = ["PlanSchedule", "ScheduledPlan"]
@@ -30,6 +31,8 @@ class ScheduledPlan:
     controls: NDArray[np.float64]
     """Thrust [N] and body rates [rad/s], shape [N, 4], finite."""
     status: PlanStatus
+    path: BrakingPath | None = None
+    """Where to brake."""
 
     def command(self, now: float) -> NDArray[np.float64] | None:
         """Return the control of step floor((now - time) / dt), shape [4]; None outside the plan's horizon."""
@@ -57,6 +60,11 @@ class PlanSchedule:
             if older.time <= now:
                 break
         self._plans = tuple(kept)
+
+    @property
+    def path(self) -> BrakingPath | None:
+        """The newest plan's braking path; None if there is none."""
+        return self._plans[0].path if self._plans else None
 
     def at(self, now: float) -> ScheduledPlan | None:
         """Return the newest plan whose horizon includes `now` [s]."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.onboard.braking_path import choose_path
 from aero_planner.onboard.cloud_drift import Drift, measure_drift
 from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
 from aero_planner.onboard.ground_plane import find_ground
@@ -85,6 +86,7 @@ class Replanner:
         self._sweep_period = config.lidar.sweep_period
         self._resets = 0
         self._next_cloud = -np.inf
+        self._response = config.response
         self._compensate = config.rates.compensate
         self._max_latency = 0.5 * config.limits.plan_age
         self._floor = config.limits.fence_height_min
@@ -182,6 +184,7 @@ class Replanner:
             dt=self._planner.config.sampling.dt,
             controls=controls,
             status=PlanStatus(int(plan.status)),  # type: ignore[arg-type]
+            path=choose_path(plan, self._planner.config.sampling.dt),
         )
         self._schedule.append(scheduled, start)
         return PlanResult(
@@ -247,9 +250,10 @@ class Replanner:
         target = now + self._latency if self._compensate else motion.time
         while motion.time < target:
             command = self._command_at(motion.time, snapshot)
-            motion = propagate(motion, command, min(motion.time + _STEP, target), vehicle)
+            motion = propagate(motion, command, min(motion.time + _STEP, target), vehicle, self._response)
         command = self._command_at(motion.time, snapshot)
-        accel = np.zeros(3) if command is None else acceleration(motion.quaternion, float(command[0]), vehicle)
+        control = command if motion.control is None else motion.control
+        accel = np.zeros(3) if control is None else acceleration(motion.quaternion, float(control[0]), vehicle)
         return VehicleState(motion.position, motion.velocity, motion.quaternion, accel, motion.time)
 
     def _command_at(self, time: float, snapshot: ControlSnapshot) -> NDArray[np.float64] | None:

@@ -18,6 +18,7 @@ __all__ = [
     "MavlinkSettings",
     "OnboardConfig",
     "RateSettings",
+    "ResponseSettings",
     "TelemetrySettings",
     "ThrustSettings",
     "check_together",
@@ -175,7 +176,7 @@ class LimitSettings(ParameterSection, section="limits"):
         label="Control loop deadline",
     )  # fmt: skip
     blind_time: float = live(
-        1.5, "s", 0.0, 5.0, "Time for which a drone without a state estimate is braked and levelled by dead reckoning "
+        2.0, "s", 0.0, 5.0, "Time for which a drone without a state estimate is braked and levelled by dead reckoning "
         "before it is handed back.",
         label="Dead reckoning time",
     )  # fmt: skip
@@ -229,7 +230,22 @@ class BrakeSettings(ParameterSection, section="brake"):
     acceleration: float = live(6.0, "m/s^2", 0.5, 20.0, "Largest deceleration.", label="Maximum deceleration")
     time_constant: float = live(0.4, "s", 0.1, 5.0, "Time within which the last of the speed falls to a third.")
     position_gain: float = live(1.5, "1/s^2", 0.0, 10.0, "Acceleration per distance from the position to hold.")
-    attitude_gain: float = live(8.0, "1/s", 1.0, 30.0, "Body rate per angle of tilt to be corrected.")
+    attitude_gain: float = live(
+        6.5, "1/s", 1.0, 30.0, "Body rate per angle of tilt to be corrected; PX4's MC_ROLL_P and MC_PITCH_P."
+    )
+
+
+@dataclass(frozen=True)
+class ResponseSettings(ParameterSection, section="response"):
+    """How the drone follows commands, for predictions and dead reckoning. The defaults are those of PX4."""
+
+    rate_lag: float = live(
+        0.07, "s", 0.0, 1.0, "Time constant of the body rates' first-order response; 0 for none.", label="Rate lag"
+    )
+    thrust_lag: float = live(
+        0.045, "s", 0.0, 1.0, "Time constant of the thrust's first-order response; 0 for none.", label="Thrust lag"
+    )
+    drag: float = live(0.3, "1/s", 0.0, 10.0, "Linear drag in dv = .. - k v.", symbol="k")
 
 
 @dataclass(frozen=True)
@@ -267,6 +283,7 @@ class OnboardConfig(SectionedConfig):
     thrust: ThrustSettings = field(default_factory=ThrustSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     brake: BrakeSettings = field(default_factory=BrakeSettings)
+    response: ResponseSettings = field(default_factory=ResponseSettings)
     telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
 
     def __post_init__(self) -> None:

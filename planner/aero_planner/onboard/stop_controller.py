@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
+from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.settings import BrakeSettings
-from aero_planner.quaternions import conjugate, rotate
+from aero_planner.quaternions import conjugate, multiply, rotate
 
-__all__ = ["StopController"]
+__all__ = ["StopCommand", "StopController"]
 
 Array = NDArray[np.float64]
 
@@ -21,13 +23,24 @@ _MIN_LIFT = 0.3
 """Smallest vertical force while braking, as a fraction of the weight: a drone that climbs fast must not turn over."""
 _LEVELLING_TIME = 3.0
 """Time for levelling, in time constants of the attitude: 1.5 deg remain of a tilt of 30 deg."""
+_PATH_MARGIN = 1.4
+"""Acceleration on a braking path, as a factor of the largest deceleration: the path itself may need as much."""
+
+
+class StopCommand(NamedTuple):
+    """What to send to stop the drone."""
+
+    control: Array
+    """Thrust F_t [N] and body rates omega [rad/s], shape [4], within the vehicle's bounds."""
+    attitude: Array
+    """Attitude to which these rates turn the drone, body to world, w x y z, shape [4]."""
 
 
 class StopController:
     """Stops the drone, level, and holds its position, by thrust and body rates.
 
-    The desired acceleration is -v / tau + k (p_hold - p), bounded. The thrust vector turns to its direction at a rate
-    proportional to the angle between the two. The heading is not controlled.
+    The desired acceleration is -v / tau + k (p_hold - p), bounded, or that which follows a braking path. The thrust
+    vector turns to its direction at a rate proportional to the angle between the two. The heading is not controlled.
 
     Args:
         vehicle: Mass, gravity and control bounds.
@@ -43,29 +56,37 @@ class StopController:
         """Command of a level drone at rest: thrust [N] and body rates [rad/s], shape [4]."""
         return np.array([self._vehicle.mass * self._vehicle.gravity, 0.0, 0.0, 0.0])
 
-    def command(self, motion: MotionState, *, hold: Array | None = None, remaining: float = math.inf) -> Array:
-        """Return thrust F_t [N] and body rates omega [rad/s], shape [4], within the vehicle's bounds.
+    def level(self, motion: MotionState) -> StopCommand:
+        """Return the command to hover without turning, level and with the present heading."""
+        q = motion.quaternion
+        return StopCommand(self.hover, self._turned(q, rotate(q, _UP), _UP)[0])
+
+    def command(
+        self,
+        motion: MotionState,
+        *,
+        hold: Array | None = None,
+        path: BrakingPath | None = None,
+        remaining: float = math.inf,
+    ) -> StopCommand:
+        """Return the command that stops the drone.
 
         Args:
             motion: Present motion.
             hold: Position to hold [m], shape [3], world frame; None only brakes.
-            remaining: Time until the last command [s], which is `hover` and keeps the tilt. The end of this time is
-                used to level the drone, at whatever speed it has then.
+            path: Path to brake on, if the drone is near it; None is the shortest way.
+            remaining: Time until the last command [s], which is `level`. The end of this time is used to level the
+                drone, at whatever speed it has then.
         """
-        vehicle = self._vehicle
-        desired = self._desired_acceleration(motion, hold, remaining)
+        vehicle, q = self._vehicle, motion.quaternion
+        desired = self._desired_acceleration(motion, hold, path, remaining)
         force = vehicle.mass * (desired + vehicle.gravity * _UP)
         force[2] = max(force[2], _MIN_LIFT * vehicle.mass * vehicle.gravity)
-        up = rotate(motion.quaternion, _UP)
-        direction = force / np.linalg.norm(force)
-        axis = np.cross(up, direction)
-        sine, cosine = float(np.linalg.norm(axis)), float(up @ direction)
-        # Upside down, any axis will do.
-        axis = axis / sine if sine > 1e-9 else rotate(motion.quaternion, np.array([1.0, 0.0, 0.0]))
-        turn_rate = self._settings.attitude_gain * math.atan2(sine, cosine)
-        rates = rotate(conjugate(motion.quaternion), turn_rate * axis)
+        up = rotate(q, _UP)
+        attitude, turn = self._turned(q, up, force / np.linalg.norm(force))
+        rates = self._settings.attitude_gain * rotate(conjugate(q), turn)
         limit = vehicle.rate_xy_max
-        return np.array(
+        control = np.array(
             [
                 min(max(float(force @ up), vehicle.thrust_min), vehicle.thrust_max),
                 min(max(rates[0], -limit), limit),
@@ -73,14 +94,32 @@ class StopController:
                 0.0,
             ]
         )
+        return StopCommand(control, attitude)
 
-    def _desired_acceleration(self, motion: MotionState, hold: Array | None, remaining: float) -> Array:
+    def _turned(self, q: Array, up: Array, direction: Array) -> tuple[Array, Array]:
+        """Return the attitude after the shortest turn of the axis `up` to `direction`, and that turn [rad]."""
+        axis = np.cross(up, direction)
+        sine, cosine = float(np.linalg.norm(axis)), float(up @ direction)
+        # Upside down, any axis will do.
+        axis = axis / sine if sine > 1e-9 else rotate(q, np.array([1.0, 0.0, 0.0]))
+        angle = math.atan2(sine, cosine)
+        half = 0.5 * angle
+        return multiply(np.array([math.cos(half), *(math.sin(half) * axis)]), q), angle * axis
+
+    def _desired_acceleration(
+        self, motion: MotionState, hold: Array | None, path: BrakingPath | None, remaining: float
+    ) -> Array:
         """Return the bounded acceleration [m/s^2], shape [3], world frame."""
         settings = self._settings
         if remaining <= _LEVELLING_TIME / settings.attitude_gain:
             return np.zeros(3)
-        desired = -motion.velocity / settings.time_constant
+        limit, desired = settings.acceleration, -motion.velocity / settings.time_constant
+        place = None if path is None else path.near(motion.position, 1.0 / settings.attitude_gain)
         if hold is not None:
             desired = desired + settings.position_gain * (hold - motion.position)
+        elif place is not None:
+            limit *= _PATH_MARGIN
+            desired = desired + place.velocity / settings.time_constant + place.acceleration
+            desired = desired + settings.position_gain * (place.position - motion.position)
         size = float(np.linalg.norm(desired))
-        return desired * (settings.acceleration / size) if size > settings.acceleration else desired
+        return desired * (limit / size) if size > limit else desired

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
+from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.onboard.dead_reckoning import MotionState, propagate
 from aero_planner.onboard.interfaces import CommandSink
+from aero_planner.onboard.settings import ResponseSettings
 from aero_planner.onboard.stop_controller import StopController
 
 __all__ = ["UPCOMING_MAX", "Heartbeat", "Watchdog"]
@@ -38,6 +40,8 @@ class Heartbeat(NamedTuple):
     """Command that the drone obeys from then on, shape [4]; None if it does not obey the node."""
     upcoming: NDArray[np.float64] | None = None
     """Planned commands of the next control periods, shape [n, 4], n <= `UPCOMING_MAX`; None if no plan is flown."""
+    path: BrakingPath | None = None
+    """Where to brake; None if no cloud is known."""
 
 
 class Watchdog:
@@ -45,13 +49,15 @@ class Watchdog:
 
     At the end of each tick, the loop reports its heartbeat. `check` must be called from elsewhere. When a tick is late,
     it sends the planned commands of the last heartbeat. When the loop has been silent for `deadline`, it brakes and
-    levels the drone by dead reckoning for `blind_time`. Then it commands to hover without turning and falls silent, so
-    that the autopilot's own failsafe takes over.
+    levels the drone by dead reckoning for `blind_time`, on the braking path of the last heartbeat if there is one. Then
+    it commands to hover without turning and falls silent, so that the autopilot's own failsafe takes over. Braking
+    commands contain the attitude, too: an autopilot that controls it ends level although dead reckoning drifts.
 
     Args:
         link: Connection to the autopilot.
         stop: Controller that brakes.
         vehicle: Vehicle model for dead reckoning.
+        response: How the vehicle follows commands; None: at once.
         period: Period of the control loop [s].
         deadline: See `aero_planner.onboard.settings.LimitSettings` [s].
         blind_time: See `LimitSettings` [s].
@@ -70,12 +76,14 @@ class Watchdog:
         period: float,
         deadline: float,
         blind_time: float,
+        response: ResponseSettings | None = None,
         name: str = "watchdog",
     ) -> None:
         self.interventions = 0
         self._link = link
         self._stop = stop
         self._vehicle = vehicle
+        self._response = response
         self._period = period
         self._deadline = deadline
         self._blind_time = blind_time
@@ -117,7 +125,7 @@ class Watchdog:
         silence = now - heartbeat.time
         if last.motion is None or last.command is None or not silence >= min(_LATE * self._period, self._deadline):
             return None
-        motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle)
+        motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle, self._response)
         if silence >= self._deadline:
             return self._brake(heartbeat, now, motion)
         step = int(silence / self._period + _ROUNDING)
@@ -134,10 +142,11 @@ class Watchdog:
             self._acted_on, self._own_action = heartbeat, Heartbeat(now, None, None)
             if is_first:
                 return None
-            self._link.send(self._stop.hover)
+            self._link.send(*self._stop.level(motion))
             _log.warning("the %s has braked for as long as it may; the autopilot now has control", self._name)
             return self._own_action
-        action = self._send(heartbeat, now, motion, self._stop.command(motion, remaining=remaining))
+        stop = self._stop.command(motion, path=heartbeat.path, remaining=remaining)
+        action = self._send(heartbeat, now, motion, stop.control, attitude=stop.attitude)
         if is_first:
             self.interventions += 1
             _log.error("the control loop has stalled for %.0f ms: the %s brakes", 1e3 * silence, self._name)
@@ -150,9 +159,10 @@ class Watchdog:
         motion: MotionState,
         command: NDArray[np.float64],
         upcoming: NDArray[np.float64] | None = None,
+        attitude: NDArray[np.float64] | None = None,
     ) -> Heartbeat:
-        self._link.send(command)
-        self._acted_on, self._own_action = heartbeat, Heartbeat(now, motion, command, upcoming)
+        self._link.send(command, attitude)
+        self._acted_on, self._own_action = heartbeat, Heartbeat(now, motion, command, upcoming, heartbeat.path)
         return self._own_action
 
     def _last_action(self, heartbeat: Heartbeat) -> Heartbeat:

@@ -76,7 +76,7 @@ class SimulatedLink:
             self.position_std, self.velocity_std, self.ground_height,
         )  # fmt: skip
 
-    def send(self, command: ArrayLike) -> None:
+    def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         values = np.array(command, dtype=np.float64)
         if values.shape != (4,) or not np.isfinite(values).all():
             raise ValueError(f"the command is {values.tolist()}")
@@ -194,6 +194,7 @@ class Simulation:
         self.path: list[NDArray[np.float64]] = []
         self.states: list[tuple[float, str]] = []
         self._vehicle = planner.config.vehicle
+        self._response = config.response
         self._hold = StopController(self._vehicle, config.brake)
         self._control_period, self._plan_period = 1.0 / config.rates.control, 1.0 / config.rates.replan
         self._next_control = self._next_plan = self.now
@@ -241,8 +242,8 @@ class Simulation:
             link.offboard = False
         if link.armed:
             obeys = link.offboard and last[1] is not None
-            command = last[1] if obeys else self._hold.command(self.motion)
-            moved = propagate(self.motion, command, self.now + dt, self._vehicle)
+            command = last[1] if obeys else self._hold.command(self.motion).control
+            moved = propagate(self.motion, command, self.now + dt, self._vehicle, self._response)
             self.motion = dataclasses.replace(moved, velocity=moved.velocity + dt * self.wind)
         else:
             self.motion = MotionState(self.now + dt, self.motion.position, np.zeros(3), self.motion.quaternion)

@@ -121,7 +121,7 @@ def test_the_drone_comes_to_rest_from_any_attitude_and_holds(seed: int):
     for k in range(400):
         if hold is None and motion.speed < 0.3:
             hold = motion.position
-        command = stop.command(motion, hold=hold)
+        command = stop.command(motion, hold=hold).control
         assert VEHICLE.thrust_min <= command[0] <= VEHICLE.thrust_max
         assert np.abs(command[1:3]).max() <= VEHICLE.rate_xy_max and command[3] == 0.0
         motion = propagate(motion, command, 0.02 * (k + 1), VEHICLE)
@@ -134,5 +134,5 @@ def test_a_level_drone_at_six_metres_per_second_stops_within_five_metres():
     motion = MotionState(0.0, np.zeros(3), np.array([6.0, 0.0, 0.0]), LEVEL)
     stop = StopController(VEHICLE, BrakeSettings())
     for k in range(200):
-        motion = propagate(motion, stop.command(motion), 0.02 * (k + 1), VEHICLE)
+        motion = propagate(motion, stop.command(motion).control, 0.02 * (k + 1), VEHICLE)
     assert 3.0 < motion.position[0] < 5.0 and abs(motion.position[2]) < 0.5

@@ -118,7 +118,7 @@ class StandingLink:
         if self.failing:
             raise RuntimeError("a defect of the control loop")
 
-    def send(self, command: ArrayLike) -> None:
+    def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         self.last = np.array(command)
         self.count += 1
         if self.count >= 20:

@@ -28,7 +28,7 @@ class RecordingLink:
     def __init__(self) -> None:
         self.commands: list[NDArray[np.float64]] = []
 
-    def send(self, command: ArrayLike) -> None:
+    def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         self.commands.append(np.array(command))
 
 

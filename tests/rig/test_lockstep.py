@@ -1,0 +1,135 @@
+"""Blind braking on the rig in simulated time: the node is killed, paused or loses its state at full speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from aero_planner import Planner, PlannerConfig
+from aero_planner.onboard.failsafe_table import State
+from aero_planner.onboard.settings import OnboardConfig
+from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.rig.lockstep import LockstepRig
+from aero_viz.rig.offboard import Mode
+from aero_viz.rig.rig import PX4_RESPONSE
+from aero_viz.scenes import World
+
+CONFIG = PlannerConfig.preset("fast-cpu").replace({"vehicle.speed_limit": 5.0})
+LIMITS = OnboardConfig().limits
+GROUND = [15.0, 0, -0.5, 120, 80, 1, 0]
+
+
+@pytest.fixture(scope="module")
+def planner() -> Iterator[Planner]:
+    planner = Planner(CONFIG, device="cpu", threads=1)
+    yield planner
+    planner.close()
+
+
+def avenue(*posts: tuple[float, float]) -> World:
+    """Return a world with a row of posts on both sides of the way, and more posts in between."""
+    places = [(float(x), side * 3.5) for x in range(0, 40, 3) for side in (-1.0, 1.0)] + list(posts)
+    cylinders = np.array([[x, y, 0, 0, 0, 1, 0.3, 8] for x, y in places])
+    return World("avenue", np.array([0.0, 0, 2]), np.array([30.0, 0, 2]), cylinders, np.array([GROUND]))
+
+
+def at_full_speed(rig: LockstepRig) -> None:
+    assert rig.take_over()
+    while rig.speed < 4.0:
+        rig.run(0.02)
+        assert rig.now < 20.0 and not rig.collided
+    rig.run(0.4)
+
+
+def run_until_handed_back(rig: LockstepRig) -> None:
+    end = rig.now + 6.0
+    while rig.autopilot.mode is Mode.OFFBOARD:
+        rig.run(0.02)
+        assert rig.now < end
+
+
+def kill(rig: LockstepRig) -> None:
+    rig.node_lives = False
+
+
+def stop(rig: LockstepRig) -> None:
+    rig.node_runs = False
+
+
+def freeze(rig: LockstepRig) -> None:
+    rig.autopilot.frozen = True
+
+
+@pytest.mark.parametrize("fault", [kill, stop, freeze])
+@pytest.mark.parametrize("speed_factor", [1.0, 0.7])
+def test_a_blind_drone_is_handed_back_at_rest_and_level(
+    planner: Planner, fault: Callable[[LockstepRig], None], speed_factor: float
+):
+    # The second drone responds otherwise than the node assumes.
+    response = PX4_RESPONSE | {"rate_lag": 0.07 / speed_factor, "drag": 0.3 * speed_factor}
+    vehicle = VehicleModel.from_config(CONFIG, **response)
+    with LockstepRig(planner, avenue((12.0, 0.6)), vehicle=vehicle, seed=1) as rig:
+        at_full_speed(rig)
+        fault(rig)
+        run_until_handed_back(rig)
+        assert rig.speed < 0.4 and math.degrees(rig.tilt) < 1.5 and not rig.collided
+        # It is still at rest when the autopilot holds it.
+        rig.run(2.0)
+        assert not rig.collided
+
+
+def test_a_paused_node_finds_a_slower_drone_and_flies_on(planner: Planner):
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=2) as rig:
+        at_full_speed(rig)
+        before = rig.speed
+        rig.node_runs = False
+        rig.run(0.5)
+        assert rig.speed < 0.8 * before  # it needs 0.14 s to notice, and the drone 0.2 s to turn
+        rig.node_runs = True
+        rig.run(0.5)
+        assert rig.speed < 0.6 * before
+        while rig.node.state is not State.ARRIVED:
+            rig.run(0.1)
+            assert rig.autopilot.mode is Mode.OFFBOARD and not rig.collided and rig.now < 40.0
+        texts = [str(change) for change in rig.node.changes]
+        assert any("the control loop stalled" in text for text in texts)
+
+
+def test_the_failsafe_process_brakes_around_an_obstacle_that_was_seen(planner: Planner):
+    # A wall of posts across the way, with a gap to the left of the drone.
+    wall = [(16.0, y) for y in np.arange(-3.0, 0.9, 0.5)]
+    with LockstepRig(planner, avenue(*wall), seed=3) as rig:
+        assert rig.take_over()
+        while rig.autopilot.position[0] < 12.6:
+            rig.run(0.02)
+            assert rig.now < 20.0
+        path = rig.node.schedule.path
+        assert path is not None and rig.speed > 2.5
+        kill(rig)
+        run_until_handed_back(rig)
+        assert not rig.collided and rig.speed < 0.4
+        # It has followed the planner's path.
+        assert np.linalg.norm(rig.autopilot.position - path.positions[-1]) < 0.8
+
+
+def test_a_pilot_who_takes_over_from_the_failsafe_process_is_left_alone(planner: Planner):
+    with LockstepRig(planner, avenue(), seed=4) as rig:
+        at_full_speed(rig)
+        kill(rig)
+        rig.run(0.3)
+        rig.autopilot.hold()  # the pilot moves the switch
+        rig.run(4.0)
+        assert rig.autopilot.mode is Mode.HOLD and rig.autopilot.violations == [] and rig.speed < 0.1
+
+
+def test_a_restarted_flight_gives_the_same_result(planner: Planner):
+    def fly() -> np.ndarray:
+        with LockstepRig(planner, avenue((8.0, 0.4)), seed=5) as rig:
+            assert rig.take_over()
+            rig.run(2.0)
+            return rig.autopilot.position
+
+    np.testing.assert_array_equal(fly(), fly())
