@@ -186,10 +186,10 @@ class LockstepRig:
         end = self.now + timeout
         while self.now < end:
             self.run(_PILOT_PERIOD)
-            if self.autopilot.streaming:
+            if self.autopilot.ready_to_arm and not self.autopilot.armed:
                 self.autopilot.arm()
-                if self.autopilot.engage():
-                    return True
+            if self.autopilot.engage():
+                return True
         return False
 
     def run(self, seconds: float) -> None:

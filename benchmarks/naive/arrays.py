@@ -53,13 +53,16 @@ class Arrays:
     # History [B] and noise [B M, K, N]
     tick: wp.array(dtype=int)
     previous_controls: wp.array2d(dtype=wp.vec4)
+    previous_start_control: wp.array(dtype=wp.vec4)
     previous_end: wp.array(dtype=wp.vec3)
     previous_waypoint: wp.array(dtype=wp.vec3)
     previous_time: wp.array(dtype=wp.float64)
     noise: wp.array3d(dtype=wp.vec4)
 
-    # Completed attitude and goal [B], partition [B, F] and [B, C], directions of the anchors in the body frame
+    # Completed attitude, control in effect and goal [B], partition [B, F] and [B, C], directions of the anchors in the
+    # body frame
     q0: wp.array(dtype=wp.vec4)
+    control: wp.array(dtype=wp.vec4)
     v_goal: wp.array(dtype=wp.vec3)
     q_goal: wp.array(dtype=wp.vec4)
     keys: wp.array2d(dtype=wp.uint64)
@@ -110,7 +113,11 @@ def allocate(planner: Planner) -> tuple[Any, tuple[str, ...]]:
     R, (rows, columns) = M + BRAKING_CANDIDATES, fine_shape(config)
     F, C = rows * columns, part.coarse_rows * part.coarse_columns
     shapes: list[tuple[tuple[int, ...], str]] = [
-        ((B,), "tick previous_end previous_waypoint previous_time q0 v_goal q_goal dropped count reach elapsed"),
+        (
+            (B,),
+            "tick previous_end previous_start_control previous_waypoint previous_time q0 control v_goal q_goal dropped "
+            "count reach elapsed",
+        ),
         ((B,), "best status source"),
         ((B, N), "previous_controls"),
         ((B, F), "keys fine_range filtered"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from benchmarks.naive.arrays import Arrays
-from benchmarks.naive.model import clamp_control, rk4, rotate_back, rotation, yaw
+from benchmarks.naive.model import clamp_control, follow_command, rk4, rotate_back, rotation, yaw
 
 __all__ = ["follow_guide", "guides", "nominal_controls", "turned", "write_guide"]
 
@@ -63,20 +63,24 @@ def follow_guide(a: Arrays, b: int, m: int, heading: float, nominal: wp.array3d(
     difference = heading - yaw(q0)
     difference -= 2.0 * wp.PI * wp.floor(difference / (2.0 * wp.PI) + 0.5)
     yaw_rate = difference / (float(steps) * c.dt)
+    lead = 2.0 * c.rate_xy_lag
+    control = a.control[b]
     q = q0
     for t in range(steps):
         u = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
         if c.nominal == 0:
             up = wp.vec3(0.0, 0.0, c.gravity)
             force = c.mass * (acceleration_at(a, b, m, (float(t) + 0.5) * c.dt) + up)
-            axis = wp.normalize(acceleration_at(a, b, m, float(t + 1) * c.dt) + up)
+            later = wp.min(float(t + 1) * c.dt + lead, float(steps) * c.dt)
+            axis = wp.normalize(acceleration_at(a, b, m, later) + up)
             z = rotate_back(q, axis)
             sine = wp.sqrt(z[0] * z[0] + z[1] * z[1])
-            rate = wp.atan2(sine, z[2]) / (wp.max(sine, 1.0e-6) * c.dt)
+            rate = wp.atan2(sine, z[2]) / (wp.max(sine, 1.0e-6) * (c.dt + lead))
             u = wp.vec4(wp.dot(force, rotation(q) * wp.vec3(0.0, 0.0, 1.0)), -rate * z[1], rate * z[0], yaw_rate)
         u = clamp_control(u, c)
         nominal[b, m, t] = u
-        _p, _v, q = rk4(wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), q, u, c)
+        mean, control = follow_command(control, u, c.dt, c)
+        _p, _v, q = rk4(wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), q, mean, c)
 
 
 @wp.func

@@ -14,6 +14,7 @@ __all__ = [
     "blocked_cost",
     "clamp_control",
     "collision_cost",
+    "follow_command",
     "goal_cost",
     "multiply",
     "probe_position",
@@ -121,6 +122,30 @@ def rk4(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, c: Params):
         v + h / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4),
         wp.normalize(q + h / 6.0 * (q1 + 2.0 * q2 + 2.0 * q3 + q4)),
     )
+
+
+@wp.func
+def remaining(lag: float, time: float) -> float:
+    """Return the share of a difference to the command that remains after `time`."""
+    if lag > 0.0:
+        return wp.exp(-time / lag)
+    return 0.0
+
+
+@wp.func
+def follow_command(control: wp.vec4, command: wp.vec4, time: float, c: Params):
+    """Return the mean control over `time` and the control at its end, if each component lags behind the command."""
+    lags = wp.vec4(c.thrust_lag, c.rate_xy_lag, c.rate_xy_lag, c.rate_z_lag)
+    mean = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    last = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for i in range(4):
+        difference = control[i] - command[i]
+        left = remaining(lags[i], time)
+        last[i] = command[i] + left * difference
+        mean[i] = command[i]
+        if time > 0.0:
+            mean[i] = command[i] + lags[i] * (1.0 - left) / time * difference
+    return mean, last
 
 
 @wp.func

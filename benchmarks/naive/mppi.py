@@ -12,6 +12,7 @@ from benchmarks.naive.model import (
     blocked_cost,
     clamp_control,
     collision_cost,
+    follow_command,
     goal_cost,
     probe_position,
     rk4,
@@ -72,6 +73,7 @@ def rollouts(a: Arrays):
     p = a.position[b]
     v = a.velocity[b]
     q = a.q0[b]
+    control = a.control[b]
     e = a.noise[i, k, 0]
     before = wp.vec4(0.0, 0.0, 0.0, 0.0)
     S = float(0.0)
@@ -85,7 +87,8 @@ def rollouts(a: Arrays):
         if t > 0 and t < N - 1:
             S += c.q_control_rate * wp.dot(u - before, u - before)
         before = u
-        p, v, q = rk4(p, v, q, u, c)
+        mean, control = follow_command(control, u, c.dt, c)
+        p, v, q = rk4(p, v, q, mean, c)
         a.sample_positions[i, k, t] = p
         if m != a.previous_index:
             S += c.q_track * wp.length(p - a.guide[b, m, t + 1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from benchmarks.naive.arrays import Arrays
-from benchmarks.naive.model import rotate, rotate_back, yaw
+from benchmarks.naive.model import follow_command, rotate, rotate_back, yaw
 
 __all__ = ["cells_of_points", "coarse_cells", "complete_goal", "fine_cells", "initial_anchors", "refined_anchors"]
 
@@ -34,9 +34,22 @@ def center_of(row: int, column: int, rows: int, columns: int) -> wp.vec3:
 
 @wp.kernel
 def complete_goal(a: Arrays):
-    """Normalise the attitudes and complete the goal, as `aero_planner.Goal` says. Launched over [B]."""
+    """Normalise the attitudes, find the control in effect if the previous plan was flown, and complete the goal, as
+    `aero_planner.Goal` says. Launched over [B]."""
     b = wp.tid()
     a.q0[b] = wp.normalize(a.quaternion[b])
+    c = a.params[b]
+    control = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+    left = float(a.time[b] - a.previous_time[b])
+    if wp.isnan(a.time[b]) and not wp.isnan(a.previous_time[b]):
+        left = c.replan_period
+    if left >= 0.0 and left < float(a.nominal.shape[2]) * c.dt:
+        control = a.previous_start_control[b]
+        for t in range(a.nominal.shape[2]):
+            if left >= 0.0:
+                _mean, control = follow_command(control, a.previous_controls[b, t], wp.min(left, c.dt), c)
+                left -= c.dt
+    a.control[b] = control
     a.v_goal[b] = a.goal_velocity[b]
     if wp.isnan(a.goal_velocity[b][0]):
         a.v_goal[b] = wp.vec3(0.0, 0.0, 0.0)

@@ -41,7 +41,7 @@ class NaivePlanner:
     def take_over(self) -> None:
         """Copy the planner's history and draw the noise of its next plan."""
         history, a, work = self._planner.history(), self.arrays, self._planner.workspace
-        for name in ("controls", "end", "waypoint", "time"):
+        for name in ("controls", "start_control", "end", "waypoint", "time"):
             getattr(a, f"previous_{name}").assign(getattr(history, name))
         a.tick.assign(history.tick)
         connect(a, self._planner)

@@ -6,7 +6,7 @@ import warp as wp
 
 from benchmarks.naive.arrays import BRAKING_CANDIDATES, Arrays
 from benchmarks.naive.guides import follow_guide, turned, write_guide
-from benchmarks.naive.model import PROBES, goal_cost, probe_position, rk4, speed_cost, yaw
+from benchmarks.naive.model import PROBES, follow_command, goal_cost, probe_position, rk4, speed_cost, yaw
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
 __all__ = ["braking_candidates", "commit", "final_rollouts", "final_scores", "select"]
@@ -45,11 +45,13 @@ def final_rollouts(a: Arrays):
     p = a.position[b]
     v = a.velocity[b]
     q = a.q0[b]
+    control = a.control[b]
     a.states[b, m, 0] = p
     goal = float(0.0)
     speed = float(0.0)
     for t in range(N):
-        p, v, q = rk4(p, v, q, a.controls[b, m, t], c)
+        mean, control = follow_command(control, a.controls[b, m, t], c.dt, c)
+        p, v, q = rk4(p, v, q, mean, c)
         a.states[b, m, t + 1] = p
         a.positions[i, 0, t] = p
         a.positions[i, 0, N + PROBES + t] = 0.5 * (a.states[b, m, t] + p)

@@ -112,6 +112,8 @@ class Workspace:
     """Intermediate results, tables and the state that the planner carries from plan to plan."""
 
     quaternion: wp.array = array(wp.vec4, "B", "", "Normalised attitude, w x y z, body to world.")
+    command: wp.array = array(wp.vec4, "B", "N, rad/s", "Control of the previous plan that is being flown.")
+    control: wp.array = array(wp.vec4, "B", "N, rad/s", "Control in effect, which lags behind the commands.")
     goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal, completed.")
     goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, completed, w x y z.")
     lookahead_length: wp.array = array(wp.float32, "B", "m", "l.")
@@ -139,6 +141,7 @@ class Workspace:
     seed: wp.array = array(wp.int32, "B", "", "Seed of the noise.")
     tick: wp.array = array(wp.int32, "B", "", "Number of plans so far, which selects the noise.")
     previous_controls: wp.array = array(wp.vec4, "B N", "N, rad/s", "Controls to fly of the newest plan.")
+    previous_start_control: wp.array = array(wp.vec4, "B", "N, rad/s", "Control in effect at the start of that plan.")
     previous_end: wp.array = array(wp.vec3, "B", "m", "Final position of that plan, world frame.")
     previous_waypoint: wp.array = array(wp.vec3, "B", "m", "Waypoint of that plan, world frame; NaN where none.")
     previous_time: wp.array = array(wp.float64, "B", "s", "Stamp of that plan; NaN where there is none.")

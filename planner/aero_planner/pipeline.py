@@ -89,6 +89,8 @@ class Pipeline(LaunchSequence):
             velocity=i.velocity,
             quaternion=w.quaternion,
             acceleration=i.acceleration,
+            command=w.command,
+            control=w.control,
         )
         self._goal = bundle(GoalState, position=i.goal_position, velocity=w.goal_velocity, quaternion=w.goal_quaternion)
         self._guides = bundle(
@@ -111,6 +113,7 @@ class Pipeline(LaunchSequence):
         self._previous = bundle(
             PreviousPlan,
             controls=w.previous_controls,
+            start_control=w.previous_start_control,
             end=w.previous_end,
             waypoint=w.previous_waypoint,
             time=w.previous_time,
@@ -141,14 +144,22 @@ class Pipeline(LaunchSequence):
             velocity=i.velocity,
             quaternion=i.quaternion,
             acceleration=i.acceleration,
+            command=w.command,
+            control=w.control,
         )
         goal = bundle(GoalState, position=i.goal_position, velocity=i.goal_velocity, quaternion=i.goal_quaternion)
         place = self.record(
             anchors.place_anchors,
             (self._sizes.B, self._sizes.A),
-            inputs=[drone, goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N],
-            outputs=[w.quaternion, self._goal, w.lookahead_length, w.initial_directions, o.initial_endpoints],
-        )
+            inputs=[
+                drone, i.time, goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N,
+                self._previous,
+            ],
+            outputs=[
+                w.quaternion, w.command, w.control, self._goal, w.lookahead_length, w.initial_directions,
+                o.initial_endpoints,
+            ],
+        )  # fmt: skip
         return [w.cell_ends.zero_, w.points_used.zero_, place]
 
     def _scan_points(self) -> list[Chunk]:
@@ -334,7 +345,7 @@ class Pipeline(LaunchSequence):
             selection.commit_plan,
             (sizes.B, sizes.N + 1),
             inputs=[
-                i.time, i.goal_position, i.cloud_age, self._params, sizes.M, self._brake_index, w.waypoints,
+                i.time, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index, w.waypoints,
                 w.state_terms, w.instance_scores,
             ],
             outputs=[

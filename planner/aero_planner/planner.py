@@ -40,6 +40,8 @@ class History:
 
     controls: NDArray[np.float32]
     """Controls to fly of the previous plan, shape [B, N, 4]."""
+    start_control: NDArray[np.float32]
+    """Control in effect at its start, shape [B, 4]."""
     end: NDArray[np.float32]
     """Final position of its rollout [m], shape [B, 3], world frame."""
     waypoint: NDArray[np.float32]
@@ -263,7 +265,10 @@ class Planner:
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
         work = self._work
-        arrays = (work.previous_controls, work.previous_end, work.previous_waypoint, work.previous_time, work.tick)
+        arrays = (
+            work.previous_controls, work.previous_start_control, work.previous_end, work.previous_waypoint,
+            work.previous_time, work.tick,
+        )  # fmt: skip
         return History(*(_to_numpy(array).copy() for array in arrays))
 
     def restore(self, history: History) -> None:
@@ -272,6 +277,7 @@ class Planner:
         if history.controls.shape != (*work.previous_controls.shape, 4):
             return self.reset()
         work.previous_controls.assign(history.controls)
+        work.previous_start_control.assign(history.start_control)
         work.previous_end.assign(history.end)
         work.previous_waypoint.assign(history.waypoint)
         work.previous_time.assign(history.time)

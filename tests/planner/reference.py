@@ -139,6 +139,20 @@ def rk4(x: Array, u: Array, config: PlannerConfig) -> Array:
     return x
 
 
+def hover(config: PlannerConfig) -> Array:
+    return np.array([config.vehicle.mass * config.vehicle.gravity, 0.0, 0.0, 0.0])
+
+
+def follow(control: Array, command: Array, time: float, config: PlannerConfig) -> tuple[Array, Array]:
+    """Return the mean control over `time` and the one at its end, if it follows the command with the vehicle's lags."""
+    v = config.vehicle
+    lags = np.array([v.thrust_lag, v.rate_xy_lag, v.rate_xy_lag, v.rate_z_lag])
+    with np.errstate(divide="ignore"):
+        left = np.where(lags > 0.0, np.exp(-time / lags), 0.0)
+    difference = control - command
+    return command + lags / time * (1.0 - left) * difference, command + left * difference
+
+
 @dataclass
 class Rollout:
     """States after each control: p [N, 3], q [N, 4], v [N, 3]."""
@@ -148,10 +162,20 @@ class Rollout:
     v: Array
 
 
-def roll_out(position: Array, quaternion: Array, velocity: Array, controls: Array, config: PlannerConfig) -> Rollout:
+def roll_out(
+    position: Array,
+    quaternion: Array,
+    velocity: Array,
+    controls: Array,
+    config: PlannerConfig,
+    control: Array | None = None,
+) -> Rollout:
+    """Return the states under commands; `control` is in effect at first, hover by default, and lags behind them."""
     x, states = np.concatenate((position, unit(quaternion), velocity)), []
-    for u in controls.astype(np.float64):
-        x = rk4(x, u, config)
+    control = hover(config) if control is None else control
+    for command in controls.astype(np.float64):
+        mean, control = follow(control, command, config.sampling.dt, config)
+        x = rk4(x, mean, config)
         states.append(x)
     x = np.array(states)
     return Rollout(x[:, :3], x[:, 3:7], x[:, 7:])

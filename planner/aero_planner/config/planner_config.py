@@ -48,6 +48,19 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         3.0, "rad/s", 0.1, 20.0, "Largest roll and pitch rate.", label="Maximum roll and pitch rate", symbol="omega_xy"
     )
     rate_z_max: float = live(2.0, "rad/s", 0.1, 20.0, "Largest yaw rate.", label="Maximum yaw rate", symbol="omega_z")
+    thrust_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which the thrust follows its commands; 0 as in the paper: at once.",
+        label="Thrust lag", symbol="tau_F",
+    )  # fmt: skip
+    rate_xy_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which roll and pitch rates follow their commands; 0 as in the paper. "
+        "0.07 s for PX4.",
+        label="Roll and pitch rate lag", symbol="tau_xy",
+    )  # fmt: skip
+    rate_z_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which the yaw rate follows its commands; 0 as in the paper.",
+        label="Yaw rate lag", symbol="tau_z",
+    )  # fmt: skip
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
@@ -228,6 +241,11 @@ class CostConfig(ParameterSection, section="costs"):
     q_control_rate: float = live(
         0.5, "", 0.0, 1e3, "Weight of the squared change of the controls between time steps.",
         label="Control change weight", symbol="Q_cd", group="Tracking and effort",
+    )  # fmt: skip
+    q_control_jump: float = live(
+        0.0, "", 0.0, 1e3, "Weight of the squared change from the control that is flown to the first one of the plan; "
+        "0 in the paper: plans may then jump from one to the next.",
+        label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
     q_speed: float = live(
         10.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the speed limit; 0 as in the paper.",

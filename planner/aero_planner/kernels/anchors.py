@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.kernels.dynamics import heading, quat_from_heading, quat_inverse_rotate, quat_rotate
+from aero_planner.kernels.dynamics import (
+    heading,
+    lag_shares,
+    lagged_control,
+    quat_from_heading,
+    quat_inverse_rotate,
+    quat_rotate,
+)
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction, safest_fine_cell
-from aero_planner.kernels.records import DroneState, GoalState
+from aero_planner.kernels.records import DroneState, GoalState, PreviousPlan
 
 __all__ = ["lookahead", "place_anchors", "safe_anchor"]
 
@@ -27,18 +34,44 @@ def lookahead(speed: float, goal_distance: float, horizon: float, params: Params
     return wp.min(length, goal_distance)
 
 
+@wp.func
+def flown_controls(b: int, time: wp.float64, previous: PreviousPlan, params: Params):
+    """Return the command and the control in effect if the previous plan is being flown; hover if there is none."""
+    command = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
+    control = command
+    elapsed = float(time - previous.time[b])
+    if wp.isnan(time) and not wp.isnan(previous.time[b]):
+        elapsed = params.replan_period
+    steps = previous.controls.shape[1]
+    if elapsed >= 0.0 and elapsed < float(steps) * params.dt:
+        control = previous.start_control[b]
+        shares = lag_shares(params.dt, params)
+        whole = int(elapsed / params.dt)
+        for t in range(whole):
+            control = lagged_control(previous.controls[b, t], control, shares)
+        rest = lag_shares(elapsed - float(whole) * params.dt, params)
+        command = previous.controls[b, wp.min(whole, steps - 1)]
+        control = lagged_control(command, control, rest)
+    return command, control
+
+
 @wp.kernel
 def place_anchors(
     # problem; the goal may be incomplete
     drone: DroneState,
+    time: wp.array(dtype=wp.float64),
     goal: GoalState,
     # configuration
     params: wp.array(dtype=Params),
     columns: int,
     rows: int,
     steps: int,
+    # in
+    previous: PreviousPlan,
     # out
     unit_quaternion: wp.array(dtype=wp.vec4),
+    command: wp.array(dtype=wp.vec4),
+    control: wp.array(dtype=wp.vec4),
     full_goal: GoalState,
     lookahead_length: wp.array(dtype=float),
     initial_directions: wp.array2d(dtype=wp.vec3),
@@ -46,8 +79,9 @@ def place_anchors(
 ):
     """Place the initial endpoints p0 + l d, with d spaced around the azimuth and elevation of the goal in the world.
 
-    `initial_directions` are d in the body frame. The thread of the first anchor also normalises the attitudes and
-    derives the velocity and attitude that the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
+    `initial_directions` are d in the body frame. The thread of the first anchor also normalises the attitudes, finds
+    the controls in effect, and derives the velocity and attitude that the goal leaves open; see `Goal`. Launched over
+    [B, M_h M_v].
     """
     b, m = wp.tid()
     p = drone.position[b]
@@ -59,6 +93,9 @@ def place_anchors(
     if m == 0:
         lookahead_length[b] = length
         unit_quaternion[b] = q
+        commanded, in_effect = flown_controls(b, time[b], previous, params[b])
+        command[b] = commanded
+        control[b] = in_effect
         v_goal = goal.velocity[b]
         if wp.isnan(v_goal[0]):
             v_goal = wp.vec3(0.0, 0.0, 0.0)

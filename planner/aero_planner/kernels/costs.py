@@ -40,10 +40,13 @@ def control_cost(u: wp.vec4, params: Params) -> float:
 
 
 @wp.func
-def control_rate_cost(u: wp.vec4, u_before: wp.vec4, params: Params) -> float:
-    """Return the second term of J_ctrl: Q_cd |u_t - u_{t-1}|^2, for t = 1..N-2."""
+def control_rate_cost(u: wp.vec4, u_before: wp.vec4, weight: float) -> float:
+    """Return weight |u_t - u_{t-1}|^2: the second term of J_ctrl, with the weight Q_cd for t = 1..N-2.
+
+    For t = 0, u_{t-1} is the control that is flown, and the weight q_control_jump.
+    """
     du = u - u_before
-    return params.q_control_rate * wp.dot(du, du)
+    return weight * wp.dot(du, du)
 
 
 @wp.func

@@ -1,6 +1,7 @@
 """Quadrotor model and its Runge-Kutta step.
 
 State x = [p, q, v], control u = (F_t, omega): dp = v, dq = 1/2 q (x) [0, omega], dv = R(q) [0, 0, F_t] / m + g.
+With lags tau, u is the control in effect and follows the commands c: du = (c - u) / tau, for each component.
 Quaternions are wp.vec4 in the order w, x, y, z, body to world.
 """
 
@@ -13,6 +14,9 @@ from aero_planner.kernels.params import Params
 __all__ = [
     "clamp_control",
     "heading",
+    "lag_shares",
+    "lagged_control",
+    "mean_lag_shares",
     "near_atan2",
     "quat_from_heading",
     "quat_inverse_rotate",
@@ -109,6 +113,32 @@ def clamp_control(u: wp.vec4, params: Params) -> wp.vec4:
         wp.clamp(u[2], -xy, xy),
         wp.clamp(u[3], -z, z),
     )
+
+
+@wp.func
+def _lag_share(lag: float, time: float) -> float:
+    """Return the share of a difference to the command that remains after `time`; 0 without a lag."""
+    return wp.where(lag > 0.0, wp.exp(-time / wp.max(lag, 1.0e-6)), 0.0)
+
+
+@wp.func
+def lag_shares(time: float, params: Params) -> wp.vec4:
+    """Return the shares of the differences between commands and controls that remain after `time` [s]."""
+    xy = _lag_share(params.rate_xy_lag, time)
+    return wp.vec4(_lag_share(params.thrust_lag, time), xy, xy, _lag_share(params.rate_z_lag, time))
+
+
+@wp.func
+def mean_lag_shares(remaining: wp.vec4, time: float, params: Params) -> wp.vec4:
+    """Return the means of these shares over `time` [s], at the end of which they are `remaining`."""
+    lags = wp.vec4(params.thrust_lag, params.rate_xy_lag, params.rate_xy_lag, params.rate_z_lag)
+    return wp.cw_mul(lags, wp.vec4(1.0, 1.0, 1.0, 1.0) - remaining) / time
+
+
+@wp.func
+def lagged_control(command: wp.vec4, control: wp.vec4, shares: wp.vec4) -> wp.vec4:
+    """Return the control in effect if the given shares of its difference to the command remain."""
+    return command + wp.cw_mul(shares, control - command)
 
 
 @wp.func

@@ -19,7 +19,7 @@ from aero_planner.kernels.costs import (
     track_cost,
     vnorm_cost,
 )
-from aero_planner.kernels.dynamics import clamp_control, rk4_step
+from aero_planner.kernels.dynamics import clamp_control, lag_shares, lagged_control, mean_lag_shares, rk4_step
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState
@@ -162,8 +162,15 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 x[3 + axis, j] = v0[axis]
             for axis in range(4):
                 x[6 + axis, j] = q0[axis]
+        shares = lag_shares(c.dt, c)
+        mean_shares = mean_lag_shares(shares, c.dt, c)
         noise = Controls()
         u = Controls()
+        acting = Controls()
+        for j in range(WIDTH):
+            for axis in range(4):
+                acting[axis, j] = drone.control[b][axis]
+                u[axis, j] = drone.command[b][axis]
         S = Reals()
         noisy = Reals(1.0)
         if group == 0 and c.keep_nominal != 0:
@@ -184,9 +191,9 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
             p_next = guides[b, m, t_next + 1]
             for axis in range(4):
                 drawn_next[axis] = noise_table[t_next, axis, row]
-            # J_ctrl excludes the last control and the change to the first one.
+            # J_ctrl excludes the last control; the change to the first one has its own weight.
             counted = wp.where(t < steps - 1, 1.0, 0.0)
-            change_counted = wp.where(t > 0, counted, 0.0)
+            change_weight = wp.where(t > 0, counted * c.q_control_rate, c.q_control_jump)
             for j in range(WIDTH):
                 # AR(1) noise; the innovations are scaled so that its variance does not depend on the correlation.
                 e = c.correlation * wp.vec4(noise[0, j], noise[1, j], noise[2, j], noise[3, j]) + innovation * wp.vec4(
@@ -197,11 +204,14 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 p = wp.vec3(x[0, j], x[1, j], x[2, j])
                 v = wp.vec3(x[3, j], x[4, j], x[5, j])
                 q = wp.vec4(x[6, j], x[7, j], x[8, j], x[9, j])
-                p, v, q = rk4_step(p, v, q, u_t, c.mass, c.gravity, c.dt)
+                a = wp.vec4(acting[0, j], acting[1, j], acting[2, j], acting[3, j])
+                mean = lagged_control(u_t, a, mean_shares)
+                a = lagged_control(u_t, a, shares)
+                p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, c.dt)
                 S[j] = (
                     S[j]
                     + counted * control_cost(u_t, c)
-                    + change_counted * control_rate_cost(u_t, u_before, c)
+                    + control_rate_cost(u_t, u_before, change_weight)
                     + track * track_cost(p, p_guide, c)
                     + vnorm_cost(v, c)
                     + goal_cost(p, v, q, p_goal, v_goal, q_goal, c)
@@ -210,6 +220,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 for axis in range(4):
                     noise[axis, j] = e[axis]
                     u[axis, j] = u_t[axis]
+                    acting[axis, j] = a[axis]
                     x[6 + axis, j] = q[axis]
                 for axis in range(3):
                     x[axis, j] = p[axis]

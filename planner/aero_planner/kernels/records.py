@@ -32,6 +32,8 @@ class DroneState:
     velocity: wp.array(dtype=wp.vec3)  # [B]
     quaternion: wp.array(dtype=wp.vec4)  # [B], unit, body to world
     acceleration: wp.array(dtype=wp.vec3)  # [B]
+    control: wp.array(dtype=wp.vec4)  # [B], F_t and omega in effect
+    command: wp.array(dtype=wp.vec4)  # [B], F_t and omega commanded
 
 
 @wp.struct
@@ -77,6 +79,7 @@ class PreviousPlan:
     """Result of the previous plan, from which the next one continues."""
 
     controls: wp.array2d(dtype=wp.vec4)  # [B, N], F_t and omega
+    start_control: wp.array(dtype=wp.vec4)  # [B], F_t and omega in effect at its start
     end: wp.array(dtype=wp.vec3)  # [B], final position of the rollout, world frame [m]
     waypoint: wp.array(dtype=wp.vec3)  # [B], waypoint beyond that, NaN where there was none, world frame [m]
     time: wp.array(dtype=wp.float64)  # [B], stamp [s], NaN where there is no previous plan

@@ -12,7 +12,7 @@ import warp as wp
 
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
 from aero_planner.kernels.costs import collision_cost, goal_cost, speed_cost
-from aero_planner.kernels.dynamics import rk4_step
+from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
@@ -59,6 +59,9 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
             rollouts.positions[b, m, 0] = p
             rollouts.velocities[b, m, 0] = v
             rollouts.quaternions[b, m, 0] = q
+        acting = drone.control[b]
+        shares = lag_shares(c.dt, c)
+        mean_shares = mean_lag_shares(shares, c.dt, c)
         steps = rollouts.controls.shape[2]
         for first in range(0, steps, LANES):
             t_lane = wp.min(first + lane, steps - 1)
@@ -70,7 +73,9 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
                     read_lane(u_lane[0], step), read_lane(u_lane[1], step),
                     read_lane(u_lane[2], step), read_lane(u_lane[3], step),
                 )  # fmt: skip
-                p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, c.dt)
+                mean = lagged_control(u, acting, mean_shares)
+                acting = lagged_control(u, acting, shares)
+                p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, c.dt)
                 if lane == 0:
                     rollouts.positions[b, m, t + 1] = p
                     rollouts.velocities[b, m, t + 1] = v
@@ -251,6 +256,7 @@ def commit_plan(
     time: wp.array(dtype=wp.float64),
     goal_position: wp.array(dtype=wp.vec3),
     cloud_age: wp.array(dtype=float),
+    control: wp.array(dtype=wp.vec4),
     # configuration
     params: wp.array(dtype=Params),
     instances: int,
@@ -300,6 +306,8 @@ def commit_plan(
             costs.stage2_cost[b, m] = costs.stage2_cost[b, flown]
             for i in range(6):
                 guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
+    if t == 0:
+        previous.start_control[b] = control[b]
     if t < steps:
         previous.controls[b, t] = rollouts.controls[b, flown, t]
     else:

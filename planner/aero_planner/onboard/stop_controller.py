@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.braking_path import BrakingPath
+from aero_planner.onboard.braking_path import BrakingPath, PathState
 from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.settings import BrakeSettings
 from aero_planner.quaternions import conjugate, multiply, rotate
@@ -25,6 +25,9 @@ _LEVELLING_TIME = 3.0
 """Time for levelling, in time constants of the attitude: 1.5 deg remain of a tilt of 30 deg."""
 _PATH_MARGIN = 1.4
 """Acceleration on a braking path, as a factor of the largest deceleration: the path itself may need as much."""
+
+_PATH_END_SPEED = 0.3
+"""Speed below which a path has ended [m/s]."""
 
 
 class StopCommand(NamedTuple):
@@ -119,7 +122,23 @@ class StopController:
             desired = desired + settings.position_gain * (hold - motion.position)
         elif place is not None:
             limit *= _PATH_MARGIN
-            desired = desired + place.velocity / settings.time_constant + place.acceleration
-            desired = desired + settings.position_gain * (place.position - motion.position)
+            desired = self._acceleration_on_path(motion, place)
         size = float(np.linalg.norm(desired))
         return desired * (limit / size) if size > limit else desired
+
+    def _acceleration_on_path(self, motion: MotionState, place: PathState) -> Array:
+        """Return the acceleration that keeps the drone on a path and stops it there, at its end or before."""
+        settings = self._settings
+        offset = settings.position_gain * (place.position - motion.position)
+        speed = float(np.linalg.norm(place.velocity))
+        if speed < _PATH_END_SPEED:
+            return offset - motion.velocity / settings.time_constant
+        tangent = place.velocity / speed
+        along = float(motion.velocity @ tangent)
+        # Brake as hard as without a path, or harder where the path does.
+        shortest = max(-along / settings.time_constant, -settings.acceleration)
+        on_path = float(place.acceleration @ tangent) + (speed - along) / settings.time_constant
+        # A slower drone needs less acceleration across the path.
+        curvature = min(along / speed, 1.0) ** 2 * place.acceleration
+        across = curvature + offset - (motion.velocity - along * tangent) / settings.time_constant
+        return min(shortest, on_path) * tangent + across - float(across @ tangent) * tangent

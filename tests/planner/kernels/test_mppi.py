@@ -99,6 +99,22 @@ def test_J_ctrl_leaves_the_last_control_free(device: str, q_control: float, q_ra
     np.testing.assert_allclose(plan.stage1_cost, expected, rtol=1e-5)
 
 
+def test_the_jump_from_the_flown_control_is_weighted(device: str):
+    config = config_of(costs__q_control=0.0, costs__q_control_rate=0.5, costs__q_control_jump=2.0, **ONLY_CONTROLS)
+    planner = Planner(config, device=device)
+    flown = random_case(0).plan(planner).command[0].astype(np.float64)
+    plan = random_case(1).plan(planner)  # 0.02 s later, within the first step
+    np.testing.assert_allclose(planner.workspace.command.numpy()[0], flown, atol=1e-6)
+    u = sampled_controls(planner, plan).astype(np.float64)
+    expected = np.array(
+        [
+            [reference.J_ctrl(u[m, :, k], config) + 2.0 * ((u[m, 0, k] - flown) ** 2).sum() for k in range(16)]
+            for m in range(17)
+        ]
+    )
+    np.testing.assert_allclose(plan.stage1_cost, expected, rtol=1e-5)
+
+
 @pytest.mark.parametrize("temperature", [0.1, 50.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, seed: int):

@@ -10,8 +10,9 @@ import pytest
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState, acceleration, propagate
 from aero_planner.onboard.interfaces import VehicleSample
-from aero_planner.onboard.settings import BrakeSettings
+from aero_planner.onboard.settings import BrakeSettings, ResponseSettings
 from aero_planner.onboard.stop_controller import StopController
+from aero_planner.quaternions import integrate_rates
 
 VEHICLE = PlannerConfig().vehicle
 HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
@@ -72,6 +73,24 @@ def test_without_a_command_the_velocity_is_constant():
     moved = propagate(motion, None, 2.0, VEHICLE)
     np.testing.assert_array_equal(moved.position, [2.0, 4.0, 0.0])
     np.testing.assert_array_equal(moved.velocity, motion.velocity)
+
+
+def test_propagate_with_lags_matches_the_simulated_vehicle():
+    response = ResponseSettings(rate_lag=0.07, thrust_lag=0.045, drag=0.3)
+    motion = MotionState(0.0, np.zeros(3), np.array([4.0, 1.0, -0.5]), tilted(0.3), HOVER)
+    command = np.array([12.0, 1.5, -2.0, 0.7])
+    # The differential equations of motion and control, in steps of 0.1 ms.
+    p, v, q, u, h = motion.position, motion.velocity, motion.quaternion, HOVER, 1e-4
+    lags = np.array([0.045, 0.07, 0.07, 0.07])
+    for _ in range(2000):
+        lift = matrix(q) @ [0.0, 0.0, u[0]] / VEHICLE.mass - [0.0, 0.0, VEHICLE.gravity] - 0.3 * v
+        p, v, q, u = p + h * v, v + h * lift, integrate_rates(q, u[1:], h), u + h / lags * (command - u)
+    moved = propagate(motion, command, 0.2, VEHICLE, response)
+    assert moved.control is not None
+    np.testing.assert_allclose(moved.control, u, atol=0.01)
+    np.testing.assert_allclose(moved.velocity, v, atol=0.01)
+    np.testing.assert_allclose(moved.position, p, atol=0.005)
+    assert abs(moved.quaternion @ q) > 1.0 - 1e-6
 
 
 def sample(motion: MotionState) -> VehicleSample:
