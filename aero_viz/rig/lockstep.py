@@ -64,7 +64,7 @@ class _SlowPlanner:
 
     def __init__(self, planner: Planner, rig: LockstepRig, plan_time: float) -> None:
         self.config, self.device = planner.config, planner.device
-        self.reserve, self.reset = planner.reserve, planner.reset
+        self.reserve_sweeps, self.reset = planner.reserve_sweeps, planner.reset
         self._planner, self._rig, self._plan_time = planner, rig, plan_time
 
     def plan(self, *arguments: Any, **options: Any) -> Plan:
