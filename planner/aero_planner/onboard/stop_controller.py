@@ -137,8 +137,8 @@ class StopController:
         along = float(motion.velocity @ tangent)
         # Brake as hard as without a path, or harder where the path does.
         shortest = max(-along / settings.time_constant, -settings.acceleration)
-        on_path = float(place.acceleration @ tangent) + (speed - along) / settings.time_constant
-        # A slower drone needs less acceleration across the path.
-        curvature = min(along / speed, 1.0) ** 2 * place.acceleration
-        across = curvature + offset - (motion.velocity - along * tangent) / settings.time_constant
+        # A slower drone needs less acceleration, across the path as well.
+        needed = min(max(along / speed, 0.0), 1.0) ** 2 * place.acceleration
+        on_path = float(needed @ tangent) + (speed - along) / settings.time_constant
+        across = needed + offset - (motion.velocity - along * tangent) / settings.time_constant
         return min(shortest, on_path) * tangent + across - float(across @ tangent) * tangent

@@ -68,6 +68,13 @@ def test_the_drone_stays_on_the_path_and_stops_no_later_than_it():
     assert abs(straight.position[1]) < 1e-6 and straight.position[0] < 4.0
 
 
+@pytest.mark.parametrize("place", [10, 20, 23, 25])
+def test_a_drone_at_rest_on_the_path_stays_there(place: int):
+    path, stop = curve(), StopController(VEHICLE, BrakeSettings())
+    motion = MotionState(0.0, path.positions[place], np.zeros(3), LEVEL)
+    np.testing.assert_allclose(stop.command(motion, path=path).control, stop.hover, atol=1e-6)
+
+
 @pytest.fixture(scope="module")
 def planner() -> Any:
     planner = Planner(PlannerConfig.preset("fast-cpu"), device="cpu", threads=1)
