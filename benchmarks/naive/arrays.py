@@ -59,9 +59,10 @@ class Arrays:
     previous_time: wp.array(dtype=wp.float64)
     noise: wp.array3d(dtype=wp.vec4)
 
-    # Completed attitude, control in effect and goal [B], partition [B, F] and [B, C], directions of the anchors in the
+    # Completed attitude, command and control in effect, and goal [B], partition [B, F] and [B, C], directions of the anchors in the
     # body frame
     q0: wp.array(dtype=wp.vec4)
+    command: wp.array(dtype=wp.vec4)
     control: wp.array(dtype=wp.vec4)
     v_goal: wp.array(dtype=wp.vec3)
     q_goal: wp.array(dtype=wp.vec4)
@@ -115,8 +116,8 @@ def allocate(planner: Planner) -> tuple[Any, tuple[str, ...]]:
     shapes: list[tuple[tuple[int, ...], str]] = [
         (
             (B,),
-            "tick previous_end previous_start_control previous_waypoint previous_time q0 control v_goal q_goal dropped "
-            "count reach elapsed",
+            "tick previous_end previous_start_control previous_waypoint previous_time q0 command control v_goal q_goal "
+            "dropped count reach elapsed",
         ),
         ((B,), "best status source"),
         ((B, N), "previous_controls"),

@@ -75,7 +75,7 @@ def rollouts(a: Arrays):
     q = a.q0[b]
     control = a.control[b]
     e = a.noise[i, k, 0]
-    before = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    before = a.command[b]
     S = float(0.0)
     for t in range(N):
         if t > 0:
@@ -86,6 +86,8 @@ def rollouts(a: Arrays):
             S += c.q_control * wp.dot(u, u)
         if t > 0 and t < N - 1:
             S += c.q_control_rate * wp.dot(u - before, u - before)
+        if t == 0:
+            S += c.q_control_jump * wp.dot(u - before, u - before)
         before = u
         mean, control = follow_command(control, u, c.dt, c)
         p, v, q = rk4(p, v, q, mean, c)

@@ -34,12 +34,13 @@ def center_of(row: int, column: int, rows: int, columns: int) -> wp.vec3:
 
 @wp.kernel
 def complete_goal(a: Arrays):
-    """Normalise the attitudes, find the control in effect if the previous plan was flown, and complete the goal, as
-    `aero_planner.Goal` says. Launched over [B]."""
+    """Normalise the attitudes, find the command and the control in effect if the previous plan was flown, and complete the
+    goal, as `aero_planner.Goal` says. Launched over [B]."""
     b = wp.tid()
     a.q0[b] = wp.normalize(a.quaternion[b])
     c = a.params[b]
-    control = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+    command = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+    control = command
     left = float(a.time[b] - a.previous_time[b])
     if wp.isnan(a.time[b]) and not wp.isnan(a.previous_time[b]):
         left = c.replan_period
@@ -47,8 +48,10 @@ def complete_goal(a: Arrays):
         control = a.previous_start_control[b]
         for t in range(a.nominal.shape[2]):
             if left >= 0.0:
-                _mean, control = follow_command(control, a.previous_controls[b, t], wp.min(left, c.dt), c)
+                command = a.previous_controls[b, t]
+                _mean, control = follow_command(control, command, wp.min(left, c.dt), c)
                 left -= c.dt
+    a.command[b] = command
     a.control[b] = control
     a.v_goal[b] = a.goal_velocity[b]
     if wp.isnan(a.goal_velocity[b][0]):

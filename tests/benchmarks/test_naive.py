@@ -91,7 +91,7 @@ def check_all(config: PlannerConfig, plan: Plan, naive: Arrays) -> None:
     check_choice(plan, naive)
 
 
-@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("preset", ["default", "paper", "px4"])
 @pytest.mark.parametrize("seed", range(4))
 def test_random_clouds_and_states(device: str, preset: str, seed: int):
     nearest, speed = (0.3, 0.6, 1.0, 1.5)[seed], (4.0, 9.0)[seed % 2]

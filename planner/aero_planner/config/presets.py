@@ -31,9 +31,19 @@ _PAPER: dict[str, Value] = {
     "costs.use_ground": False,
 }
 
+_PX4: dict[str, Value] = {
+    "vehicle.thrust_lag": 0.045,
+    "vehicle.rate_xy_lag": 0.07,
+    "vehicle.rate_z_lag": 0.07,
+    "sampling.variance_rate_z": 0.02,
+    "costs.q_control_rate": 100.0,
+    "costs.q_control_jump": 200.0,
+}
+
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
     "default": ("The best configuration known.", {}),
     "paper": ("The literal paper: every number and every formula.", _PAPER),
     "fast-cpu": ("The default with a quarter of the samples, for slow machines.", {"sampling.samples": 32}),
+    "px4": ("The default with the lags of a drone with PX4, and smooth commands.", _PX4),
 }
 """Description and changes of each preset by name."""
