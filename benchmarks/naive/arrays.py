@@ -59,8 +59,8 @@ class Arrays:
     previous_time: wp.array(dtype=wp.float64)
     noise: wp.array3d(dtype=wp.vec4)
 
-    # Completed attitude, command and control in effect, and goal [B], partition [B, F] and [B, C], directions of the anchors in the
-    # body frame
+    # Completed attitude, command and control in effect, and goal [B], partition [B, F] and [B, C], directions of the
+    # anchors in the body frame
     q0: wp.array(dtype=wp.vec4)
     command: wp.array(dtype=wp.vec4)
     control: wp.array(dtype=wp.vec4)

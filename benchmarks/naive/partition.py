@@ -34,8 +34,9 @@ def center_of(row: int, column: int, rows: int, columns: int) -> wp.vec3:
 
 @wp.kernel
 def complete_goal(a: Arrays):
-    """Normalise the attitudes, find the command and the control in effect if the previous plan was flown, and complete the
-    goal, as `aero_planner.Goal` says. Launched over [B]."""
+    """Normalise the attitudes, find the command and the control in effect if the previous plan was flown, and complete
+    the goal, as `aero_planner.Goal` says. Launched over [B].
+    """
     b = wp.tid()
     a.q0[b] = wp.normalize(a.quaternion[b])
     c = a.params[b]

@@ -105,7 +105,7 @@ def test_the_failsafe_process_brakes_around_an_obstacle_that_was_seen(planner: P
         while rig.autopilot.position[0] < 12.6:
             rig.run(0.02)
             assert rig.now < 20.0
-        path = rig.node.schedule.path
+        path = rig.node.schedule.path(0.0)
         assert path is not None and rig.speed > 2.5
         kill(rig)
         run_until_handed_back(rig)

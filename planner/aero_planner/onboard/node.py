@@ -136,6 +136,7 @@ class Node:
         self._points_time = -math.inf
         self._hold: NDArray[np.float64] | None = None
         self._path: BrakingPath | None = None
+        self._reset_time = -math.inf
         self._stopping = False
         self._fell_silent = threading.Event()
         self._closing = threading.Event()
@@ -256,7 +257,8 @@ class Node:
             self._state_finite = all(np.isfinite(v).all() for v in (state.position, state.velocity, state.quaternion))
             if self._state_finite:
                 if previous is not None and sample.resets != previous.resets:
-                    self._hold = None  # in the new estimate, the position to hold has other coordinates
+                    # In the new estimate, places have other coordinates.
+                    self._hold, self._path, self._reset_time = None, None, sample.time
                     self.ground.clear()
                 self._sample = sample
                 self._reckoning.correct(sample)
@@ -324,7 +326,7 @@ class Node:
         if reaction is not Reaction.BRAKE or self.state is not State.BRAKING:
             self._path = None
         elif self._path is None:
-            self._path = self.schedule.path
+            self._path = self.schedule.path(self._reset_time)
         if reaction is Reaction.SILENT or motion is None:
             return None
         if reaction in AS_PLANNED and (planned := self.schedule.command(now)) is not None:
@@ -344,7 +346,7 @@ class Node:
         if self._sample is not None and motion is not None:
             self.snapshot = ControlSnapshot(self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan)
         upcoming = self._upcoming_commands(now) if follows_plan else None
-        heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._path or self.schedule.path)
+        heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._path or self.schedule.path(self._reset_time))
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)

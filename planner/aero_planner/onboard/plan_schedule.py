@@ -61,10 +61,9 @@ class PlanSchedule:
                 break
         self._plans = tuple(kept)
 
-    @property
-    def path(self) -> BrakingPath | None:
-        """The newest plan's braking path; None if there is none."""
-        return self._plans[0].path if self._plans else None
+    def path(self, since: float) -> BrakingPath | None:
+        """Return the newest plan's braking path; None if there is none, or if its state is from before `since` [s]."""
+        return self._plans[0].path if self._plans and self._plans[0].measured >= since else None
 
     def at(self, now: float) -> ScheduledPlan | None:
         """Return the newest plan whose horizon includes `now` [s]."""

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aero_planner import PlanStatus
+from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 
 
@@ -48,3 +51,11 @@ def test_the_present_plan_is_kept_however_many_wait_to_begin():
     for number in range(6, 100):
         schedule.append(scheduled(number, 10.26), 10.26 + 0.05 * number)
     assert len(schedule) == 2
+
+
+def test_a_braking_path_from_before_a_reset_is_not_used():
+    path = BrakingPath(0.05, np.zeros((2, 3)), np.zeros((2, 3)))
+    schedule = PlanSchedule()
+    assert schedule.path(-np.inf) is None
+    schedule.append(replace(scheduled(1, 5.0), path=path), 5.0)
+    assert schedule.path(5.0) is path and schedule.path(5.01) is None
