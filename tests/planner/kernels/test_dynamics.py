@@ -57,7 +57,7 @@ def test_hover_stays(device: str):
     np.testing.assert_allclose(plan.positions, np.broadcast_to(case.position, plan.positions.shape), atol=1e-4)
 
 
-LAGS = {"vehicle__thrust_lag": 0.045, "vehicle__rate_xy_lag": 0.07, "vehicle__rate_z_lag": 0.2}
+LAGS: dict[str, Any] = {"vehicle__thrust_lag": 0.045, "vehicle__rate_xy_lag": 0.07, "vehicle__rate_z_lag": 0.2}
 
 
 @pytest.mark.parametrize("elapsed", [0.0, 0.02, 0.13])
