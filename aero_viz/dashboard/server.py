@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
+import functools
 import io
 import logging
 import socket
+import threading
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import viser
+import websockets.asyncio.server
+from viser.infra import WebsockClientConnection
+from websockets import Request, Response
+from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard import palette
+from aero_viz.dashboard.access import SECURITY_HEADERS, Access
+from aero_viz.dashboard.connection import PageConnection
 from aero_viz.errors import UserError
 
-__all__ = ["LocalServer", "notify", "sky"]
+__all__ = ["UPLOAD_LIMIT", "LocalServer", "notify", "sky"]
+
+UPLOAD_LIMIT = 256_000
+"""Size of the largest file that a page may upload [bytes]. A file with every parameter has 8 kB."""
+_QUEUED_FRAMES = 2
+"""Messages of a client that wait; the largest, a rendering, has 50 MB."""
 
 _INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
 _STYLE = "".join(
@@ -53,20 +68,61 @@ REFUSAL = "Sharing through a public tunnel is refused; to reach the page from an
 
 
 class LocalServer(viser.ViserServer):
-    """A viser server on exactly the requested address, without public tunnels.
+    """A viser server on exactly the requested address, for its own page only, without public tunnels.
+
+    viser serves every name and every origin, trusts its clients, and can lose the wake-up that sends a message. Its
+    server is therefore started with the connection handling below. viser has no parameter for that.
+
+    Args:
+        host: address to listen on.
+        port: port to listen on; 0 takes any free one.
+        allowed_hosts: names under which browsers reach the server besides `host`, such as that of a proxy.
+        upload_limit: size of the largest file that a page may upload [bytes].
 
     Raises:
-        UserError: the port is taken, or the host is not an address of this machine; names both.
+        UserError: the port is taken, the host is not an address of this machine, or an allowed host is no name.
     """
 
-    def __init__(self, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        allowed_hosts: Sequence[str] = (),
+        upload_limit: int = UPLOAD_LIMIT,
+    ) -> None:
+        self._access = Access(host, allowed_hosts)
+        self._is_open = threading.Event()
         _require_free(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):  # viser's banner; the caller prints the address
+        options = {
+            "create_connection": functools.partial(PageConnection, page=self, upload_limit=upload_limit),
+            "process_response": _add_security_headers,
+            "max_queue": _QUEUED_FRAMES,
+            "logger": _quiet_logger(),
+        }
+        # viser's banner is discarded; the caller prints the address.
+        with contextlib.redirect_stdout(io.StringIO()), _serving(self._admit, options):
             super().__init__(host=host, port=port, label="AERO-Viz", verbose=False)
         if port and self.get_port() != port:
             self.stop()
             raise _busy(host, port)
+        server = self._websock_server
+        server.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
+        server.on_client_connect(self._prepare_client)
+        # viser forgets this for a client that has not sent its camera.
+        server.on_client_disconnect(lambda client: self.gui._drop_uploads_from_client(client.client_id))  # type: ignore[arg-type]
         self._style()
+        self._is_open.set()
+
+    async def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Return the answer to a request that is refused, None for one that viser answers."""
+        while not self._is_open.is_set():  # viser listens before its own constructor has ended
+            await asyncio.sleep(0.01)
+        refusal = self._access.refusal(request.headers)
+        return None if refusal is None else connection.respond(403, f"{refusal}\n")
+
+    async def _prepare_client(self, client: WebsockClientConnection) -> None:
+        client.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
 
     @property
     def url(self) -> str:
@@ -100,6 +156,80 @@ class LocalServer(viser.ViserServer):
         scene.configure_fog(14.0, 62.0, color=palette.FOG)
         scene.world_axes.visible = False
         self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
+
+
+class _LoopEvent(asyncio.Event):
+    """An event that may be set from any thread.
+
+    viser's message buffer sets its event from the thread that sends a message. If that happens just before the event
+    loop starts to wait, the event is set while somebody waits for it: it cannot be set again, and no message is sent
+    until another client connects. Here it is set on the event loop only.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__()
+        self._target_loop = loop
+        self._is_scheduled = False
+
+    def set(self) -> None:
+        """Set the event now on its own loop, otherwise as soon as the loop runs."""
+        if asyncio._get_running_loop() is self._target_loop:
+            self._is_scheduled = False
+            super().set()
+        elif not self._is_scheduled:  # one wake-up for all messages of an update
+            self._is_scheduled = True
+            with contextlib.suppress(RuntimeError):  # the server was stopped
+                self._target_loop.call_soon_threadsafe(self.set)
+
+
+_patch_lock = threading.Lock()
+
+
+@contextlib.contextmanager
+def _serving(admit: Any, options: dict[str, Any]) -> Iterator[None]:
+    """Start the websocket server of viser, inside the context, with further `options` of `websockets`.
+
+    Args:
+        admit: called before viser's own function that answers requests, with the same arguments.
+        options: arguments of `websockets.asyncio.server.serve`.
+    """
+    original = websockets.asyncio.server.serve
+
+    def serve(handler: Any, *arguments: Any, process_request: Any = None, **given: Any) -> Any:
+        if not handler.__module__.startswith("viser."):
+            return original(handler, *arguments, process_request=process_request, **given)
+
+        async def process(connection: ServerConnection, request: Request) -> Response | None:
+            return await admit(connection, request) or process_request(connection, request)
+
+        return original(handler, *arguments, process_request=process, **{**given, **options})
+
+    with _patch_lock:
+        websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = original
+
+
+def _add_security_headers(_: ServerConnection, request: Request, response: Response) -> None:
+    for name, value in SECURITY_HEADERS.items():
+        response.headers[name] = value
+
+
+def _quiet_logger() -> logging.Logger:
+    """Return a logger that spends one line on a failed connection: anyone who connects can cause one."""
+    logger = logging.getLogger(f"{__name__}.websockets")
+    logger.addFilter(_shorten)
+    return logger
+
+
+def _shorten(record: logging.LogRecord) -> bool:
+    if record.getMessage() == "opening handshake failed":  # whatever is not HTTP, such as a port scan
+        return False
+    if record.exc_info:
+        record.msg, record.args, record.exc_info = f"{record.getMessage()}: {record.exc_info[1]!r}", (), None
+    return True
 
 
 def notify(

@@ -10,24 +10,10 @@ import urllib.request
 
 import msgspec
 import pytest
-import viser
-from websockets.sync.client import ClientConnection, connect
 
 from aero_viz.dashboard.server import LocalServer
 from aero_viz.errors import UserError
-
-
-@pytest.fixture
-def server():
-    server = LocalServer(port=0)
-    yield server
-    server.stop()
-
-
-def join(server: LocalServer) -> ClientConnection:
-    """Connect to the server as the page does."""
-    protocol = f"viser-v{viser.__version__}"
-    return connect(server.url.replace("http", "ws"), subprotocols=[protocol], max_size=None)  # type: ignore[list-item]
+from tests.dashboard.page_client import join
 
 
 def test_the_page_listens_on_this_machine_only_by_default(server):

@@ -1,0 +1,121 @@
+"""Which requests the server of the page answers: those for its own names, from its own page or from no page at all."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Sequence
+from urllib.parse import urlsplit
+
+from websockets import Headers
+
+from aero_viz.errors import UserError
+
+__all__ = ["SECURITY_HEADERS", "Access"]
+
+SECURITY_HEADERS = {
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+}
+"""Headers of every answer: no foreign page may frame or embed the page."""
+
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_ANY_ADDRESS = ("", "0.0.0.0", "::")
+_PORTS = {"http": 80, "https": 443}
+
+
+class Access:
+    """Decides by the headers of a request whether it is answered.
+
+    A browser states the name that it was given (Host) and the page that asks (Origin). The name has to be one that the
+    server was started for, so that a foreign name that was pointed at this machine (DNS rebinding) gets nothing. The
+    page has to be our own. Pages cannot leave out or forge the origin of a websocket, so that a client without one is
+    a program, not a page; it is answered.
+
+    Args:
+        host: address that the server listens on.
+        allowed_hosts: further names under which browsers reach the server, such as that of a proxy.
+
+    Raises:
+        UserError: an allowed host is not a name or an address.
+    """
+
+    def __init__(self, host: str, allowed_hosts: Sequence[str] = ()) -> None:
+        self._proxies = {_checked(name) for name in allowed_hosts}
+        self._names = {*_LOOPBACK, *self._proxies}
+        self._any_address = host in _ANY_ADDRESS
+        if self._any_address:
+            name = socket.gethostname().lower()
+            self._names |= {name, f"{name}.local"}
+        else:
+            self._names.add(host.lower())
+
+    def refusal(self, headers: Headers) -> str | None:
+        """Return why a request with these headers is refused, None if it is answered."""
+        host = _place(f"//{_only(headers, 'Host')}")
+        if host is None or not self._is_known(host[0]):
+            shown = repr(host[0]) if host else "no readable name"
+            return (
+                f"The request asks for {shown}, a name that this server was not started for; if it is the name of a "
+                "proxy or of this machine, add --host or --allow-host."
+            )
+        origin = _only(headers, "Origin")
+        if origin is not None and not self._is_own(origin, host):
+            return "The request comes from the page of another origin."
+        if not _is_own_navigation(headers):
+            return "The request was made by a page of another site."
+        return None
+
+    def _is_known(self, name: str) -> bool:
+        return name in self._names or (self._any_address and _is_address(name))
+
+    def _is_own(self, origin: str, host: tuple[str, int | None]) -> bool:
+        """Return True if `origin` is the page at `host`, or a page that an allowed proxy serves."""
+        scheme, place = origin.partition(":")[0].lower(), _place(origin)
+        if place is None or scheme not in _PORTS:
+            return False
+        default = _PORTS[scheme]
+        return place[0] in self._proxies or (place[0], place[1] or default) == (host[0], host[1] or default)
+
+
+def _only(headers: Headers, name: str) -> str | None:
+    """Return the value of a header; several values are none that can be trusted, and give an empty one."""
+    values = headers.get_all(name)
+    return values[0] if len(values) == 1 else "" if values else None
+
+
+def _place(address: str) -> tuple[str, int | None] | None:
+    """Return the name and the port of an address, None if it has no name or cannot be read."""
+    try:
+        parts = urlsplit(address)
+        name, port = parts.hostname, parts.port
+    except ValueError:
+        return None
+    if not name or "@" in parts.netloc:
+        return None
+    return name.lower().rstrip("."), port
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_own_navigation(headers: Headers) -> bool:
+    """Return False if the browser says that a page of another site asks, except for a link that opens our page."""
+    if (_only(headers, "Sec-Fetch-Site") or "none") in ("none", "same-origin"):
+        return True
+    return _only(headers, "Sec-Fetch-Mode") == "navigate" and _only(headers, "Sec-Fetch-Dest") == "document"
+
+
+def _checked(name: str) -> str:
+    place = _place(f"//[{name}]" if name.count(":") > 1 and "[" not in name else f"//{name}")
+    if place is None or place[1] is not None or "/" in name:
+        raise UserError(f"{name!r} is not the name of a host; give --allow-host a name such as viz.example.org.")
+    return place[0]

@@ -1,0 +1,117 @@
+"""The websocket of one client: passes on what a page may send, and drops everything else."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import viser
+from viser import _messages
+from websockets.asyncio.server import ServerConnection
+
+from aero_viz.dashboard.page_messages import FormMessage, UploadPart, UploadStart, ValueMessage, decode, is_valid
+
+__all__ = ["PageConnection"]
+
+_log = logging.getLogger(__name__)
+_PARTS_MAX = 10_000
+"""Largest number of parts of a file; the page sends parts of 512 kB."""
+
+
+class PageConnection(ServerConnection):
+    """Connection that viser receives messages from.
+
+    viser sets any attribute of a control that a message names, keeps the parts of any number of files of any size, and
+    ends with a traceback where a message has other fields or types than it expects. Here a message is checked first.
+
+    Args:
+        arguments: those of `ServerConnection`.
+        page: server of the page.
+        upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
+        options: those of `ServerConnection`.
+    """
+
+    def __init__(self, *arguments: Any, page: viser.ViserServer, upload_limit: int, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._page = page
+        self._upload_limit = upload_limit
+        self._upload: UploadStart | None = None
+        self._bytes_left = 0
+        """Bytes of the announced file that have not arrived yet."""
+        self._parts_left: set[int] = set()
+        """Parts of it that have not arrived yet."""
+        self._warned = False
+
+    async def recv(self, decode: bool | None = None) -> Any:
+        """Return the next message that a page may send."""
+        while True:
+            data = await super().recv(decode)
+            try:
+                if not isinstance(data, bytes):
+                    raise ValueError("it is a text")
+                self._check(data)
+            except ValueError as error:
+                self._warn(f"A message is ignored, since no page sends it: {error}.")
+            else:
+                return data
+
+    def _check(self, data: bytes) -> None:
+        """Raise ValueError unless a page may send this message now."""
+        message, gui = decode(data), self._page.gui
+        if isinstance(message, ValueMessage):
+            control = gui._gui_input_handle_from_uuid.get(message.uuid)
+            if control is None or not is_valid(control, message.updates.value):
+                raise ValueError("its value does not fit the control")
+        elif isinstance(message, FormMessage):
+            if message.uuid not in gui._container_handle_from_uuid:
+                raise ValueError("there is no such form")
+        elif isinstance(message, UploadStart):
+            self._start_upload(message)
+        elif isinstance(message, UploadPart):
+            self._continue_upload(message)
+
+    def _start_upload(self, start: UploadStart) -> None:
+        button = self._page.gui._gui_input_handle_from_uuid.get(start.source_component_uuid)
+        if not isinstance(button, viser.GuiUploadButtonHandle) or button.disabled:
+            raise ValueError("there is no such button")
+        if start.transfer_uuid in self._page.gui._current_file_upload_states or self._parts_left:
+            raise ValueError("another upload is not finished")
+        if start.size_bytes > self._upload_limit:
+            self._refuse_upload(start)
+            raise ValueError(f"a file of {start.size_bytes} bytes is larger than {self._upload_limit}")
+        if start.part_count > min(start.size_bytes, _PARTS_MAX) or (start.size_bytes and not start.part_count):
+            raise ValueError("its number of parts is impossible")
+        self._upload, self._bytes_left, self._parts_left = start, start.size_bytes, set(range(start.part_count))
+
+    def _continue_upload(self, part: UploadPart) -> None:
+        upload, size = self._upload, len(part.content)
+        if upload is None or part.transfer_uuid != upload.transfer_uuid or part.part_index not in self._parts_left:
+            raise ValueError("it is part of a file that was not announced")
+        most = self._bytes_left - len(self._parts_left) + 1  # no part is empty
+        least = most if len(self._parts_left) == 1 else 1
+        if not least <= size <= most or part.source_component_uuid != upload.source_component_uuid:
+            raise ValueError("it does not belong to the announced file")
+        self._bytes_left -= size
+        self._parts_left.remove(part.part_index)
+
+    def _refuse_upload(self, start: UploadStart) -> None:
+        """Tell the client why, and end the display of the upload's progress."""
+        server = self._page._websock_server
+        for number, connection in server._live_connections.items():
+            client = self._page.get_clients().get(number) if connection is self else None
+            if client is None:
+                continue
+            sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
+            client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
+            client.add_notification(
+                "That did not work",
+                f"The file has {start.size_bytes / 1000:.0f} kB; the page takes files of up to "
+                f"{self._upload_limit / 1000:.0f} kB.",
+                color="red",
+            )
+
+    def _warn(self, text: str) -> None:
+        """Log the first problem of a client; a flood of messages must not become a flood of log lines."""
+        if not self._warned:
+            self._warned = True
+            _log.warning("%s", text)

@@ -1,0 +1,53 @@
+"""A client that speaks to the server as the page does, and as a hostile one would."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import viser
+import zstandard
+from websockets.sync.client import ClientConnection, connect
+
+from aero_viz.dashboard.server import LocalServer
+
+__all__ = ["CAMERA", "join", "read_until", "send", "wait_for"]
+
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 1.0), "fov": 1, "near": 0.1,
+    "far": 100, "image_height": 600, "image_width": 800.5, "look_at": (1.0, 0.0, 1.0), "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
+"""The first message of a page; viser counts a client from then on."""
+
+
+def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), **options: Any) -> ClientConnection:
+    """Open a websocket to the server as the page does."""
+    protocol: Any = f"viser-v{viser.__version__}"
+    url = server.url.replace("http", "ws")
+    return connect(url, subprotocols=[protocol], max_size=None, additional_headers=headers, **options)
+
+
+def send(client: ClientConnection, **message: Any) -> None:
+    """Send a message with these fields."""
+    client.send(msgspec.msgpack.encode(message))
+
+
+def read_until(client: ClientConnection, text: str, timeout: float = 20.0) -> None:
+    """Read messages of the server until one contains `text`."""
+    deadline = time.monotonic() + timeout
+    while True:
+        data = client.recv(timeout=max(deadline - time.monotonic(), 0.01))
+        assert isinstance(data, bytes)
+        size = int.from_bytes(data[8:16], "little")
+        if text.encode() in zstandard.ZstdDecompressor().decompress(data[16 : 16 + size]):
+            return
+
+
+def wait_for(condition: Callable[[], object], description: str, timeout: float = 20.0) -> None:
+    """Wait until `condition` holds."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, f"waited for {description}"
+        time.sleep(0.01)
