@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from aero_planner.config import PlannerConfig
 from aero_viz.errors import UserError
+from aero_viz.reader_process import Reader, read_here
 from aero_viz.session.source import Source
 
 if TYPE_CHECKING:
     from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
     from aero_viz.scenes import World
 
-__all__ = ["is_map", "load_world", "open_source", "shipped_recordings"]
+__all__ = ["is_map", "load_world", "open_source", "refuse_irregular", "shipped_recordings"]
 
 _SHIPPED = {
     "forest_mid360": "recorded flight through the forest, Mid-360",
@@ -36,6 +37,17 @@ def is_map(spec: str) -> bool:
     return Path(spec).suffix.lower() in MAP_SUFFIXES and not Path(spec).is_dir()
 
 
+def refuse_irregular(spec: str) -> None:
+    """Refuse pipes, devices and sockets: opening one may wait for ever, and reading one changes it.
+
+    Raises:
+        UserError: `spec` is the path of one.
+    """
+    path = Path(spec).expanduser()
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise UserError(f"{spec} is not a regular file; copy its content to a file first.")
+
+
 def load_world(spec: str, *, seed: int = 0, count: int | None = None) -> World:
     """Return the world of a scene, a JSON file, a point map or a mesh.
 
@@ -49,6 +61,7 @@ def load_world(spec: str, *, seed: int = 0, count: int | None = None) -> World:
     """
     from aero_viz.scenes import World, load_map, scene
 
+    refuse_irregular(spec)
     if is_map(spec) or spec.endswith(".json") or "/" in spec:
         if count is not None:
             raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
@@ -68,6 +81,7 @@ def open_source(
     odometry: OdometryChoice = "none",
     progress: OdometryProgress = lambda done, total: None,
     goal_ahead: float = 15.0,
+    read: Reader = read_here,
 ) -> Source:
     """Open a scene, a world's JSON file, a map, or a recording.
 
@@ -80,6 +94,7 @@ def open_source(
         points_topic, pose_topic: topics of a recording; None finds them by type.
         odometry, progress: see `aero_viz.recordings.open_recording`.
         goal_ahead: distance from the drone to the goal of a recording [m].
+        read: reads a file, here or in another process.
 
     Raises:
         UserError: the source does not exist or cannot be used, or no flight in it can arrive.
@@ -92,16 +107,21 @@ def open_source(
         from aero_viz.flight.explanation import refuse_impossible
         from aero_viz.sensors import lidar_model
 
-        world = load_world(spec, seed=seed, count=count)
+        load = read_here if spec in SCENES else read
+        world = load(load_world, spec, seed=seed, count=count)
         # The configuration is not known yet: refuse only what no configuration can reach.
         refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
         return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
     from aero_viz.logs.replay import FlightReplay, is_flight_log
     from aero_viz.recordings import RecordingSource, open_recording
+    from aero_viz.recordings.index import index_recording, open_indexed
 
-    recording = open_recording(
-        spec, points_topic=points_topic, pose_topic=pose_topic, odometry=odometry, progress=progress
-    )
+    refuse_irregular(spec)
+    topics = {"points_topic": points_topic, "pose_topic": pose_topic}
+    if read is read_here or odometry != "none":
+        recording = open_recording(spec, **topics, odometry=odometry, progress=progress)
+    else:
+        recording = open_indexed(spec, read(index_recording, spec), **topics)
     try:
         if is_flight_log(spec):
             return FlightReplay(recording, spec, goal_ahead=goal_ahead)

@@ -24,11 +24,13 @@ from aero_viz.cli.flags import (
 )
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
+from aero_viz.reader_process import read_here
 from aero_viz.recordings.odometry import OdometryChoice
 
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
     from aero_viz.dashboard import Dashboard
+    from aero_viz.reader_process import Reader
     from aero_viz.session import Session
     from aero_viz.session.source import Opener, Source
 
@@ -47,6 +49,10 @@ class PageFlags:
     """Open the page in the default browser."""
     paused: bool = False
     """Start paused, until somebody presses play."""
+    folder: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIR")] = ()
+    """Folder whose files the page may open, besides that of the first file and datasets/; may be repeated."""
+    allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
+    """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
 
 
 _PAGE = PageFlags()
@@ -127,9 +133,9 @@ def play(
             raise UserError(f"{recording} is a scene, not a recording; fly it with: aero-viz demo {recording}")
         open_recording(recording)
 
-    def opener(spec: str, *, seed: int) -> Source:
-        if spec != recording:
-            return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead)
+    def opener(spec: str, *, seed: int, read: Reader = read_here) -> Source:
+        if not _is_same(spec, recording):
+            return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead, read=read)
         with progress_bar("estimating the motion", enabled=odometry != "none") as update_bar:
             return open_source(
                 spec,
@@ -140,6 +146,7 @@ def play(
                 odometry=odometry,
                 progress=lambda done, total: update_bar(done, total, f"{done} of {total} sweeps"),
                 goal_ahead=goal_ahead,
+                read=read,
             )
 
     serve(recording, opener, config_flags.load(), page_flags, seed=seed, device=device)
@@ -168,7 +175,7 @@ def connect(
         session = LiveSession(NodeClient(drone, drone_port), reconnect=lambda: NodeClient(drone, drone_port))
         stack.callback(session.close)
         shutdown = shutdown_event()
-        dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port)
+        dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
         stack.callback(dashboard.close)
         _announce(drone, dashboard, page_flags)
         session.start(play=not page_flags.paused)
@@ -196,14 +203,21 @@ def flight_opener(
 
     options = flight_flags.options(config, lidar=lidar)
 
-    def opener(name: str, *, seed: int) -> Source:
-        if name != spec and not (name in SCENES or name.endswith(".json") or is_map(name)):
-            return open_source(name, seed=seed, device=device)
-        world = (world_flags if name == spec else WorldFlags()).load(name, seed=seed)
+    def opener(name: str, *, seed: int, read: Reader = read_here) -> Source:
+        is_first = _is_same(name, spec)
+        if not is_first and not (name in SCENES or name.endswith(".json") or is_map(name)):
+            return open_source(name, seed=seed, device=device, read=read)
+        load = read_here if name in SCENES else read
+        world = load((world_flags if is_first else WorldFlags()).load, name, seed=seed)
         refuse_impossible(world, rules=options["rules"], speed_limit=config.vehicle.speed_limit)
         return FlightSource(world, seed=seed, device=device, control_step=config.sampling.dt, **options)
 
     return opener
+
+
+def _is_same(first: str, second: str) -> bool:
+    """Return True if two names are equal or paths of one file."""
+    return first == second or (Path(second).exists() and Path(first).resolve() == Path(second).resolve())
 
 
 def serve(
@@ -236,6 +250,8 @@ def serve(
                 *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
             ],
             seed=seed,
+            folders=_folders(spec, page_flags),
+            allowed_hosts=page_flags.allow_host,
         )
         stack.callback(dashboard.close)
         if log is not None:
@@ -247,6 +263,19 @@ def serve(
         if not page_flags.paused:
             _play_when_first_client_connects(session, dashboard)
         wait_for(shutdown)
+
+
+def _folders(spec: str, page_flags: PageFlags) -> list[Path]:
+    """Return the folders that the page may open: those of the flags, that of the first file, and datasets/.
+
+    Raises:
+        UserError: a folder of the flags does not exist.
+    """
+    for folder in page_flags.folder:
+        if not folder.expanduser().is_dir():
+            raise UserError(f"{folder} is no folder; give --folder a folder whose files the page may open.")
+    first = [Path(spec).resolve().parent] if Path(spec).exists() else []
+    return [*page_flags.folder, *first, Path("datasets"), Path(__file__).parents[2] / "datasets"]
 
 
 def shutdown_event() -> threading.Event:

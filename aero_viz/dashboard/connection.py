@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+import msgspec
 import viser
 from viser import _messages
 from websockets.asyncio.server import ServerConnection
 
-from aero_viz.dashboard.page_messages import FormMessage, UploadPart, UploadStart, ValueMessage, decode, is_valid
+from aero_viz.dashboard.page_messages import FormMessage, UploadPart, UploadStart, ValueMessage, decode, fit
 
 __all__ = ["PageConnection"]
 
@@ -41,6 +42,8 @@ class PageConnection(ServerConnection):
         self._parts_left: set[int] = set()
         """Parts of it that have not arrived yet."""
         self._warned = False
+        self._number: int | None = None
+        """Number of this client in viser."""
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that a page may send."""
@@ -49,26 +52,40 @@ class PageConnection(ServerConnection):
             try:
                 if not isinstance(data, bytes):
                     raise ValueError("it is a text")
-                self._check(data)
+                return self._checked(data)
             except ValueError as error:
                 self._warn(f"A message is ignored, since no page sends it: {error}.")
-            else:
-                return data
 
-    def _check(self, data: bytes) -> None:
-        """Raise ValueError unless a page may send this message now."""
+    def _checked(self, data: bytes) -> bytes:
+        """Return a message as viser may see it; ValueError unless a page may send it now."""
         message, gui = decode(data), self._page.gui
         if isinstance(message, ValueMessage):
-            control = gui._gui_input_handle_from_uuid.get(message.uuid)
-            if control is None or not is_valid(control, message.updates.value):
-                raise ValueError("its value does not fit the control")
-        elif isinstance(message, FormMessage):
+            return self._with_fitting_value(message, data)
+        if isinstance(message, FormMessage):
             if message.uuid not in gui._container_handle_from_uuid:
                 raise ValueError("there is no such form")
         elif isinstance(message, UploadStart):
             self._start_upload(message)
         elif isinstance(message, UploadPart):
             self._continue_upload(message)
+        return data
+
+    def _with_fitting_value(self, message: ValueMessage, data: bytes) -> bytes:
+        """Return the message with a value within the bounds of the control. If it is another one, the page shows it."""
+        control = self._page.gui._gui_input_handle_from_uuid.get(message.uuid)
+        if control is None:
+            raise ValueError("there is no such control")
+        sent, fitted = message.updates.value, control.value
+        try:
+            fitted = fit(control, sent)
+        finally:
+            client = self._client()
+            if fitted != sent and client is not None and isinstance(control, viser.GuiInputHandle):
+                client._websock_connection.queue_message(_messages.GuiUpdateMessage(message.uuid, {"value": fitted}))
+        if fitted == sent:
+            return data
+        message.updates.value = fitted
+        return msgspec.msgpack.encode(message)
 
     def _start_upload(self, start: UploadStart) -> None:
         button = self._page.gui._gui_input_handle_from_uuid.get(start.source_component_uuid)
@@ -96,19 +113,24 @@ class PageConnection(ServerConnection):
 
     def _refuse_upload(self, start: UploadStart) -> None:
         """Tell the client why, and end the display of the upload's progress."""
-        server = self._page._websock_server
-        for number, connection in server._live_connections.items():
-            client = self._page.get_clients().get(number) if connection is self else None
-            if client is None:
-                continue
-            sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
-            client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
-            client.add_notification(
-                "That did not work",
-                f"The file has {start.size_bytes / 1000:.0f} kB; the page takes files of up to "
-                f"{self._upload_limit / 1000:.0f} kB.",
-                color="red",
-            )
+        client = self._client()
+        if client is None:
+            return
+        sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
+        client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
+        client.add_notification(
+            "That did not work",
+            f"The file has {start.size_bytes / 1000:.0f} kB and is ignored: the page takes files of up to "
+            f"{self._upload_limit / 1000:.0f} kB.",
+            color="red",
+        )
+
+    def _client(self) -> viser.ClientHandle | None:
+        """Return viser's handle of this client, None until its camera is known."""
+        if self._number is None:
+            connections = self._page._websock_server._live_connections
+            self._number = next(number for number, connection in connections.items() if connection is self)
+        return self._page._connected_clients.get(self._number)
 
     def _warn(self, text: str) -> None:
         """Log the first problem of a client; a flood of messages must not become a flood of log lines."""

@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_planner.mailbox import Mailbox
+from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
 from aero_viz.dashboard.panels import Page, Panel
@@ -45,6 +47,8 @@ class Dashboard:
         seed: first value of the seed that the page passes to `open_source`.
         layers: layers to draw, in the order of the page; to add one, pass (*LAYERS, MyLayer).
         panels: show the panels; without them the page loads in half the time.
+        folders: folders whose files the page may open, besides `choices`.
+        allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
 
     Raises:
         UserError: the port is taken, or the host is not an address of this machine.
@@ -61,8 +65,10 @@ class Dashboard:
         seed: int = 0,
         layers: Sequence[type[Layer]] = LAYERS,
         panels: bool = True,
+        folders: Sequence[str | Path] = (),
+        allowed_hosts: Sequence[str] = (),
     ) -> None:
-        self.server = LocalServer(host=host, port=port)
+        self.server = LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
         kinds = [kind for kind in layers if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer] = {kind.name: kind(self.server) for kind in kinds}
@@ -85,7 +91,9 @@ class Dashboard:
         self._sink: Mailbox[Any] | None = None
         self._page = Page(self.server, session, self.layers, self.history, self.refresh)
         if panels:
-            self._camera, self.panels = build(self._page, open_source=open_source, choices=choices, seed=seed)
+            self._camera, self.panels = build(
+                self._page, open_source=open_source, choices=choices, seed=seed, folders=Folders(folders)
+            )
         else:
             self._camera = CameraPanel(self._page)
             self.panels = [self._camera]

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import viser
 
-__all__ = ["FormMessage", "PageMessage", "UploadPart", "UploadStart", "ValueMessage", "decode", "is_valid"]
+__all__ = ["FormMessage", "PageMessage", "UploadPart", "UploadStart", "ValueMessage", "decode", "fit"]
 
 Name = Annotated[str, msgspec.Meta(max_length=200)]
 Text = Annotated[str, msgspec.Meta(max_length=5000)]
@@ -155,8 +155,8 @@ _decoder = msgspec.msgpack.Decoder(_MESSAGES)
 
 _NUMBER_MAX = 1e15
 """Larger numbers are no setting of anything, and a browser does not hold them exactly."""
-_ROUNDING = 1e-6
-"""Distance beyond a bound at which a slider may end, since browsers round to its step."""
+_TEXT_MAX = 5000
+"""Length of the longest text; no path is longer."""
 
 
 def decode(data: bytes) -> PageMessage:
@@ -182,38 +182,49 @@ def _numbers(message: PageMessage) -> Iterator[float]:
             yield from (number for item in value for number in (item if isinstance(item, tuple) else (item,)))
 
 
-def is_valid(control: Any, value: object) -> bool:
-    """Return True if a page may set a control of viser to `value`: it has the type, and is within bounds or options."""
-    if control.disabled:
-        return False
+def fit(control: Any, value: Any) -> Any:
+    """Return the value that a control of viser takes if a page sets it to `value`: numbers end at the bounds.
+
+    Raises:
+        ValueError: the value has another type, is not among the options, or the control is disabled.
+    """
+    fitted = None if control.disabled else _fit(control, value)
+    if fitted is None:
+        raise ValueError("its value does not fit the control")
+    return fitted
+
+
+def _fit(control: Any, value: Any) -> Any:
     if isinstance(control, viser.GuiButtonHandle):
-        return value is True
+        return True if value is True else None
     if isinstance(control, viser.GuiCheckboxHandle):
-        return isinstance(value, bool)
+        return value if isinstance(value, bool) else None
     if isinstance(control, viser.GuiTextHandle):
-        return isinstance(value, str) and len(value) <= 5000
+        return value if isinstance(value, str) and len(value) <= _TEXT_MAX else None
     if isinstance(control, (viser.GuiDropdownHandle, viser.GuiButtonGroupHandle)):
-        return isinstance(value, str) and value in control.options
+        return value if isinstance(value, str) and value in control.options else None
     if isinstance(control, (viser.GuiNumberHandle, viser.GuiSliderHandle)):
-        whole = isinstance(control.value, int)
-        return _is_number(value, control.min, control.max) and (not whole or float(value) == int(value))  # type: ignore[arg-type]
+        number = _fit_number(value, control.min, control.max)
+        return None if number is None or (isinstance(control.value, int) and number != int(number)) else number
     if isinstance(control, (viser.GuiVector2Handle, viser.GuiVector3Handle)):
-        return _are_numbers(value, len(control.value), control.min, control.max)
+        return _fit_numbers(value, control.value, control.min, control.max)
     if isinstance(control, (viser.GuiRgbHandle, viser.GuiRgbaHandle)):
-        return _are_numbers(value, len(control.value), (0.0,) * 4, (255.0,) * 4)
+        return _fit_numbers(value, control.value, (0,) * 4, (255,) * 4)
     if isinstance(control, viser.GuiMultiSliderHandle):
         size = len(control.value)
-        return _are_numbers(value, size, (control.min,) * size, (control.max,) * size)
-    return False  # such as the button of an upload
+        return _fit_numbers(value, control.value, (control.min,) * size, (control.max,) * size)
+    return None  # such as the button of an upload
 
 
-def _is_number(value: object, low: float | None, high: float | None) -> bool:
+def _fit_number(value: Any, low: float | None, high: float | None) -> float | None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < _NUMBER_MAX:
-        return False
-    return (low is None or value >= low - _ROUNDING) and (high is None or value <= high + _ROUNDING)
+        return None
+    raised = value if low is None else max(value, low)
+    return raised if high is None else min(raised, high)
 
 
-def _are_numbers(value: object, count: int, low: Any, high: Any) -> bool:
-    if not isinstance(value, (list, tuple)) or len(value) != count:
-        return False
-    return all(_is_number(x, low and low[i], high and high[i]) for i, x in enumerate(value))
+def _fit_numbers(value: Any, current: tuple[float, ...], low: Any, high: Any) -> list[float] | None:
+    if not isinstance(value, (list, tuple)) or len(value) != len(current):
+        return None
+    numbers = [_fit_number(x, low and low[i], high and high[i]) for i, x in enumerate(value)]
+    return None if None in numbers else numbers  # type: ignore[return-value]

@@ -237,8 +237,9 @@ def notify(
 ) -> None:
     """Show a notification to `client`, or to everyone; `level` is "info", "failure" or "error"."""
     title, color, seconds = _NOTIFICATIONS[level]
-    for target in [client] if client is not None else list(server.get_clients().values()):
-        target.add_notification(title, text, color=color, auto_close_seconds=seconds)
+    for number, target in server.get_clients().items():
+        if client is None or number == client.client_id:
+            target.add_notification(title, text, color=color, auto_close_seconds=seconds)
 
 
 def _require_free(host: str, port: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, PlanStatus, Sweeps, VehicleState
+from aero_viz.reader_process import Reader, read_here
 
 if TYPE_CHECKING:
     from aero_viz.scenes import World
@@ -154,8 +155,13 @@ class Source(Protocol):
 class Opener(Protocol):
     """Opens a source by name or path."""
 
-    def __call__(self, spec: str, /, *, seed: int) -> Source:
-        """Open a recording, a world or a scene; `seed` is that of the scene, the LiDAR and all noise.
+    def __call__(self, spec: str, /, *, seed: int, read: Reader = read_here) -> Source:
+        """Open a recording, a world or a scene.
+
+        Args:
+            spec: name or path.
+            seed: seed of the scene, the LiDAR and all noise.
+            read: calls the functions that read files, here or in another process.
 
         Raises:
             UserError: it does not exist or cannot be used.

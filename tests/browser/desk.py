@@ -21,7 +21,7 @@ from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
-from aero_viz.session.source import Source
+from aero_viz.session.source import Opener, Source
 from tests.browser.pictures import Image, differing, project
 
 __all__ = ["Desk", "open_desk"]
@@ -147,6 +147,7 @@ def open_desk(
     config: PlannerConfig | None = None,
     size: tuple[int, int] = (1000, 600),
     layers: Sequence[str] | None = None,
+    opener: Opener = open_source,
 ) -> Iterator[Desk]:
     """Open the page of a paused session.
 
@@ -157,13 +158,14 @@ def open_desk(
         config: configuration of the planner; None is the default.
         size: width and height of the page.
         layers: names of the visible layers; None shows those that are on by default.
+        opener: opens other sources.
     """
     session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
     for _ in range(ticks):
         session.tick()
     session.start(play=False)
     choices = [(f"{name}: {kind.description}", name) for name, kind in SCENES.items()]
-    dashboard = Dashboard(session, port=0, open_source=open_source, choices=choices)
+    dashboard = Dashboard(session, port=0, open_source=opener, choices=choices, folders=["/"])
     dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
     context.set_default_timeout(1e3 * TIMEOUT)

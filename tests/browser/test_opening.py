@@ -1,42 +1,54 @@
-"""Notifications while a source is being opened; a pipe stands in for a file that takes long to read."""
+"""Notifications while a source is being opened."""
 
 from __future__ import annotations
 
-import os
+import time
+from collections.abc import Iterator
 
 import pytest
-from small_source import small_source
+from playwright.sync_api import Browser
 
-if not hasattr(os, "mkfifo"):
-    pytest.skip("named pipes need POSIX", allow_module_level=True)
+from aero_viz.catalog import open_source
+from aero_viz.reader_process import Reader, read_here
+from aero_viz.session.source import Source
+from tests.browser.desk import Desk, open_desk
 
 
-def test_a_notification_stays_while_a_source_is_being_opened(fresh_desk, tmp_path):
-    desk, path, whole = fresh_desk, tmp_path / "slow.json", tmp_path / "whole.json"
-    os.mkfifo(path)
-    world = small_source().info.world
-    assert world is not None
-    world.save(whole)
-    desk.control("Path").locator("input").fill(str(path))
-    desk.click("Open path")
-    notification = desk.page.locator(".mantine-Notification-root", has_text=f"Opening {path}")
+def open_slowly(spec: str, /, *, seed: int, read: Reader = read_here) -> Source:
+    """Open a source after an hour."""
+    read(time.sleep, 3600.0)
+    return open_source(spec, seed=seed)
+
+
+@pytest.fixture
+def slow_desk(browser: Browser) -> Iterator[Desk]:
+    """A page on which every source takes long to open."""
+    with open_desk(browser, ticks=1, layers=["drone"], opener=open_slowly) as desk:
+        yield desk
+
+
+def test_a_notification_tells_the_progress_until_the_opening_is_cancelled(slow_desk):
+    desk = slow_desk
+    before = desk.session.source
+    assert not desk.page.get_by_role("button", name="Cancel opening").is_visible()
+    desk.page.get_by_role("button", name="Open", exact=True).click()
+    notification = desk.page.locator(".mantine-Notification-root", has_text="Opening forest .. 0 MB, ")
     notification.wait_for()
     desk.page.wait_for_timeout(1000)
     assert notification.is_visible()
-    path.write_bytes(whole.read_bytes())
-    desk.wait_for(lambda: desk.session.frame.source.name == "poles", "the world from the pipe")
+    desk.click("Cancel opening")
     notification.wait_for(state="detached")
+    desk.page.get_by_text("forest was not opened").first.wait_for()
+    desk.page.get_by_role("button", name="Cancel opening").wait_for(state="hidden")
+    assert desk.session.source is before
     assert desk.console == []
     assert desk.dashboard.failures == 0
 
 
 def test_the_notification_disappears_if_a_source_cannot_be_opened(fresh_desk, tmp_path):
-    desk, path = fresh_desk, tmp_path / "slow.json"
-    os.mkfifo(path)
+    desk, path = fresh_desk, tmp_path / "damaged.json"
+    path.write_text("{")
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")
-    notification = desk.page.locator(".mantine-Notification-root", has_text=f"Opening {path}")
-    notification.wait_for()
-    path.write_text("{")
-    desk.refusal("is not JSON").wait_for()
-    notification.wait_for(state="detached")
+    desk.refusal("cannot be opened; the terminal shows why").wait_for()
+    desk.page.locator(".mantine-Notification-root", has_text=f"Opening {path}").wait_for(state="detached")

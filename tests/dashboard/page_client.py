@@ -9,7 +9,8 @@ from typing import Any
 import msgspec
 import viser
 import zstandard
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from aero_viz.dashboard.server import LocalServer
 
@@ -22,30 +23,30 @@ CAMERA = {
 """The first message of a page; viser counts a client from then on."""
 
 
-def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), **options: Any) -> ClientConnection:
+def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), **options: Any) -> Connection:
     """Open a websocket to the server as the page does."""
     protocol: Any = f"viser-v{viser.__version__}"
     url = server.url.replace("http", "ws")
     return connect(url, subprotocols=[protocol], max_size=None, additional_headers=headers, **options)
 
 
-def send(client: ClientConnection, **message: Any) -> None:
+def send(client: Connection, **message: Any) -> None:
     """Send a message with these fields."""
     client.send(msgspec.msgpack.encode(message))
 
 
-def read_until(client: ClientConnection, text: str, timeout: float = 20.0) -> None:
-    """Read messages of the server until one contains `text`."""
-    deadline = time.monotonic() + timeout
-    while True:
+def read_until(client: Connection, text: str, timeout: float = 15.0) -> str:
+    """Read messages of the server until one contains `text`; return what they say."""
+    deadline, heard = time.monotonic() + timeout, ""
+    while text not in heard:
         data = client.recv(timeout=max(deadline - time.monotonic(), 0.01))
         assert isinstance(data, bytes)
         size = int.from_bytes(data[8:16], "little")
-        if text.encode() in zstandard.ZstdDecompressor().decompress(data[16 : 16 + size]):
-            return
+        heard += zstandard.ZstdDecompressor().decompress(data[16 : 16 + size]).decode(errors="replace")
+    return heard
 
 
-def wait_for(condition: Callable[[], object], description: str, timeout: float = 20.0) -> None:
+def wait_for(condition: Callable[[], object], description: str, timeout: float = 15.0) -> None:
     """Wait until `condition` holds."""
     deadline = time.monotonic() + timeout
     while not condition():

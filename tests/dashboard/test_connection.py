@@ -55,8 +55,8 @@ def test_no_attribute_of_a_control_but_its_value_can_be_set(server, client):
     ("add", "wrong", "right"),
     [
         (lambda gui: gui.add_checkbox("c", False), (1, "yes", None), True),
-        (lambda gui: gui.add_slider("s", 0.0, 1.0, 0.1, 0.5), (-1.0, 1.1, float("nan"), "1", True, None, []), 1),
-        (lambda gui: gui.add_number("n", 1, min=0, step=1), (-1, 2.5, float("inf"), 1 << 63, "2", {}), 7),
+        (lambda gui: gui.add_slider("s", 0.0, 1.0, 0.1, 0.5), (float("nan"), "1", True, None, []), 1),
+        (lambda gui: gui.add_number("n", 1, min=0, step=1), (2.5, float("inf"), 1 << 63, "2", {}), 7),
         (lambda gui: gui.add_number("n", 1.5), (float("nan"), float("-inf"), "2", None), -3.25),
         (lambda gui: gui.add_vector3("v", (0.0, 0.0, 0.0)), ((1.0,), (1.0, 2.0, float("nan")), 3.0), [1.0, 2.0, 3.0]),
         (lambda gui: gui.add_dropdown("d", ("a", "b")), ("c", 1, None, ["a"]), "b"),
@@ -78,6 +78,16 @@ def test_only_values_that_fit_a_control_are_taken(server, client, add, wrong, ri
     wait_for(lambda: control.value == expected, "the last value")
     wait_for(lambda: seen, "the callback")
     assert seen == [expected]
+
+
+def test_a_number_beyond_the_bounds_ends_at_them_also_on_the_page_that_sent_it(server, client):
+    slider = server.gui.add_slider("Time", 0.0, 4.0, 0.5, 1.0)
+    number = server.gui.add_number("Seed", 5, min=0)
+    read_until(client, identifier(number))
+    set_value(client, slider, value=100.0)
+    set_value(client, number, value=-3)
+    wait_for(lambda: (slider.value, number.value) == (4.0, 0), "the bounds")
+    read_until(client, identifier(number))
 
 
 def test_a_disabled_control_cannot_be_used(server, client):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 import viser
@@ -14,10 +12,8 @@ from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels import source as source_panel
 from aero_viz.dashboard.panels.configuration import parse_upload
 from aero_viz.dashboard.panels.controls import SliderControl, add_control
-from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.server import LocalServer
 
 
@@ -82,13 +78,3 @@ def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
 
 def test_names_from_outside_are_escaped_in_markup():
     assert "<script>" not in markup.block(markup.pill("<script>", (1, 2, 3)), markup.heading("<script>", "<script>"))
-
-
-def test_an_empty_path_opens_nothing(server, monkeypatch):
-    messages: list[str] = []
-    opened: Any = []
-    monkeypatch.setattr(source_panel, "notify", lambda server, text, **options: messages.append(text))
-    page: Any = SimpleNamespace(server=server, session=None)
-    controls: Any = None
-    SourcePanel(page, controls, cast(Any, opened.append), [], seed=0).open("", None)
-    assert messages == ["Enter the path of a recording or a world first."] and not opened

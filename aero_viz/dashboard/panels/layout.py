@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import viser
 
+from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
@@ -22,7 +23,7 @@ __all__ = ["build"]
 
 
 def build(
-    page: Page, *, open_source: Opener | None, choices: Sequence[tuple[str, str]], seed: int
+    page: Page, *, open_source: Opener | None, choices: Sequence[tuple[str, str]], seed: int, folders: Folders
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
@@ -37,7 +38,7 @@ def build(
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if controls is not None and open_source is not None:
             with gui.add_folder("Source"):
-                panels.append(SourcePanel(page, controls, open_source, choices, seed=seed))
+                panels.append(SourcePanel(page, controls, open_source, choices, folders, seed=seed))
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))

@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 
 import viser
 
+from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.server import notify
+from aero_viz.errors import UserError
+from aero_viz.reader_process import ReadCancelled, ReaderProcess
 from aero_viz.session.base import SessionControls
 from aero_viz.session.source import Opener, Source
 
 __all__ = ["SourcePanel"]
 
+_log = logging.getLogger(__name__)
+_PROGRESS_PERIOD = 0.5
+"""Time between two updates of the displayed progress [s]."""
+
 
 class SourcePanel(Panel):
-    """Opens scenes and recordings. If one cannot be opened, the page says why and the current source continues."""
+    """Opens scenes and recordings. If one cannot be opened, the page says so and the current source continues.
+
+    Files are read by a process of its own, one at a time, which anybody can cancel. Reasons that may quote a file are
+    written to the terminal only: the page may be seen by people who cannot read the file.
+    """
 
     def __init__(
         self,
@@ -27,15 +39,21 @@ class SourcePanel(Panel):
         controls: SessionControls,
         open_source: Opener,
         choices: Sequence[tuple[str, str]],
+        folders: Folders,
         *,
         seed: int,
     ) -> None:
         self._controls = controls
         self._open_source = open_source
+        self._folders = folders
         self._first_seed = seed
         # A dropdown cuts off long entries: it gets the names, and a line below it gets the descriptions.
         split = [(*label.partition(": "), spec) for label, spec in choices]
         self._choices = {name: (description, spec) for name, _, description, spec in split}
+        self._reader: ReaderProcess | None = None
+        """Reader of the source that is being opened; None if there is none."""
+        self._closed = False
+        self._lock = threading.Lock()
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -55,38 +73,100 @@ class SourcePanel(Panel):
             async def _(event: viser.GuiEvent) -> None:
                 self._start_opening(self._choices[choice.value][1], event.client)
 
-        path = gui.add_text("Path", "", hint="Path of a recording or a world on this machine, or the name of a scene.")
+        hint = "Path of a recording or a world in the folders that the page may open, or the name of a scene."
+        path = gui.add_text("Path", "", hint=hint)
         open_path = gui.add_button("Open path", icon=viser.Icon.FOLDER_OPEN, color="gray")
+        self._cancel = gui.add_button("Cancel opening", icon=viser.Icon.X, color="red", visible=False)
 
         @open_path.on_click
         async def _(event: viser.GuiEvent) -> None:
             self._start_opening(path.value.strip(), event.client)
 
+        @self._cancel.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.cancel()
+
+    def cancel(self) -> None:
+        """Stop opening a source."""
+        with self._lock:
+            reader = self._reader
+        if reader is not None:
+            reader.cancel()
+
+    def close(self) -> None:
+        self._closed = True
+        self.cancel()
+
     def _start_opening(self, spec: str, client: viser.ClientHandle | None) -> None:
         """Open a source on a daemon thread. The program would wait for viser's thread pool at exit."""
-        threading.Thread(target=self.open, args=(spec, client), name="aero-viz-open", daemon=True).start()
-
-    def open(self, spec: str, client: viser.ClientHandle | None) -> None:
-        """Open a source by name or path and make it the session's; problems are shown to `client`."""
         if not spec:
             notify(self.page.server, "Enter the path of a recording or a world first.", level="error", client=client)
             return
-        seed = int(self._seed.value)
-        with self._loading_notification(f"Opening {spec} ..", client):
-            opened: list[Source] = []
-            if self.page.attempt(lambda: opened.append(self._open_source(spec, seed=seed)), client):
-                # If its first tick fails, the session notifies everyone.
-                with contextlib.suppress(CancelledError):  # the session was closed in the meantime
-                    self._controls.set_source(opened[0]).exception()
+        with self._lock:
+            if self._reader is not None:
+                notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
+                return
+            self._reader = ReaderProcess()
+        threading.Thread(
+            target=self._open, args=(self._reader, spec, client), name="aero-viz-open", daemon=True
+        ).start()
+
+    def _open(self, reader: ReaderProcess, spec: str, client: viser.ClientHandle | None) -> None:
+        """Open a source by name or path and make it the session's; problems are shown to `client`."""
+        self._cancel.visible = True
+        try:
+            with self._progress_notification(f"Opening {spec} ..", reader, client):
+                source = self._read(reader, spec, client)
+                if source is not None:
+                    # If its first tick fails, the session notifies everyone.
+                    with contextlib.suppress(CancelledError):  # the session was closed in the meantime
+                        self._controls.set_source(source).exception()
+        finally:
+            with self._lock:
+                self._reader = None
+            if not self._closed:
+                self._cancel.visible = False
                 self.page.refresh()
 
+    def _read(self, reader: ReaderProcess, spec: str, client: viser.ClientHandle | None) -> Source | None:
+        """Return the source, or None if it cannot be opened."""
+        try:
+            is_offered = spec in (offered for _, offered in self._choices.values())
+            path = spec if is_offered else str(self._folders.find(spec))
+        except UserError as error:
+            notify(self.page.server, str(error), level="error", client=client)
+            return None
+        try:
+            return self._open_source(path, seed=int(self._seed.value), read=reader)
+        except ReadCancelled:
+            notify(self.page.server, f"{spec} was not opened, since that was cancelled.", client=client)
+        except Exception as error:
+            expected = isinstance(error, (UserError, ValueError, OSError))
+            _log.error("%s cannot be opened: %s", spec, error, exc_info=None if expected else error)
+            text = f"{spec} cannot be opened; the terminal shows why."
+            notify(self.page.server, text, level="error", client=client)
+        return None
+
     @contextlib.contextmanager
-    def _loading_notification(self, text: str, client: viser.ClientHandle | None) -> Iterator[None]:
-        """Show `text` with a spinner to `client`, or to everyone, during the context."""
-        clients = [client] if client is not None else list(self.page.server.get_clients().values())
+    def _progress_notification(
+        self, text: str, reader: ReaderProcess, client: viser.ClientHandle | None
+    ) -> Iterator[None]:
+        """Show `text` with a spinner and the progress to `client`, or to everyone, during the context."""
+        clients = [other for other in self.page.server.get_clients().values() if client in (None, other)]
         shown = [c.add_notification("AERO-Viz", text, loading=True, with_close_button=False) for c in clients]
+        is_over = threading.Event()
+
+        def show_progress() -> None:
+            while not is_over.wait(_PROGRESS_PERIOD):
+                for notification in shown:
+                    notification.body = f"{text} {reader.progress}"
+
+        thread = threading.Thread(target=show_progress, name="aero-viz-open-progress", daemon=True)
+        thread.start()
         try:
             yield
         finally:
+            is_over.set()
+            thread.join()
             for notification in shown:
                 notification.remove()

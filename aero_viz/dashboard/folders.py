@@ -1,0 +1,63 @@
+"""The folders whose files a page may open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from aero_viz.errors import UserError
+
+__all__ = ["Folders"]
+
+
+class Folders:
+    """Folders that the server was told of. A page opens files in them, at any depth, and learns of no others.
+
+    Args:
+        folders: the folders; those that do not exist are left out.
+    """
+
+    def __init__(self, folders: Iterable[str | Path]) -> None:
+        resolved = (Path(folder).expanduser().resolve() for folder in folders)
+        self.paths = tuple(dict.fromkeys(path for path in resolved if path.is_dir()))
+        """The folders, absolute and without symbolic links."""
+
+    def find(self, name: str) -> Path:
+        """Return the file or the folder with this path, absolute and without symbolic links.
+
+        Args:
+            name: path, absolute or relative to one of the folders or to the current directory.
+
+        Raises:
+            UserError: there is no such file in the folders. The message is the same for a file that exists elsewhere.
+        """
+        try:
+            path = Path(name).expanduser()
+            candidates = [path, *(folder / path for folder in self.paths)]
+            found = next((place.resolve() for place in candidates if self._holds(place)), None)
+        except (OSError, ValueError, RuntimeError):  # a name that no file can have
+            found = None
+        if found is None:
+            raise UserError(
+                f"There is no file {name} in the folders that this page may open. Start aero-viz with --folder DIR "
+                "to add a folder."
+            )
+        if not found.is_file() and not found.is_dir():
+            raise UserError(f"{name} is neither a file nor a folder with a recording.")
+        if found.is_dir() and not _may_be_recording(found):
+            raise UserError(f"{name} is a folder without a recording.")
+        return found
+
+    def _holds(self, path: Path) -> bool:
+        """Return True if a path exists within the folders, and all that it holds as a recording does, too."""
+        resolved = path.resolve()
+        if not resolved.exists() or not self._is_inside(resolved):
+            return False
+        return not resolved.is_dir() or all(self._is_inside(entry.resolve()) for entry in resolved.iterdir())
+
+    def _is_inside(self, resolved: Path) -> bool:
+        return any(resolved.is_relative_to(folder) for folder in self.paths)
+
+
+def _may_be_recording(folder: Path) -> bool:
+    return any(entry.name == "metadata.yaml" or entry.suffix in (".mcap", ".db3") for entry in folder.iterdir())

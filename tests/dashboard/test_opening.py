@@ -1,0 +1,182 @@
+"""Opening of sources from the page, with real files and a real websocket."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from small_source import small_config, small_source
+
+from aero_viz.catalog import open_source
+from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.folders import Folders
+from aero_viz.errors import UserError
+from aero_viz.reader_process import Reader, read_here
+from aero_viz.scenes import World
+from aero_viz.session import Session
+from aero_viz.session.source import Source
+from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
+
+SECRET = "hunter2"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder that the page may open, beside one that it may not."""
+    for name in ("open", "closed"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "passwords.json").write_text(f'{{"{SECRET}": 1}}')
+    world().save(tmp_path / "open" / "poles.json")
+    world().save(tmp_path / "closed" / "poles.json")
+    return tmp_path / "open"
+
+
+def world() -> World:
+    found = small_source().info.world
+    assert found is not None
+    return found
+
+
+def slow_or_real(spec: str, /, *, seed: int, read: Reader = read_here) -> Source:
+    if spec == "slow":
+        read(time.sleep, 600.0)
+    return open_source(spec, seed=seed, read=read)
+
+
+@pytest.fixture
+def desk(folder: Path) -> Iterator[SimpleNamespace]:
+    """A paused session, its dashboard, and a client that presses the buttons."""
+    session = Session(small_source(goal=11.0), config=small_config())
+    session.start(play=False)
+    session.step(0).result()
+    choices = [("slow: takes for ever", "slow")]
+    dashboard = Dashboard(session, port=0, open_source=slow_or_real, choices=choices, folders=[folder])
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        wait_for(dashboard.server.get_clients, "the client")
+        yield SimpleNamespace(session=session, dashboard=dashboard, client=client)
+    dashboard.close()
+    session.close()
+
+
+def set_control(desk: SimpleNamespace, label: str, value: object) -> None:
+    controls = desk.dashboard.server.gui._gui_input_handle_from_uuid
+    uuid = next(uuid for uuid, control in controls.items() if control.label == label)
+    send(desk.client, type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
+
+
+def open_path(desk: SimpleNamespace, path: object) -> None:
+    set_control(desk, "Path", str(path))
+    set_control(desk, "Open path", True)
+
+
+def nothing_is_being_opened() -> bool:
+    return "aero-viz-open" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_world_in_the_folder_is_opened(desk, folder):
+    before = desk.session.source
+    open_path(desk, folder / "poles.json")
+    wait_for(lambda: desk.session.source is not before, "the world")
+    assert desk.session.source.name == "poles"
+    wait_for(nothing_is_being_opened, "the end of the opening")
+    before = desk.session.source
+    open_path(desk, "poles.json")  # relative to the folder
+    wait_for(lambda: desk.session.source is not before, "the world again")
+
+
+def test_a_malformed_file_is_explained_in_the_terminal_only(desk, folder, caplog):
+    open_path(desk, folder / "passwords.json")
+    heard = read_until(desk.client, "the terminal shows why")
+    assert SECRET not in heard
+    assert SECRET in caplog.text and "Traceback" not in caplog.text
+
+
+@pytest.mark.parametrize("name", ["passwords.json", "poles.json", "password.json", "absent.json", "", "absent/../"])
+def test_other_folders_are_closed_and_nothing_is_told_about_them(desk, folder, caplog, name):
+    path = folder.parent / "closed" / name
+    open_path(desk, path)
+    heard = read_until(desk.client, f"There is no file {path} in the folders that this page may open")
+    assert "passwords" not in heard.replace(str(path), "") and SECRET not in heard + caplog.text
+
+
+def test_a_pipe_is_refused_at_once(desk, folder):
+    os.mkfifo(folder / "pipe.json")
+    open_path(desk, folder / "pipe.json")
+    read_until(desk.client, "neither a file nor a folder with a recording")
+
+
+def test_opening_can_be_cancelled_and_many_clicks_open_one_source(desk, folder):
+    before = desk.session.source
+    for _ in range(50):
+        set_control(desk, "Open", True)
+    read_until(desk.client, "A source is being opened; cancel that first.")
+    assert [thread.name for thread in threading.enumerate()].count("aero-viz-open") == 1
+    set_control(desk, "Cancel opening", True)
+    read_until(desk.client, "slow was not opened")
+    assert desk.session.source is before
+    open_path(desk, folder / "poles.json")
+    wait_for(lambda: desk.session.source is not before, "another source")
+
+
+def test_the_session_ticks_while_a_source_is_being_opened(desk):
+    set_control(desk, "Open", True)
+    read_until(desk.client, "Opening slow ..")
+    index = desk.session.frame.index
+    desk.session.step(20).result(timeout=60.0)
+    assert desk.session.frame.index == index + 20
+
+
+def test_a_dashboard_that_closes_ends_the_opening(folder):
+    session = Session(small_source(), config=small_config())
+    dashboard = Dashboard(session, port=0, open_source=slow_or_real, choices=[("slow: ", "slow")], folders=[folder])
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        wait_for(dashboard.server.get_clients, "the client")
+        set_control(SimpleNamespace(dashboard=dashboard, client=client), "Open", True)
+        read_until(client, "Opening slow ..")
+    dashboard.close()
+    wait_for(nothing_is_being_opened, "the end of the opening")
+    session.close()
+
+
+def test_links_do_not_lead_out_of_the_folders(folder):
+    outside, folders = folder.parent / "closed", Folders([folder])
+    (folder / "link.json").symlink_to(outside / "poles.json")
+    (folder / "linked").symlink_to(outside)
+    (folder / "bag").mkdir()
+    (folder / "bag" / "metadata.yaml").write_text("")
+    assert folders.find("bag") == (folder / "bag").resolve()
+    (folder / "bag" / "flight.mcap").symlink_to(outside / "poles.json")
+    for name in (
+        "link.json",
+        "linked/poles.json",
+        "bag",
+        "../closed/poles.json",
+        "linked",
+        "\0",
+        "x" * 5000,
+        "~nobody",
+    ):
+        with pytest.raises(UserError, match="There is no file"):
+            folders.find(name)
+
+
+def test_a_folder_that_is_itself_a_link_is_open(folder):
+    (link := folder.parent / "link").symlink_to(folder)
+    assert Folders([link]).find(str(link / "poles.json")) == (folder / "poles.json").resolve()
+
+
+def test_a_folder_without_a_recording_is_refused(folder):
+    with pytest.raises(UserError, match="is a folder without a recording"):
+        Folders([folder]).find(str(folder))
+
+
+def test_without_folders_no_file_is_open(folder):
+    with pytest.raises(UserError, match="There is no file"):
+        Folders([folder / "absent"]).find(str(folder / "poles.json"))

@@ -1,0 +1,91 @@
+"""Reading in a process of its own: results, limits, cancellation and crashes."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from aero_viz.catalog import load_world
+from aero_viz.errors import UserError
+from aero_viz.reader_process import Limits, ReadCancelled, ReaderProcess
+
+
+def test_the_result_is_that_of_the_function(tmp_path):
+    world = load_world("pillars", seed=3)
+    world.save(tmp_path / "world.json")
+    read = ReaderProcess()(load_world, str(tmp_path / "world.json"), seed=1)
+    np.testing.assert_array_equal(read.boxes, world.boxes)
+
+
+def test_it_is_another_process_and_what_it_prints_is_no_result(capfd):
+    assert ReaderProcess()(os.getpid) != os.getpid()
+    assert ReaderProcess()(print, "noise", flush=True) is None
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_error_is_passed_on(tmp_path):
+    with pytest.raises(UserError, match=r"absent\.json"):
+        ReaderProcess()(load_world, str(tmp_path / "absent.json"))
+    with pytest.raises(UserError, match="ZeroDivisionError"):
+        ReaderProcess()(divmod, 1, 0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+def test_memory_is_limited():
+    with pytest.raises(UserError, match=r"more than 0\.3 GB"):
+        ReaderProcess(Limits(memory=300_000_000))(bytearray, 400_000_000)
+
+
+def test_time_is_limited():
+    with pytest.raises(UserError, match=r"longer than 0\.5 s"):
+        ReaderProcess(Limits(seconds=0.5))(time.sleep, 60.0)
+
+
+@pytest.mark.parametrize("end", [(os.abort,), (os._exit, 3)], ids=["abort", "exit"])
+def test_a_crash_is_an_error(end):
+    with pytest.raises(UserError, match="ended with code"):
+        ReaderProcess()(*end)
+
+
+def test_reading_can_be_cancelled():
+    reader = ReaderProcess()
+    timer = threading.Timer(0.3, reader.cancel)
+    timer.start()
+    with pytest.raises(ReadCancelled):
+        reader(time.sleep, 600.0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not count what a process reads")
+def test_progress_counts_what_was_read(tmp_path):
+    (tmp_path / "large").write_bytes(bytes(30_000_000))
+    (script := tmp_path / "script.py").write_text(
+        f"import time\nopen({str(tmp_path / 'large')!r}, 'rb').read()\ntime.sleep(600)\n"
+    )
+    seen, reader = [], ReaderProcess()
+    timer = threading.Thread(target=lambda: collect_progress(reader, seen))
+    timer.start()
+    with pytest.raises(ReadCancelled):
+        reader(runpy.run_path, str(script))
+    timer.join()
+    assert seen == ["30 MB"]
+
+
+def collect_progress(reader: ReaderProcess, seen: list[str]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not reader.progress.startswith("30 MB") and time.monotonic() < deadline:
+        time.sleep(0.01)
+    seen.append(reader.progress.split(",")[0])
+    reader.cancel()
+
+
+def test_a_cancelled_reader_starts_nothing():
+    reader = ReaderProcess()
+    reader.cancel()
+    with pytest.raises(ReadCancelled):
+        reader(time.sleep, 60.0)
