@@ -50,13 +50,17 @@ def terminal_text(box: str) -> str:
 
 
 def run_in_terminal(
-    *arguments: str, interrupt_at: Callable[[str], bool] = lambda shown: False, columns: int = 150
+    *arguments: str,
+    interrupt_at: Callable[[str], bool] = lambda shown: False,
+    interrupt_by: signal.Signals = signal.SIGINT,
+    columns: int = 150,
 ) -> tuple[int, str, str]:
     """Run the command line in a process whose stderr is a terminal.
 
     Args:
         arguments: arguments of `aero-viz`.
         interrupt_at: called with everything shown on the terminal so far; Ctrl-C is pressed once when it is true.
+        interrupt_by: signal that is sent instead of that of Ctrl-C.
         columns: width of the terminal.
 
     Returns:
@@ -76,7 +80,7 @@ def run_in_terminal(
             except OSError:  # the process has closed its side
                 break
             if not is_interrupted and interrupt_at(shown):
-                process.send_signal(signal.SIGINT)
+                process.send_signal(interrupt_by)
                 is_interrupted = True
         printed, _ = process.communicate(timeout=60)
         return process.returncode, printed, shown

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
+from types import FrameType
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output
 from aero_viz.errors import UserError
@@ -20,8 +23,10 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: arguments without the program's name; None takes them from sys.argv.
 
     Raises:
-        SystemExit: code 2 for a user's mistake or unreadable input, 130 after Ctrl-C, 0 after --help.
+        SystemExit: code 2 for a user's mistake or unreadable input, 130 after Ctrl-C or SIGTERM, 0 after --help.
     """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _interrupt)
     try:
         from aero_viz.cli.parser import parse
         from aero_viz.cli.renamed_flags import replace_renamed_flags
@@ -43,3 +48,11 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(abandon_output()) from None
     except KeyboardInterrupt:
         raise SystemExit(INTERRUPTED) from None
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Handle SIGTERM, which service managers and `timeout` send, as Ctrl-C: each verb keeps what it has."""
+    handler = signal.getsignal(signal.SIGINT)
+    if not callable(handler):  # a background job of a shell ignores Ctrl-C
+        raise KeyboardInterrupt
+    handler(signal.SIGINT, frame)

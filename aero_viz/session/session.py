@@ -55,6 +55,8 @@ class Session(BaseSession):
         self._closed = False
         # Protects the engine until `start`; from then on only the session's thread uses the engine.
         self._lock = threading.RLock()
+        self._samples = False
+        """True if the frames shall include samples."""
         self._announced_epoch: int | None = None
         """Epoch of the last frame whose outcome was announced."""
 
@@ -174,11 +176,13 @@ class Session(BaseSession):
         return future
 
     def set_samples(self, enabled: bool) -> Future[Any]:
-        """Include the Stage I samples in frames, or leave them out."""
+        """Include the Stage I samples in frames, or leave them out. Of several calls in a row, the last one counts."""
+        self._samples = enabled
 
         def command() -> None:
-            self._engine.samples = enabled
-            self._engine.replan()
+            if self._engine.samples != self._samples:
+                self._engine.samples = self._samples
+                self._engine.replan()
 
         return self._post(command)
 

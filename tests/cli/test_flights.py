@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -113,12 +114,14 @@ def test_progress_is_shown_on_a_terminal_but_not_with_json(short_poles: str) -> 
     assert (code, shown) == (0, "") and json.loads(printed)["arrived"]
 
 
-@pytest.mark.parametrize("is_logged", [False, True])
-def test_ctrl_c_prints_the_result_so_far(tmp_path: Path, is_logged: bool) -> None:
+@pytest.mark.parametrize(("is_logged", "number"), [(False, signal.SIGTERM), (True, signal.SIGINT)])
+def test_ctrl_c_and_sigterm_print_the_result_so_far(tmp_path: Path, is_logged: bool, number: signal.Signals) -> None:
     log = tmp_path / "flight.mcap"
     options = ["--trajectory", str(tmp_path / "t.csv"), *(["--log", str(log)] if is_logged else [])]
     code, printed, _ = run_in_terminal(
-        "fly", "forest", "--count", "20", *options, interrupt_at=lambda shown: bool(re.search(r"1\.\d s flown", shown))
+        *("fly", "forest", "--count", "20", *options),
+        interrupt_at=lambda shown: bool(re.search(r"1\.\d s flown", shown)),
+        interrupt_by=number,
     )
     result = dict(line.split(maxsplit=1) for line in printed.splitlines())
     assert code == 130 and result["arrived"] == "False" and "reason" not in result

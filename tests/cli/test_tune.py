@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -72,12 +73,15 @@ def test_the_same_command_continues_a_study(
     assert len(second["candidates"]) == 6
 
 
-def test_ctrl_c_writes_the_best_so_far(short_poles: str, tmp_path: Path) -> None:
-    """A SIGINT during the check, when the search is complete."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Path, number: signal.Signals) -> None:
+    """A signal during the check, when the search is complete."""
     path = tmp_path / "tuned.yaml"
     few = ["--flights", "1", "--rungs", "1", "--trials", "3", "--check", "50", "--storage", "memory"]
     code, printed, shown = run_in_terminal(
-        "tune", short_poles, *CRIPPLED, *few, "--output", str(path), interrupt_at=lambda shown: "fresh worlds" in shown
+        *("tune", short_poles, *CRIPPLED, *few, "--output", str(path)),
+        interrupt_at=lambda shown: "fresh worlds" in shown,
+        interrupt_by=number,
     )
     assert code == 130 and "Traceback" not in shown
     assert "Warning: the search was interrupted before the check" in printed and printed.endswith(f"{path}\n")

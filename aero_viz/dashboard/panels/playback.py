@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
+from concurrent.futures import CancelledError
 
 import numpy as np
 import viser
@@ -19,6 +22,8 @@ __all__ = ["PlaybackPanel"]
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _HOLD = 0.7
 """Time after a user's change for which the timeline is not overwritten [s]."""
+_STEPS_MAX = 50
+"""Largest number of ticks of the clicks that wait while the session is moving: one second of a flight."""
 
 
 class PlaybackPanel(Panel):
@@ -39,8 +44,10 @@ class PlaybackPanel(Panel):
         )  # fmt: skip
         if self.session.controls is not None:
             self._add_speed(gui, self.session.controls)
-        # While the slider is dragged, only its newest position matters.
-        self._seeks = Mailbox(self._seek, name="aero-viz-seek")
+        self._waiting: tuple[float | None, int] = (None, 0)
+        """The move that waits: a time to go to [s], if there is one, and a number of ticks from there."""
+        self._lock = threading.Lock()
+        self._moves = Mailbox(self._move, name="aero-viz-moves")
         self._connect(gui)
 
     def _add_restart(self, gui: viser.GuiApi) -> None:
@@ -50,7 +57,7 @@ class PlaybackPanel(Panel):
 
         @restart.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self.session.seek(self.session.time_range[0])
+            self._seek(self.session.time_range[0])
 
     def _add_speed(self, gui: viser.GuiApi, controls: SessionControls) -> None:
         speed = gui.add_dropdown(
@@ -76,7 +83,7 @@ class PlaybackPanel(Panel):
             if event.client is not None:
                 self._touched = time.monotonic()
                 self.session.pause()
-                self._seeks.put(float(self._time.value))
+                self._seek(float(self._time.value))
 
         play = gui.add_command("Play or pause", hotkey="P", icon=viser.Icon.PLAYER_PLAY)
         play.on_trigger(lambda _: self._toggle())
@@ -88,19 +95,39 @@ class PlaybackPanel(Panel):
         back.on_trigger(lambda _: self._step(-1))
 
     def close(self) -> None:
-        self._seeks.close()
-
-    def _step(self, count: int) -> None:
-        self.session.step(count)
+        self._moves.close()
 
     def _seek(self, time: float) -> None:
-        """Go to the tick nearest to `time` [s]."""
+        """Go to the tick nearest to a time [s]; while the session is moving, only the newest one waits."""
+        with self._lock:
+            self._waiting = (time, 0)
+        self._moves.put(None)
+
+    def _step(self, count: int) -> None:
+        """Move by some ticks; while the session is moving, clicks add up to at most `_STEPS_MAX`."""
+        with self._lock:
+            time, steps = self._waiting
+            self._waiting = (time, min(max(steps + count, -_STEPS_MAX), _STEPS_MAX))
+        self._moves.put(None)
+
+    def _move(self, _: None) -> None:
+        """Make the move that waits, on the mailbox's thread. The session reports errors itself."""
+        with self._lock:
+            (time, steps), self._waiting = self._waiting, (None, 0)
+        with contextlib.suppress(CancelledError):
+            if time is not None:
+                self.session.seek(self._time_of_nearest_tick(time)).exception()
+                self.page.refresh_after(1.1 * _HOLD)
+            if steps:
+                self.session.step(steps).exception()
+
+    def _time_of_nearest_tick(self, time: float) -> float:
+        """Return a time [s] from which `seek`, which goes to the tick at or before it, reaches the nearest tick."""
         frame = self.session.frame
-        times = None if frame is None else frame.source.times
-        if frame is not None:
-            time = time + 0.499 * frame.source.period if times is None else float(times[np.abs(times - time).argmin()])
-        self.session.seek(time).exception()  # waits; the session reports errors itself
-        self.page.refresh_after(1.1 * _HOLD)
+        if frame is None:
+            return time
+        times = frame.source.times
+        return time + 0.499 * frame.source.period if times is None else float(times[np.abs(times - time).argmin()])
 
     def _toggle(self) -> None:
         if self.session.playing:

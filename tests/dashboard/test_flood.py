@@ -1,0 +1,101 @@
+"""Thousands of clicks while the session is busy."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+from small_source import small_config, small_source
+
+from aero_planner import Plan
+from aero_viz.dashboard import Dashboard
+from aero_viz.flight import FlightSource
+from aero_viz.session import Observation, Session
+from tests.dashboard.page_client import CAMERA, join, send, wait_for
+
+CLICKS = 2000
+
+
+class BlockingFlight(FlightSource):
+    """A flight whose ticks wait for an event, and are counted."""
+
+    may_advance = threading.Event()
+    advances = observations = 0
+
+    def advance(self, plan: Plan) -> None:
+        self.may_advance.wait()
+        self.advances += 1
+        super().advance(plan)
+
+    def observe(self) -> Observation:
+        self.observations += 1
+        return super().observe()
+
+
+@pytest.fixture
+def desk() -> Iterator[SimpleNamespace]:
+    """A paused session that is busy with a tick, and a client of its page."""
+    BlockingFlight.may_advance.clear()
+    source = small_source(kind=BlockingFlight)
+    assert isinstance(source, BlockingFlight)
+    session = Session(source, config=small_config())
+    session.start(play=False)
+    session.step(0).result()
+    dashboard = Dashboard(session, port=0)
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        wait_for(dashboard.server.get_clients, "the client")
+        busy = session.step(1)
+        yield SimpleNamespace(session=session, dashboard=dashboard, client=client, source=source, busy=busy)
+        source.may_advance.set()
+    dashboard.close()
+    session.close()
+
+
+def control(desk: SimpleNamespace, label: str):
+    controls = desk.dashboard.server.gui._gui_input_handle_from_uuid.values()
+    return next(control for control in controls if control.label == label)
+
+
+def set_control(desk: SimpleNamespace, label: str, value: object) -> None:
+    send(desk.client, type="GuiUpdateMessage", uuid=control(desk, label)._impl.uuid, updates={"value": value})
+
+
+def release(desk: SimpleNamespace) -> None:
+    """Let the session tick once all clicks have arrived, and wait until it is idle."""
+    set_control(desk, "Drag the goal", True)
+    wait_for(lambda: control(desk, "Drag the goal").value, "all clicks")
+    desk.source.may_advance.set()
+    desk.busy.result(timeout=60.0)
+    desk.session.step(0).result(timeout=60.0)
+
+
+def test_waiting_steps_add_up_to_one_second_at_most(desk):
+    for _ in range(CLICKS):
+        set_control(desk, "Step", "+10")
+    release(desk)
+    wait_for(lambda: desk.source.advances > 1, "the steps")
+    desk.session.step(0).result(timeout=60.0)
+    assert desk.source.advances <= 1 + 10 + 50
+
+
+def test_of_waiting_jumps_only_the_last_is_made(desk):
+    before = desk.source.observations
+    for _ in range(CLICKS):
+        set_control(desk, "Restart", True)
+    release(desk)
+    wait_for(lambda: desk.session.frame.time == 0.0, "the start")
+    assert desk.source.observations <= before + 4
+
+
+def test_a_layer_that_is_switched_many_times_is_planned_once(desk):
+    before, samples = desk.source.observations, desk.dashboard.layers["samples"]
+    for _ in range(CLICKS // 2):
+        set_control(desk, samples.title, True)
+        set_control(desk, samples.title, False)
+    set_control(desk, samples.title, True)
+    release(desk)
+    assert desk.source.observations <= before + 3
+    assert desk.session.frame.plan.samples is not None
