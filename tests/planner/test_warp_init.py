@@ -53,3 +53,28 @@ def test_another_log_level_is_kept(tmp_path, level):
 def test_a_service_may_have_closed_stderr(tmp_path):
     program = "import os, sys\nos.close(2)\nsys.stderr = None\n" + PLAN.replace("import sys\n", "", 1)
     assert output_of(tmp_path, program.replace('print("a warning", file=sys.stderr)', ""))[0] == "the result\n"
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """A folder for compiled kernels that holds those of `COMMAND`."""
+    monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "cache"))
+    output_of(tmp_path, COMMAND.format(level=""))
+    return tmp_path / "cache"
+
+
+@pytest.mark.parametrize(("suffix", "keep"), [("o", 1000), ("meta", 0)])
+def test_a_damaged_kernel_is_named_and_compiled_again(cache, suffix, keep):
+    (damaged,) = cache.rglob(f"*.{suffix}")
+    damaged.write_bytes(damaged.read_bytes()[:keep])
+    printed, warnings = output_of(cache.parent, COMMAND.format(level=""))
+    assert printed == "the result\n"
+    assert str(damaged.parent) in warnings and "are compiled again" in warnings and "Traceback" not in warnings
+
+
+def test_another_folder_replaces_a_cache_that_cannot_be_used(tmp_path, monkeypatch):
+    (tmp_path / "cache").write_text("a file")
+    monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "cache"))
+    printed, warnings = output_of(tmp_path, COMMAND.format(level=""))
+    assert printed == "the result\n"
+    assert "aero-planner-kernels-" in warnings and "is used instead" in warnings
