@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -25,6 +26,8 @@ def main(arguments: list[str] | None = None) -> None:
     Raises:
         SystemExit: code 2 for a user's mistake or unreadable input, 130 after Ctrl-C or SIGTERM, 0 after --help.
     """
+    if sys.stdout is None:  # closed by the shell, as with >&-
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
     try:
@@ -46,6 +49,14 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(abandon_output()) from None
+    except OSError as error:
+        if os.environ.get("AERO_VIZ_DEBUG"):
+            raise
+        where = f"{error.filename}: " if error.filename else "the output cannot be written or read: "
+        print(f"aero-viz: {where}{error.strerror or error}", file=sys.stderr)
+        with contextlib.suppress(OSError, ValueError):  # stdout without a file, as in a test
+            abandon_output()
+        raise SystemExit(2) from None
     except KeyboardInterrupt:
         raise SystemExit(INTERRUPTED) from None
 

@@ -182,7 +182,9 @@ def _path_problem(path: Path) -> str:
 def _write(image: NDArray[np.uint8], path: Path) -> None:
     import imageio.v3 as iio
 
+    # Encoded in memory: on a full disk, imageio would fail a second time when it closes the file.
+    content = iio.imwrite("<bytes>", image, extension=".png")
     try:
-        iio.imwrite(path, image, extension=".png")
+        path.write_bytes(content)
     except OSError as error:
         raise UserError(f"The picture {path} cannot be written: {error.strerror or error}.") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal
@@ -61,9 +62,9 @@ class NodeClient:
             ) from error
         try:
             try:
-                hello = self._receive()
+                hello = self._receive(deadline=time.monotonic() + timeout)
             except TimeoutError as error:
-                raise UserError(f"Something listens at {self.name} but sends nothing; it is no node.") from error
+                raise UserError(f"Something listens at {self.name} but sends no greeting; it is no node.") from error
             except OSError:
                 hello = None
             if hello is None or hello.kind != Kind.HELLO:
@@ -101,7 +102,7 @@ class NodeClient:
             elif message.kind == Kind.PLAN:
                 try:
                     frame = self._frames.make(message)
-                except (KeyError, IndexError, TypeError, ValueError) as error:
+                except Exception as error:  # whoever answers there may send anything
                     raise UserError(f"The node at {self.name} sent a malformed plan: {error!r}.") from error
                 yield frame
 
@@ -121,8 +122,11 @@ class NodeClient:
             reason = error.strerror or str(error)
             raise UserError(f"the connection to {self.name} is lost: {reason}.") from error
 
-    def _receive(self) -> Message | None:
+    def _receive(self, *, deadline: float | None = None) -> Message | None:
+        """Return the next message, None at the end; TimeoutError if it is not complete at the deadline [s]."""
         while not self._ready:
+            if deadline is not None:
+                self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
             data = self._socket.recv(_CHUNK)
             if not data:
                 return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 
@@ -127,3 +128,21 @@ START = {
 def test_ctrl_c_during_start_up_ends_quietly(start: str, module: str) -> None:
     done = interrupted_at_import(module, start, "aero-viz", "demo", "--port", "0")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def run_with_stdout(target: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line with stdout redirected by a shell."""
+    command = shlex.join([sys.executable, "-m", "aero_viz", *arguments])
+    return subprocess.run(["sh", "-c", f"{command} {target}"], stderr=subprocess.PIPE, text=True, timeout=120)
+
+
+def test_a_closed_stdout_is_no_error() -> None:
+    done = run_with_stdout(">&-", "parameters")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full needs Linux")
+def test_a_full_disk_behind_stdout_is_reported_in_one_line() -> None:
+    done = run_with_stdout("> /dev/full", "parameters")
+    assert done.returncode == 2
+    assert done.stderr == "aero-viz: the output cannot be written or read: No space left on device\n"

@@ -424,3 +424,21 @@ def test_malformed_messages_end_the_connection_with_an_error(records: list[PlanR
             ):
                 next(iter(client))
             thread.join()
+
+
+def test_a_greeting_that_trickles_in_does_not_hold_up_the_connection():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def trickle() -> None:
+            connection, _ = server.accept()
+            with connection, suppress(OSError):
+                for byte in b"AERO" + bytes(10_000):
+                    connection.sendall(bytes([byte]))
+                    time.sleep(0.1)
+
+        thread = threading.Thread(target=trickle, daemon=True)
+        thread.start()
+        with pytest.raises(UserError, match="sends no greeting"):
+            NodeClient("127.0.0.1", server.getsockname()[1], timeout=0.5)
+        thread.join(timeout=30.0)
+        assert not thread.is_alive(), "the connection was closed"
