@@ -81,7 +81,7 @@ def _load_or_rebuild(module: Any, *arguments: Any, **options: Any) -> Any:
 
 def _remove_cached(module: Any, error: Exception) -> bool:
     """Remove the cached files of a module; return False if there are none."""
-    folder = Path(wp.config.kernel_cache_dir)
+    folder = Path(wp.config.kernel_cache_dir or "")
     found = [folder / module.get_module_identifier(block_dim) for block_dim in module.hashers]
     existing = [path for path in found if path.exists()]
     reason = " ".join(str(error).split())
