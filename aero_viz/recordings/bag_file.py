@@ -22,6 +22,7 @@ __all__ = [
     "Message",
     "decompress",
     "make_channel",
+    "one_line",
     "unwrap",
 ]
 
@@ -111,6 +112,12 @@ def _full_type_name(name: str) -> str:
     """Return pkg/msg/Type for pkg/Type, as ROS 2 spells it."""
     package, _, rest = name.partition("/")
     return name if "/" in rest or not rest else f"{package}/msg/{rest}"
+
+
+def one_line(error: Exception) -> str:
+    """Return the text of a library's error as a single printable line."""
+    text = " ".join(str(error).split())
+    return "".join(letter if letter.isprintable() else "?" for letter in text) or type(error).__name__
 
 
 def unwrap(data: bytes) -> bytes:

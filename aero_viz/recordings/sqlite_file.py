@@ -9,7 +9,16 @@ from urllib.parse import quote
 
 from aero_planner.user_file import open_user_file
 from aero_viz.input_limits import BLOCK_MAX, LimitExceeded, ReadingBudget
-from aero_viz.recordings.bag_file import HEAD_BYTES, ZSTD_MAGIC, BagFile, Channel, Message, make_channel, unwrap
+from aero_viz.recordings.bag_file import (
+    HEAD_BYTES,
+    ZSTD_MAGIC,
+    BagFile,
+    Channel,
+    Message,
+    make_channel,
+    one_line,
+    unwrap,
+)
 
 __all__ = ["SQLITE_MAGIC", "SqliteFile"]
 
@@ -70,7 +79,7 @@ class SqliteFile(BagFile):
         except LimitExceeded as error:
             self.problems.append(str(error))
         except (sqlite3.Error, ValueError) as error:
-            self.problems.append(f"damaged or truncated ({error}); only what precedes the damage is used")
+            self.problems.append(f"damaged or truncated ({one_line(error)}); only what precedes the damage is used")
 
     def _check_tables(self) -> None:
         """Raise ValueError unless the two tables of rosbag2 are plain tables."""

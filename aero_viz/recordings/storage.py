@@ -13,7 +13,7 @@ import yaml
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
-from aero_viz.recordings.bag_file import ZSTD_MAGIC, BagFile
+from aero_viz.recordings.bag_file import ZSTD_MAGIC, BagFile, one_line
 from aero_viz.recordings.compressed_file import decompress_file
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
@@ -126,7 +126,7 @@ def _open_folder(path: Path) -> Storage:
         names = list(dict.fromkeys(Path(name).name for name in _relative_paths(metadata)))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(
-            f"{metadata} is damaged ({_one_line(error)}): open the .mcap or .db3 file beside it instead"
+            f"{metadata} is damaged ({one_line(error)}): open the .mcap or .db3 file beside it instead"
         ) from error
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
@@ -177,14 +177,9 @@ def readable(path: Path) -> Iterator[None]:
     except PermissionError as error:
         raise UserError(f"{path} cannot be read: permission denied") from error
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or _one_line(error)}") from error
+        raise UserError(f"{path} cannot be read: {error.strerror or one_line(error)}") from error
     except Exception as error:
-        raise UserError(f"{path} cannot be read and may be damaged or truncated: {_one_line(error)}") from error
-
-
-def _one_line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return "".join(letter if letter.isprintable() else "?" for letter in text) or type(error).__name__
+        raise UserError(f"{path} cannot be read and may be damaged or truncated: {one_line(error)}") from error
 
 
 def _part(file: Path) -> int:

@@ -126,6 +126,17 @@ def test_a_database_that_computes_its_content_is_refused(worker, tmp_path, messa
     assert outcome.kind == "refused" and expected in outcome.text
 
 
+def test_an_error_of_sqlite_is_one_line(tmp_path):
+    path = database(tmp_path / "a.db3", "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+    with sqlite3.connect(path) as connection:
+        connection.execute("PRAGMA writable_schema = ON")
+        connection.execute("UPDATE sqlite_master SET sql = 'CREATE', name = 'a' || char(10) || 'b'")
+    connection.close()
+    with pytest.raises(UserError, match=r"malformed database schema \(a b\)") as caught:
+        inspect(path)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     "content",
     [
