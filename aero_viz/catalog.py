@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 from aero_planner.config import PlannerConfig
 from aero_viz.errors import UserError
@@ -11,7 +13,6 @@ from aero_viz.reader_process import Reader, read_here
 from aero_viz.session.source import Source
 
 if TYPE_CHECKING:
-    from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
     from aero_viz.scenes import World
 
 __all__ = ["is_map", "load_world", "open_source", "refuse_irregular", "shipped_recordings"]
@@ -78,9 +79,9 @@ def open_source(
     lidar: str = "mid360",
     points_topic: str | None = None,
     pose_topic: str | None = None,
-    odometry: OdometryChoice = "none",
-    progress: OdometryProgress = lambda done, total: None,
     goal_ahead: float = 15.0,
+    as_recording: bool = False,
+    recording_options: Mapping[str, Any] = MappingProxyType({}),
     read: Reader = read_here,
 ) -> Source:
     """Open a scene, a world's JSON file, a map, or a recording.
@@ -92,8 +93,9 @@ def open_source(
         count: number of obstacles of a scene; None is its default.
         lidar: LiDAR model of a flight, see `aero_viz.sensors.lidar.lidar_model`.
         points_topic, pose_topic: topics of a recording; None finds them by type.
-        odometry, progress: see `aero_viz.recordings.open_recording`.
         goal_ahead: distance from the drone to the goal of a recording [m].
+        as_recording: True opens a file of points as a recording of one sweep, not as a map to fly through.
+        recording_options: other arguments of `aero_viz.recordings.open_recording`.
         read: reads a file, here or in another process.
 
     Raises:
@@ -102,7 +104,7 @@ def open_source(
     from aero_viz.scenes import SCENES
 
     is_path = "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
-    if spec in SCENES or spec.endswith(".json") or is_map(spec) or not is_path:
+    if not as_recording and (spec in SCENES or spec.endswith(".json") or is_map(spec) or not is_path):
         from aero_viz.flight import FlightRules, FlightSource
         from aero_viz.flight.explanation import refuse_impossible
         from aero_viz.sensors import lidar_model
@@ -118,8 +120,8 @@ def open_source(
 
     refuse_irregular(spec)
     topics = {"points_topic": points_topic, "pose_topic": pose_topic}
-    if read is read_here or odometry != "none":
-        recording = open_recording(spec, **topics, odometry=odometry, progress=progress)
+    if read is read_here or recording_options:
+        recording = open_recording(spec, **{**topics, **recording_options})
     else:
         recording = open_indexed(spec, read(index_recording, spec), **topics)
     try:

@@ -16,6 +16,7 @@ from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.vehicle import PLANNED
+from aero_viz.recordings.odometry import OdometryChoice
 from aero_viz.scenes import World, load_map
 from aero_viz.sensors import LidarModel, lidar_model
 
@@ -31,6 +32,7 @@ __all__ = [
     "OptionalText",
     "OutputPath",
     "RayFlag",
+    "RecordingFlags",
     "RulesFlags",
     "WorldFlags",
     "WorldName",
@@ -54,6 +56,7 @@ def _optional(metavar: str) -> Any:
 OptionalFileName = tyro.conf.Positional[Annotated[str | None, _optional("FILE")]]
 OptionalFloat = Annotated[float | None, _optional("FLOAT")]
 OptionalInt = Annotated[int | None, _optional("INT")]
+OptionalSix = Annotated[tuple[float, float, float, float, float, float] | None, _optional("X Y Z X Y Z")]
 OptionalPath = Annotated[Path | None, _optional("PATH")]
 OptionalPoint = Annotated[Point | None, _optional("X Y Z")]
 OptionalText = Annotated[str | None, _optional("STR")]
@@ -195,6 +198,29 @@ class FlightFlags:
             "rules": flight_rules(self.rules),
             "noise": self.state_noise(),
         }
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingFlags:
+    """The recording."""
+
+    points_topic: OptionalText = None
+    """Topic of the point clouds; by default it is found by its type."""
+    pose_topic: OptionalText = None
+    """Topic of the poses; by default it is found by its type."""
+    poses: OptionalPath = None
+    """File of poses to use instead: TUM or KITTI text, or a ULog of PX4."""
+    odometry: OdometryChoice = "none"
+    """Estimate the motion from the sweeps: auto does so where no poses are recorded, by rko-lio with an IMU and by
+    kiss-icp without; the named methods also replace recorded poses. The result is cached."""
+    extrinsic: OptionalSix = None
+    """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of what is recorded."""
+    mask: OptionalSix = None
+    """Leave out the points in a box in the body's frame, from its lower to its upper corner [m]."""
+
+    def options(self) -> dict[str, Any]:
+        """Return the arguments of `open_recording`."""
+        return dict(vars(self))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,14 +18,13 @@ from aero_viz.cli.flags import (
     Inline,
     OptionalFileName,
     OptionalPath,
-    OptionalText,
+    RecordingFlags,
     WorldFlags,
     WorldName,
 )
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
 from aero_viz.reader_process import read_here
-from aero_viz.recordings.odometry import OdometryChoice
 
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
@@ -58,6 +57,7 @@ class PageFlags:
 _PAGE = PageFlags()
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
+_RECORDING = RecordingFlags()
 _WORLD = WorldFlags()
 
 
@@ -94,39 +94,35 @@ def demo(
 def play(
     recording: OptionalFileName = None,
     *,
-    points_topic: OptionalText = None,
-    pose_topic: OptionalText = None,
-    odometry: OdometryChoice = "none",
     goal_ahead: float = 15.0,
     seed: int = 0,
     device: str = "cpu",
+    recording_flags: Inline[RecordingFlags] = _RECORDING,
     page_flags: Inline[PageFlags] = _PAGE,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Run the planner on a recording, open loop, live in the browser.
 
     Args:
-        recording: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file; by default a flight that ships.
-        points_topic: Topic of the point clouds; by default it is found by its type.
-        pose_topic: Topic of the poses; by default it is found by its type.
-        odometry: Estimate the motion from the sweeps: auto does so where no poses are recorded, by rko-lio with an IMU
-            and by kiss-icp without; the named methods also replace recorded poses. The result is cached.
+        recording: ROS bag, MCAP file, folder or file of clouds, or capture of packets; by default a flight that ships.
         goal_ahead: Distance of the goal from the drone along the recorded path [m].
         seed: Seed of the planner's noise.
         device: Warp device of the planner.
+        recording_flags: The recording.
         page_flags: The page.
         config_flags: The planner's configuration.
     """
-    from aero_viz.catalog import is_map, open_source, shipped_recordings
+    from aero_viz.catalog import open_source, shipped_recordings
     from aero_viz.recordings import open_recording
     from aero_viz.scenes import SCENES
+    from aero_viz.scenes.map_files import MESH_SUFFIXES
 
     if recording is None:
         shipped = shipped_recordings()
         if not shipped:
             raise UserError("no recording ships with this installation; give a file, or run play in a checkout.")
         recording = str(next(iter(shipped.values()))[0])
-    if is_map(recording) or Path(recording).suffix.lower() == ".json":
+    if Path(recording).suffix.lower() in (*MESH_SUFFIXES, ".json"):
         raise UserError(f"{recording} is a world, not a recording; fly it with: aero-viz demo {recording}")
     if not Path(recording).exists():
         if recording in SCENES:
@@ -136,16 +132,16 @@ def play(
     def opener(spec: str, *, seed: int, read: Reader = read_here) -> Source:
         if not _is_same(spec, recording):
             return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead, read=read)
-        with progress_bar("estimating the motion", enabled=odometry != "none") as update_bar:
+        with progress_bar("estimating the motion", enabled=recording_flags.odometry != "none") as update_bar:
+            options = recording_flags.options()
+            options["progress"] = lambda done, total: update_bar(done, total, f"{done} of {total} sweeps")
             return open_source(
                 spec,
                 seed=seed,
                 device=device,
-                points_topic=points_topic,
-                pose_topic=pose_topic,
-                odometry=odometry,
-                progress=lambda done, total: update_bar(done, total, f"{done} of {total} sweeps"),
                 goal_ahead=goal_ahead,
+                as_recording=True,
+                recording_options=options,
                 read=read,
             )
 

@@ -7,31 +7,30 @@ from typing import Annotated
 
 import tyro
 
-from aero_viz.cli.flags import FileName, OptionalText
+from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
-from aero_viz.recordings.odometry import OdometryChoice
 
 __all__ = ["convert", "inspect"]
+
+_RECORDING = RecordingFlags()
 
 
 def inspect(
     file: FileName,
     *,
-    points_topic: OptionalText = None,
-    pose_topic: OptionalText = None,
+    recording_flags: Inline[RecordingFlags] = _RECORDING,
     json: bool = False,
 ) -> None:
     """Show what a recording contains and which parts can be played.
 
     Args:
-        file: MCAP file, ROS 2 bag folder or .db3 file, or ROS 1 .bag file.
-        points_topic: Topic of the point clouds; by default it is found by its type.
-        pose_topic: Topic of the poses; by default it is found by its type.
+        file: ROS bag, MCAP file, folder or file of clouds, or capture of packets.
+        recording_flags: The recording.
         json: Print one JSON object.
     """
     from aero_viz.recordings import inspect as inspect_recording
 
-    print_report(inspect_recording(file, points_topic=points_topic, pose_topic=pose_topic), as_json=json)
+    print_report(inspect_recording(file, **recording_flags.options()), as_json=json)
 
 
 def convert(
@@ -42,9 +41,7 @@ def convert(
     end: float = float("inf"),
     topics: tuple[str, ...] = (),
     decimate: int = 1,
-    odometry: OdometryChoice = "none",
-    points_topic: OptionalText = None,
-    pose_topic: OptionalText = None,
+    recording_flags: Inline[RecordingFlags] = _RECORDING,
     json: bool = False,
 ) -> None:
     """Write a recording, or a part of it, as ROS 2 MCAP.
@@ -58,9 +55,7 @@ def convert(
         end: Leave out what follows this time after the first message [s].
         topics: Write these topics only.
         decimate: Keep one of so many points of every cloud.
-        odometry: Estimate the motion from the sweeps, as `play` does, and write it as /odometry and /tf.
-        points_topic: Topic of the point clouds for the odometry; by default it is found by its type.
-        pose_topic: Topic of the poses; by default it is found by its type.
+        recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
         json: Print one JSON object.
     """
     from aero_viz.recordings import open_recording
@@ -82,13 +77,9 @@ def convert(
             )
             print_report(report, as_json=json)
 
-        if odometry == "none":
+        if recording_flags == _RECORDING:
             return write()
-        with open_recording(
-            file,
-            points_topic=points_topic,
-            pose_topic=pose_topic,
-            odometry=odometry,
-            progress=lambda done, total: show(done, total, f"estimating the motion: {done} of {total} sweeps"),
-        ) as recording:
+        options = recording_flags.options()
+        options["progress"] = lambda done, total: show(done, total, f"estimating the motion: {done} of {total} sweeps")
+        with open_recording(file, **options) as recording:
             write(recording=recording)

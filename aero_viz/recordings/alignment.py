@@ -85,9 +85,12 @@ def place(sweep: PointSweep, poses: RecordedPoses, *, shift: float = 0.0) -> NDA
     """
     if not len(sweep.points):
         return np.zeros((0, 3))
-    offsets = np.zeros(len(sweep.points)) if sweep.point_times is None else sweep.point_times.astype(np.float64)
-    position, quaternion = poses.track.interpolate(sweep.time + shift + offsets)
-    return np.einsum("nij,nj->ni", rotation_matrix(quaternion), sweep.points.astype(np.float64)) + position
+    track = poses.track
+    if sweep.point_times is None:
+        position, quaternion = track.interpolate(sweep.time + shift)
+        return sweep.points @ rotation_matrix(quaternion).T + position
+    times = np.clip(sweep.time + shift + sweep.point_times.astype(np.float64), track.times[0], track.times[-1])
+    return track.deskew(sweep.points, times)[0].astype(np.float64)
 
 
 def fit_of_sweeps(recording: Recording, poses: RecordedPoses) -> list[tuple[float, float]]:

@@ -13,6 +13,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import TOPICS_MAX
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.other_clouds import FOXGLOVE_CLOUD
 from aero_viz.recordings.pose_messages import POSE_TYPES, TRANSFORM_STAMPED, decode_poses
 from aero_viz.recordings.ros_messages import ENCODINGS, TF_TYPES, DamagedMessage
 from aero_viz.recordings.storage import Storage
@@ -174,7 +175,7 @@ class _Scanner:
     def _add(self, message: Message, file: BagFile, topic: TopicContents) -> None:
         """Add a cloud or the poses of a message."""
         channel = message.channel
-        if channel.encoding not in ENCODINGS:
+        if channel.encoding not in ENCODINGS and channel.type != FOXGLOVE_CLOUD:
             topic.add_damaged(f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1")
             return
         try:

@@ -16,6 +16,7 @@ from aero_viz.errors import UserError
 from aero_viz.recordings.bag_file import BagFile, Channel, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
+from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import (
@@ -106,7 +107,7 @@ def convert(
         try:
             with partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
-                if recording is not None and recording.poses is not None and not recording.has_own_poses:
+                if recording is not None and recording.pose_origin in ("file", "odometry"):
                     output.write_poses(recording, window)
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
@@ -153,7 +154,7 @@ class _Output:
             if channel.topic in self.left_out:
                 continue
             if self._own_poses and channel.topic in _ODOMETRY_TOPICS:
-                self.left_out[channel.topic] = "the estimated poses take its place"
+                self.left_out[channel.topic] = "other poses take its place"
                 continue
             progress(message.time)
             self._copy_message(bag, message)
@@ -161,9 +162,9 @@ class _Output:
     def _copy_message(self, bag: BagFile, message: Message) -> None:
         channel = message.channel
         kind = TF_TYPES[0] if channel.type in TF_TYPES else channel.type
-        kind = POINT_CLOUD2 if kind in CLOUD_TYPES else kind
+        kind = POINT_CLOUD2 if kind in CLOUD_TYPES and kind != LASER_SCAN else kind
         definition = _definition(kind) or bag.definitions.get(channel.type)
-        if channel.encoding not in ENCODINGS:
+        if channel.encoding not in ENCODINGS and channel.type not in CLOUD_TYPES:
             self.left_out[channel.topic] = f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1"
         elif definition is None or (channel.encoding == "ros1" and not _definition(kind)):
             self.left_out[channel.topic] = f"the type {channel.type} is not known here"
@@ -178,11 +179,13 @@ class _Output:
         if channel.type == POINT_CLOUD2 and self._decimate > 1:
             cdr = ros1_to_cdr(data, POINT_CLOUD2) if channel.encoding == "ros1" else data
             return _thinned(decode_message(cdr, POINT_CLOUD2, "cdr"), self._decimate)
-        if channel.type in CLOUD_TYPES and channel.type != POINT_CLOUD2:
+        if channel.type in CLOUD_TYPES and channel.type not in (POINT_CLOUD2, LASER_SCAN):
             cloud = read_cloud(data, channel.type, channel.encoding)
             rows = cloud.rows.reshape(-1)[:: self._decimate]
             points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
-            return encode_point_cloud2(points, cloud.stamp, cloud.frame, times=rows["time"].astype(np.uint32))
+            is_livox = "time" in (rows.dtype.names or ()) and rows["time"].dtype.kind == "u"
+            times = rows["time"].astype(np.uint32) if is_livox else None
+            return encode_point_cloud2(points, cloud.stamp, cloud.frame, times=times)
         if channel.encoding == "ros1":
             return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
         return data

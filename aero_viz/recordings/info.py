@@ -10,7 +10,8 @@ import numpy as np
 
 from aero_viz.errors import UserError
 from aero_viz.recordings.contents import Topic, read_contents
-from aero_viz.recordings.recording import Recording
+from aero_viz.recordings.findings import Finding, Measured, find_faults, measure
+from aero_viz.recordings.recording import Recording, configure_recording
 from aero_viz.recordings.storage import open_storage, readable
 from aero_viz.recordings.topics import require_topics
 from aero_viz.text_table import format_table
@@ -43,6 +44,10 @@ class RecordingInfo:
     points_topic: str | None = None
     pose_topic: str | None = None
     points_per_sweep: PointsPerSweep | None = None
+    measured: Measured | None = None
+    """Rates, range and field of view; None where nothing can be played."""
+    findings: tuple[Finding, ...] = ()
+    """Faults of the recording, and properties to know of."""
     problems: tuple[str, ...] = ()
     """Reasons why sweeps cannot be played, and other notices for the user, one sentence each."""
 
@@ -59,12 +64,25 @@ class RecordingInfo:
             points = self.points_per_sweep
             playable += f"; points per sweep: {points.min} min, {points.median} median, {points.max} max"
         title = f"{self.path}: {self.format}, {self.duration_s:.1f} s"
+        table = [format_table(rows, right=[3])] if rows else []
+        measured = [self.measured.format_line()] if self.measured else []
         notes = [f"note: {problem}" for problem in self.problems]
-        return "\n".join([title, *([format_table(rows, right=[3])] if rows else []), playable, *notes])
+        findings = [
+            f"{'FAULT' if finding.is_fault else 'hint'} ({finding.code}): {finding.evidence}. Next: {finding.advice}."
+            for finding in self.findings
+        ]
+        return "\n".join([title, *table, playable, *measured, *notes, *findings])
 
 
-def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: str | None = None) -> RecordingInfo:
+def inspect(
+    path: str | Path, *, points_topic: str | None = None, pose_topic: str | None = None, **options: Any
+) -> RecordingInfo:
     """Return a report on a recording. What keeps it from being played becomes one of the report's `problems`.
+
+    Args:
+        path: file or folder.
+        points_topic, pose_topic: topics to play from; None finds them by type.
+        options: other options of `open_recording`.
 
     Raises:
         UserError: there is no recording at `path`, nothing in it can be read, or a named topic does not exist or is of
@@ -79,6 +97,7 @@ def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: st
             report = RecordingInfo(str(storage.path), storage.format, contents.duration, topics)
             try:
                 recording = Recording(storage, contents, points_topic, pose_topic)
+                configure_recording(recording, storage, contents, **options)
             except UserError as error:
                 return replace(report, problems=(*contents.problems, str(error)))
             counts = recording.sweep_counts
@@ -88,6 +107,8 @@ def inspect(path: str | Path, *, points_topic: str | None = None, pose_topic: st
                 poses=0 if recording.poses is None else len(recording.poses.times),
                 points_topic=recording.points_topic,
                 pose_topic=recording.pose_topic,
+                measured=measure(recording),
+                findings=tuple(find_faults(recording)),
                 points_per_sweep=PointsPerSweep(int(counts.min()), int(np.median(counts)), int(counts.max())),
                 problems=tuple(recording.problems),
             )

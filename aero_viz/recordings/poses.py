@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import rotate
 
-__all__ = ["POSE_TOLERANCE", "SPEED_MAX", "Pose", "RecordedPoses", "sort_poses"]
+__all__ = ["POSE_TOLERANCE", "SPEED_MAX", "Pose", "RecordedPoses", "position_differences", "sort_poses"]
 
 SPEED_MAX = 1e3
 """A larger component of a velocity [m/s] is not that of a drone."""
@@ -63,7 +63,7 @@ class RecordedPoses:
         """[n, 3] [m], world frame minus `offset`: small numbers, of which float32 keeps the millimetres."""
         self.times: Array = t
         """[n] [s], increasing."""
-        self.velocities: Array = _differences(t, self.positions)
+        self.velocities: Array = position_differences(t, self.positions)
         """[n, 3] [m/s], world frame."""
         too_fast = (np.abs(self.velocities) > SPEED_MAX).any(axis=1)
         self.velocities[too_fast] = 0.0
@@ -71,8 +71,11 @@ class RecordedPoses:
         """Number of poses whose velocity is set to zero, because the positions around them are impossibly far apart."""
         self.measured_velocity = False
         """True if the velocities were recorded, False if they are differences of the positions."""
+        self.twists: Array | None = None
+        """Linear velocities as they were recorded [n, 3] [m/s], NaN where they are not; None without any."""
         if body_velocities is not None:
             twist = np.asarray(body_velocities, float).reshape(-1, 3)[order]
+            self.twists = twist
             if np.isfinite(twist).all() and twist.any():
                 self.velocities, self.measured_velocity = rotate(q, twist), True
         self.longest_gap = max(_MIN_LONGEST_GAP, 3.0 * float(np.median(np.diff(t)))) if len(t) > 1 else _MIN_LONGEST_GAP
@@ -163,7 +166,7 @@ def sort_poses(
     return order, t[order], p[order], q[order] / np.linalg.norm(q[order], axis=1, keepdims=True)
 
 
-def _differences(times: Array, positions: Array) -> Array:
+def position_differences(times: Array, positions: Array) -> Array:
     """Return (p(t + h) - p(t - h)) / 2 h [n, 3], one-sided at the ends.
 
     h is the median time between poses, but at least 0.05 s.

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import rotation_matrix
+from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
 from aero_viz.recordings.clouds import read_cloud
@@ -24,7 +24,7 @@ from aero_viz.recordings.transforms import IDENTITY, Transform
 if TYPE_CHECKING:
     from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
 
-__all__ = ["NO_POSES", "PointSweep", "Recording", "open_recording"]
+__all__ = ["NO_POSES", "PointSweep", "Recording", "configure_recording", "open_recording"]
 
 NO_POSES = (
     "no poses are recorded: the sensor is assumed to stand still; play with --odometry auto to estimate its motion "
@@ -58,6 +58,7 @@ class Recording:
 
     def __init__(self, storage: Storage, contents: Contents, points_topic: str | None, pose_topic: str | None):
         self._storage = storage
+        self._mask: NDArray[np.float32] | None = None
         self.path = storage.path
         self.format = storage.format
         """"mcap", "rosbag1", "rosbag2-mcap" or "rosbag2-sqlite3"."""
@@ -86,6 +87,11 @@ class Recording:
                 f"range{advice}"
             )
 
+        if self.poses is None and storage.pose_file is not None:
+            from aero_viz.recordings.pose_files import add_poses
+
+            add_poses(self, storage.pose_file)
+
     def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
         start = entries[0].time
@@ -110,8 +116,8 @@ class Recording:
         self.cloud_frame = kept[0].frame
         """Frame of the clouds."""
         self.pose_topic = source.topic if source else None
-        self.has_own_poses = source is not None
-        """True if the poses are those of the recording, False without any or after `use_poses`."""
+        self.pose_origin: Literal["", "recording", "file", "odometry"] = "recording" if source else ""
+        """Origin of the poses, empty without any."""
         self.poses: RecordedPoses | None = None
         """Motion of the body, None if no poses are recorded."""
         self.extrinsic: Transform = IDENTITY
@@ -125,16 +131,46 @@ class Recording:
         budget = ReadingBudget(0, share=0.3)
         return any(budget.is_late or len(self.sweep(i).points) for i in range(len(self._entries)))
 
-    def use_poses(self, poses: RecordedPoses, name: str, problems: Iterable[str]) -> None:
+    def mount(self, extrinsic: Transform) -> None:
+        """Move points to the body's frame by another pose of the sensor than the recorded one."""
+        self.extrinsic = extrinsic
+        self._cached_sweep.cache_clear()
+
+    def mask(self, corners: Sequence[float]) -> None:
+        """Leave out the points in a box, from x, y, z of the lower to those of the upper corner [6] [m], body frame."""
+        self._mask = np.array(corners, np.float32).reshape(2, 3)
+        self._cached_sweep.cache_clear()
+
+    def keep(self, sweeps: NDArray[np.bool_]) -> None:
+        """Play only some of the sweeps, [n], at least one. The first of them becomes time zero."""
+        if sweeps.all():
+            return
+        self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~sweeps))} of {len(sweeps)}")
+        first = float(self.sweep_times[sweeps][0])
+        self._entries = [entry for entry, kept in zip(self._entries, sweeps, strict=True) if kept]
+        self.start += round(1e9 * first)
+        self.sweep_times, self.sweep_counts = self.sweep_times[sweeps] - first, self.sweep_counts[sweeps]
+        self._cached_sweep.cache_clear()
+
+    def use_poses(
+        self, poses: RecordedPoses, name: str, problems: Iterable[str], *, origin: Literal["file", "odometry"]
+    ) -> None:
         """Play with other poses than the recorded ones.
 
         Args:
             poses: motion of the body, in the time of this recording.
             name: name of their origin, in place of a topic.
             problems: notices for the user about them.
+            origin: what they were read from.
         """
-        self.poses, self.pose_topic, self.has_own_poses = poses, name, False
+        self.poses, self.pose_topic, self.pose_origin = poses, name, origin
         self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
+
+    @property
+    def changes(self) -> tuple[bytes, ...]:
+        """The mounting and the mask, for comparisons."""
+        mask = b"" if self._mask is None else self._mask.tobytes()
+        return self.extrinsic.position.tobytes(), self.extrinsic.quaternion.tobytes(), mask
 
     @property
     def damage(self) -> str | None:
@@ -159,7 +195,11 @@ class Recording:
         if self.extrinsic is not IDENTITY:
             rotation = rotation_matrix(self.extrinsic.quaternion).astype(np.float32)
             points = points @ rotation.T + self.extrinsic.position.astype(np.float32)
-        return PointSweep(float(self.sweep_times[index]), points, decoded.times, decoded.dropped)
+        times = decoded.times
+        if self._mask is not None:
+            kept = ~((points >= self._mask[0]) & (points <= self._mask[1])).all(axis=1)
+            points, times = points[kept], None if times is None else times[kept]
+        return PointSweep(float(self.sweep_times[index]), points, times, decoded.dropped)
 
     def close(self) -> None:
         """Close the files."""
@@ -179,6 +219,9 @@ def open_recording(
     points_topic: str | None = None,
     pose_topic: str | None = None,
     odometry: OdometryChoice = "none",
+    poses: str | Path | None = None,
+    extrinsic: Sequence[float] | None = None,
+    mask: Sequence[float] | None = None,
     progress: OdometryProgress = lambda done, total: None,
 ) -> Recording:
     """Open an MCAP file, a rosbag2 folder, a .db3 file or a ROS 1 bag.
@@ -192,6 +235,10 @@ def open_recording(
             PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps.
         odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
             replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
+        poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.
+        extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of what is
+            recorded.
+        mask: box in the body's frame whose points are left out, see `Recording.mask`.
         progress: called while poses are estimated.
 
     Raises:
@@ -202,12 +249,55 @@ def open_recording(
         with readable(storage.path):
             contents = read_contents(storage)
             recording = Recording(storage, contents, points_topic, pose_topic)
-            if odometry != "none" and (recording.poses is None or odometry != "auto"):
-                _add_odometry(recording, storage, contents, odometry, progress)
+            configure_recording(
+                recording,
+                storage,
+                contents,
+                odometry=odometry,
+                poses=poses,
+                extrinsic=extrinsic,
+                mask=mask,
+                progress=progress,
+            )
             return recording
     except BaseException:
         storage.close()
         raise
+
+
+def configure_recording(
+    recording: Recording,
+    storage: Storage,
+    contents: Contents,
+    *,
+    odometry: OdometryChoice = "none",
+    poses: str | Path | None = None,
+    extrinsic: Sequence[float] | None = None,
+    mask: Sequence[float] | None = None,
+    progress: OdometryProgress = lambda done, total: None,
+) -> None:
+    """Apply the options of `open_recording` to a recording."""
+    if extrinsic is not None:
+        recording.mount(_mounting(extrinsic))
+    if mask is not None:
+        recording.mask(_checked(mask, "--mask", "the corners of a box"))
+    if poses is not None:
+        from aero_viz.recordings.pose_files import add_poses
+
+        add_poses(recording, Path(poses))
+    elif odometry != "none" and (recording.poses is None or odometry != "auto"):
+        _add_odometry(recording, storage, contents, odometry, progress)
+
+
+def _mounting(values: Sequence[float]) -> Transform:
+    x, y, z, roll, pitch, yaw = _checked(values, "--extrinsic", "x y z [m] roll pitch yaw [deg]")
+    return Transform(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
+
+
+def _checked(values: Sequence[float], flag: str, meaning: str) -> Sequence[float]:
+    if len(values) != 6 or not np.isfinite(values).all():
+        raise UserError(f"{flag} takes six finite numbers, {meaning}, not {list(values)}")
+    return values
 
 
 def _add_odometry(
@@ -221,7 +311,7 @@ def _add_odometry(
     imu = read_imu(storage.files)
     method = choose_method(choice, imu, timed=any(recording.sweep(i).point_times is not None for i in (0, -1)))
     files = [file.path for file in storage.files]
-    key = motion_key(files, method, recording.points_topic, recording.pose_topic)
+    key = motion_key(files, method, recording.points_topic, recording.pose_topic, *recording.changes)
     motion = load_motion(key)
     if motion is None:
         body = recording.cloud_frame if recording.extrinsic is IDENTITY else None
@@ -236,7 +326,7 @@ def _add_odometry(
             motion = motion._replace(problems=(*motion.problems, notice))
         save_motion(key, motion)
     source = f"poses are estimated by {motion.method}, {motion.ms_per_sweep:.0f} ms a sweep"
-    recording.use_poses(motion.poses(), f"odometry by {motion.method}", [source, *motion.problems])
+    recording.use_poses(motion.poses(), f"odometry by {motion.method}", [source, *motion.problems], origin="odometry")
 
 
 def _format_ranges(indices: Iterable[int]) -> str:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import yaml
 
@@ -19,9 +20,15 @@ from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
 
+if TYPE_CHECKING:
+    from aero_viz.recordings.other_formats import CloudFolder
+
 __all__ = ["SUPPORTED", "Storage", "open_storage", "readable"]
 
-SUPPORTED = "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files and ROS 1 .bag files (2.0)"
+SUPPORTED = (
+    "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
+    "folders of PCD, PLY, LAS, LAZ, NPY and KITTI .bin clouds, Livox .lvx2, and .pcap of a Livox Mid-360 or a Velodyne"
+)
 
 _READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
     MCAP_MAGIC: ("mcap", McapFile),
@@ -39,10 +46,13 @@ class Storage:
         path: file or folder that the user named.
         files: files of the recording.
         is_folder: True if `path` is a rosbag2 folder.
+        folder: its clouds if `path` is a folder of cloud files.
     """
 
-    def __init__(self, path: Path, files: list[Path], *, is_folder: bool):
+    def __init__(self, path: Path, files: list[Path], *, is_folder: bool, folder: CloudFolder | None = None):
         self.path = path
+        self.pose_file = folder.pose_file if folder else None
+        """File of poses that was found beside the clouds."""
         self.problems: list[str] = []
         """Notices for the user about the files, one sentence each."""
         self.files: list[BagFile] = []
@@ -57,6 +67,11 @@ class Storage:
                 bag.budget_share = 1.0 / len(files)
                 self.files.append(bag)
                 formats.add(f"rosbag2-{name}" if is_folder and name == "mcap" else name)
+            if folder is not None:
+                self._stack.callback(folder.clouds.close)
+                self.files.append(folder.clouds)
+                self.problems += folder.clouds.notices
+                formats.add(folder.format)
         except BaseException:
             self._stack.close()
             raise
@@ -89,6 +104,11 @@ class Storage:
         if start.startswith(b"#ROSBAG"):
             version = start.split(b"\n")[0].decode(errors="replace")
             raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`")
+        from aero_viz.recordings.other_formats import open_other_file
+
+        if found := open_other_file(path, start):
+            self.problems += found[1].notices
+            return found
         raise UserError(f"{name} is not a recording that AERO-Viz can read; it reads {SUPPORTED}")
 
     def close(self) -> None:
@@ -116,6 +136,10 @@ def open_storage(path: str | Path) -> Storage:
             storage = Storage(path, sorted(files, key=_part), is_folder=True)
             storage.problems.append("the folder has no metadata.yaml: the recording was probably interrupted")
             return storage
+        from aero_viz.recordings.other_formats import open_cloud_folder
+
+        if folder := open_cloud_folder(path):
+            return Storage(path, [], is_folder=True, folder=folder)
         raise UserError(_no_recording(path))
 
 

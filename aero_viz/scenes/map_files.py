@@ -15,13 +15,13 @@ from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.scenes.decoding_process import decode_apart
 
-__all__ = ["MAP_SUFFIXES", "read_map", "read_mesh", "read_points"]
+__all__ = ["MAP_SUFFIXES", "MESH_SUFFIXES", "read_map", "read_mesh", "read_points"]
 
 Points = NDArray[np.float64]
 
 _POINTS = (".pcd", ".ply", ".las", ".laz", ".npy", ".xyz", ".xyzn", ".xyzrgb", ".pts")
-_MESHES = (".obj", ".stl", ".glb", ".off")
-MAP_SUFFIXES = (*_POINTS, *_MESHES)
+MESH_SUFFIXES = (".obj", ".stl", ".glb", ".off")
+MAP_SUFFIXES = (*_POINTS, *MESH_SUFFIXES)
 """File name suffixes that `read_points` and `read_mesh` read."""
 
 
@@ -49,7 +49,7 @@ def read_mesh(path: str | Path) -> Points:
         UserError: the file cannot be read, is damaged, or holds no triangles although its format is one of meshes.
     """
     path = Path(path)
-    if path.suffix.lower() not in (*_MESHES, ".ply"):
+    if path.suffix.lower() not in (*MESH_SUFFIXES, ".ply"):
         return np.zeros((0, 9))
     return _triangles(path, _decode(path, "mesh", "mesh"))
 
@@ -62,9 +62,9 @@ def read_map(path: str | Path) -> Points:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in (*_MESHES, ".ply"):
+    if suffix not in (*MESH_SUFFIXES, ".ply"):
         return read_points(path)
-    table = _decode(path, "mesh" if suffix in _MESHES else "map", "any")
+    table = _decode(path, "mesh" if suffix in MESH_SUFFIXES else "map", "any")
     return _points(path, table) if table.shape[1] == 3 else _triangles(path, table)
 
 
@@ -87,6 +87,6 @@ def _points(path: Path, table: Points) -> Points:
 
 
 def _triangles(path: Path, table: Points) -> Points:
-    if len(table) == 0 and path.suffix.lower() in _MESHES:
+    if len(table) == 0 and path.suffix.lower() in MESH_SUFFIXES:
         raise UserError(f"{path} holds no triangles; give a mesh with at least one.")
     return table

@@ -1,0 +1,315 @@
+"""The check-up of a recording: faults that make the planner's view wrong without any error, each with evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector
+from aero_viz.recordings.alignment import match, place
+from aero_viz.recordings.misalignment import Misalignment, estimate_misalignment
+from aero_viz.recordings.poses import RecordedPoses, position_differences
+
+if TYPE_CHECKING:
+    from aero_viz.recordings.recording import Recording
+
+__all__ = ["Finding", "Measured", "find_faults", "measure"]
+
+_SAMPLES = 20
+_PAIRS, _QUERIES = 5, 1000
+_NEAR = 0.1
+"""A point this near to a surface lies on it [m]."""
+_MOVED = 2.0
+"""Distance between two poses that shows whether the cloud moves with the body [m]."""
+_MOVING = 0.5
+"""Speed from which the direction of a velocity counts [m/s]."""
+_AIRFRAME_RANGE, _AIRFRAME_CELL, _AIRFRAME_SHARE = 1.0, 0.05, 0.7
+"""Points that stay within 1 m in the same cell in so many sweeps of a moving body belong to it [m], [m]."""
+_GAP = 1.6
+"""A time between two sweeps that is so many median ones long lacks a sweep."""
+_JUMP, _TURN = 0.5, np.radians(25.0)
+_MIN_TIME_OFFSET, _MIN_ROTATION = 0.008, np.radians(0.8)
+_CERTAIN = 5.0
+"""An estimate counts if it is so many standard deviations from zero."""
+_IMPROVEMENT = 0.9
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault, or a property that the user should know of."""
+
+    code: str
+    """Short name, such as "time-offset"."""
+    evidence: str
+    """What was measured, one sentence without a full stop."""
+    advice: str
+    """The next step, an imperative without a full stop."""
+    is_fault: bool = True
+    """False if the playback copes with it by itself."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Properties of a recording; None where they cannot be measured."""
+
+    sweep_rate: float | None
+    """[Hz]."""
+    pose_rate: float | None
+    """[Hz]."""
+    range_m: tuple[float, float] | None
+    """1st and 99th percentile of the ranges [m]."""
+    elevation_deg: tuple[float, float] | None
+    """1st and 99th percentile of the elevations in the body frame [deg]."""
+    azimuth_deg: float | None
+    """Share of the full circle in which there are points, as an angle [deg]."""
+    ground_height: float | None
+    """Height of the ground in the frame of the poses [m]."""
+    timed_points: bool
+    """True if points have times."""
+
+    def format_line(self) -> str:
+        """Return the properties as one line of text."""
+        parts = []
+        if self.sweep_rate:
+            parts.append(f"sweeps at {self.sweep_rate:.1f} Hz, points with{'' if self.timed_points else 'out'} times")
+        if self.pose_rate:
+            parts.append(f"poses at {self.pose_rate:.1f} Hz")
+        if self.range_m and self.elevation_deg:
+            (near, far), (low, high) = self.range_m, self.elevation_deg
+            parts.append(f"range {near:.1f} to {far:.1f} m, elevation {low:.0f} to {high:.0f} deg")
+        if self.azimuth_deg:
+            parts.append(f"azimuth {self.azimuth_deg:.0f} deg")
+        if self.ground_height is not None:
+            parts.append(f"ground at z = {self.ground_height:.1f} m")
+        return "; ".join(parts)
+
+
+def measure(recording: Recording) -> Measured:
+    """Return rates, range, field of view and ground height of a recording."""
+    sweeps = [recording.sweep(i) for i in _sampled(len(recording.sweep_times))]
+    points = np.concatenate([sweep.points for sweep in sweeps]).astype(np.float64)
+    ranges = np.linalg.norm(points, axis=1)
+    near = field = circle = None
+    if len(points):
+        first, last = np.percentile(ranges, [1, 99])
+        low, high = np.percentile(np.degrees(np.arcsin(np.clip(points[:, 2] / ranges, -1, 1))), [1, 99])
+        near, field = (float(first), float(last)), (float(low), float(high))
+        azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) // 5.0
+        circle = 5.0 * len(np.unique(azimuth))
+    times = None if recording.poses is None else recording.poses.times
+    return Measured(
+        _rate(recording.sweep_times),
+        None if times is None else _rate(times),
+        near,
+        field,
+        circle,
+        _ground(recording),
+        any(sweep.point_times is not None for sweep in sweeps),
+    )
+
+
+def find_faults(recording: Recording) -> list[Finding]:
+    """Return the findings on a recording, faults first."""
+    found = list(_dropped_sweeps(recording))
+    poses = recording.poses
+    if poses is None or recording.pose_origin == "odometry":
+        return found
+    found += _jumps(poses)
+    found += _twists(poses)
+    found += _airframe(recording, poses)
+    fixed = list(_world_frame(recording, poses))
+    # Sweeps that do not move with the body, or poses that jump, say nothing about offsets.
+    if not fixed and not any(finding.code == "pose-jumps" for finding in found):
+        estimate = estimate_misalignment(recording, poses)
+        found += [] if estimate is None else _offsets(estimate)
+    return sorted(fixed + found, key=lambda finding: not finding.is_fault)
+
+
+def _sampled(count: int) -> list[int]:
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, _SAMPLES).astype(int))]
+
+
+def _rate(times: NDArray[np.float64]) -> float | None:
+    steps = np.diff(times)
+    return float(1.0 / np.median(steps)) if len(steps) and np.median(steps) > 0.0 else None
+
+
+def _dropped_sweeps(recording: Recording) -> Iterator[Finding]:
+    steps = np.diff(recording.sweep_times)
+    if len(steps) < 4:
+        return
+    period = float(np.median(steps))
+    gaps = np.flatnonzero(steps > _GAP * period)
+    if period > 0.0 and len(gaps):
+        missing, longest = int(np.round(steps[gaps] / period - 1.0).sum()), float(steps[gaps].max())
+        yield Finding(
+            "dropped-sweeps",
+            f"about {missing} of {len(steps) + 1 + missing} sweeps are missing: {len(gaps)} gaps, the longest "
+            f"{longest:.2f} s after {recording.sweep_times[int(gaps[np.argmax(steps[gaps])])]:.1f} s, where a sweep "
+            f"takes {period:.2f} s",
+            "record to a faster disk or with a larger queue, and check the network of the sensor",
+        )
+
+
+def _jumps(poses: RecordedPoses) -> Iterator[Finding]:
+    steps = np.diff(poses.times)
+    if len(steps) < 5:
+        return
+    moved = np.linalg.norm(np.diff(poses.positions, axis=0), axis=1)
+    turned = np.linalg.norm(rotation_vector(multiply(conjugate(poses.quaternions[:-1]), poses.quaternions[1:])), axis=1)
+    jumps = np.zeros(len(steps), bool)
+    for amount, least in ((moved, _JUMP), (turned, _TURN)):
+        rate = amount / steps
+        around = np.array([np.median(rate[max(0, i - 5) : i + 6]) for i in range(len(rate))])
+        jumps |= (amount > least) & (rate > 4.0 * around) & (amount - around * steps > least)
+    if jumps.any():
+        at = int(np.flatnonzero(jumps)[np.argmax(moved[jumps])])
+        yield Finding(
+            "pose-jumps",
+            f"the poses jump {int(jumps.sum())} times, by up to {moved[at]:.2f} m and {np.degrees(turned[at]):.0f} deg "
+            f"within {1e3 * steps[at]:.0f} ms at {poses.times[at]:.1f} s",
+            "play the odometry instead of a localization that corrects itself (--pose-topic), or --odometry auto",
+        )
+
+
+def _twists(poses: RecordedPoses) -> Iterator[Finding]:
+    twists = poses.twists
+    if twists is None or not np.isfinite(twists).all():
+        return
+    true = position_differences(poses.times, poses.positions)
+    moving = np.linalg.norm(true, axis=1) > _MOVING
+    if moving.sum() < 5:
+        return
+    speed = float(np.median(np.linalg.norm(true[moving], axis=1)))
+    if not twists.any():
+        yield Finding(
+            "twist-zero",
+            f"the twist of all {len(twists)} poses is zero, but the body moves at {speed:.1f} m/s",
+            "nothing: velocities are computed from the positions; on board, the estimator must fill in the twist",
+            is_fault=False,
+        )
+        return
+    as_body = float(np.median(np.linalg.norm((rotate(poses.quaternions, twists) - true)[moving], axis=1)))
+    as_world = float(np.median(np.linalg.norm((twists - true)[moving], axis=1)))
+    if as_body > max(0.3, 0.15 * speed):
+        if as_world < 0.5 * as_body:
+            yield Finding(
+                "twist-frame",
+                f"the twist is in the world frame: read so, it differs from the motion by {as_world:.2f} m/s, read in "
+                f"the body frame as nav_msgs/Odometry demands, by {as_body:.2f} m/s",
+                "rotate the twist into child_frame_id where it is published",
+            )
+        else:
+            yield Finding(
+                "twist-wrong",
+                f"the twist differs from the motion by {as_body:.2f} m/s at {speed:.1f} m/s, in the world frame by "
+                f"{as_world:.2f} m/s",
+                "check the unit, the axes and the frame of the twist where it is published",
+            )
+
+
+def _world_frame(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
+    times = recording.sweep_times
+    positions = poses.track.interpolate(times)[0]
+    raw, posed, distances = [], [], []
+    for first in _sampled(len(times))[:: _SAMPLES // _PAIRS]:
+        far = np.flatnonzero(np.linalg.norm(positions[first:] - positions[first], axis=1) > _MOVED)
+        if not len(far):
+            continue
+        second = first + int(far[0])
+        surface, query = recording.sweep(first), recording.sweep(second)
+        kept = slice(None, None, max(1, len(query.points) // _QUERIES))
+        query = query._replace(
+            points=query.points[kept], point_times=None if query.point_times is None else query.point_times[kept]
+        )
+        if len(query.points):
+            raw.append(_share_on_surfaces(surface.points.astype(np.float64), query.points.astype(np.float64)))
+            posed.append(_share_on_surfaces(place(surface, poses), place(query, poses)))
+            distances.append(float(np.linalg.norm(positions[second] - positions[first])))
+    if raw and np.median(raw) > max(0.1, 2.0 * float(np.median(posed))):
+        yield Finding(
+            "world-frame",
+            f"the cloud is already in the world frame: of sweeps {np.median(distances):.1f} m apart, "
+            f"{100 * np.median(raw):.0f} % of the points lie on surfaces of each other as recorded and "
+            f"{100 * np.median(posed):.0f} % when they are moved by the poses",
+            "play the raw cloud of the sensor (--points-topic), or publish the cloud in the sensor's frame",
+        )
+
+
+def _share_on_surfaces(surface: NDArray[np.float64], points: NDArray[np.float64]) -> float:
+    return float((np.abs(match(surface, points).distances) < _NEAR).sum() / len(points))
+
+
+def _airframe(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
+    sampled = _sampled(len(recording.sweep_times))
+    positions = poses.track.interpolate(recording.sweep_times[sampled])[0]
+    if len(sampled) < 5 or np.linalg.norm(np.ptp(positions, axis=0)) < _MOVED:
+        return
+    counts: dict[tuple[int, ...], int] = {}
+    for index in sampled:
+        points = recording.sweep(index).points
+        points = points[np.linalg.norm(points, axis=1) < _AIRFRAME_RANGE]
+        for cell in map(tuple, np.unique(np.floor(points / _AIRFRAME_CELL).astype(int), axis=0).tolist()):
+            counts[cell] = counts.get(cell, 0) + 1
+    fixed = np.array([cell for cell, count in counts.items() if count >= _AIRFRAME_SHARE * len(sampled)])
+    if not len(fixed):
+        return
+    lower, upper = fixed.min(axis=0) * _AIRFRAME_CELL, (fixed.max(axis=0) + 1) * _AIRFRAME_CELL
+    box = " ".join(f"{value:.2f}" for value in (*lower, *upper))
+    yield Finding(
+        "airframe",
+        f"the LiDAR sees the drone itself: {len(fixed)} cells of {100 * _AIRFRAME_CELL:.0f} cm within "
+        f"{_AIRFRAME_RANGE:.0f} m stay where they are in the body frame while it moves",
+        f"mask the box from ({lower[0]:.2f}, {lower[1]:.2f}, {lower[2]:.2f}) to ({upper[0]:.2f}, {upper[1]:.2f}, "
+        f"{upper[2]:.2f}) m: play with --mask {box}",
+    )
+
+
+def _offsets(estimate: Misalignment) -> Iterator[Finding]:
+    if estimate.after > _IMPROVEMENT * estimate.before:
+        return
+    evidence = f"points then lie {100 * estimate.after:.1f} instead of {100 * estimate.before:.1f} cm from the surfaces"
+    offset = estimate.time_offset
+    if abs(offset) > max(_MIN_TIME_OFFSET, _CERTAIN * estimate.time_deviation):
+        late = "early" if offset > 0.0 else "late"
+        yield Finding(
+            "time-offset",
+            f"the sweeps are stamped {1e3 * abs(offset):.0f} ms too {late} (+-{1e3 * estimate.time_deviation:.0f} ms): "
+            + evidence,
+            "synchronize the clocks of sensor and estimator (PTP), or correct the stamps where they are published",
+        )
+    angle = np.abs(estimate.rotation)
+    if (angle > np.maximum(_MIN_ROTATION, _CERTAIN * estimate.rotation_deviation)).any():
+        roll, pitch, yaw = np.degrees(estimate.rotation)
+        yield Finding(
+            "extrinsic",
+            f"walls are doubled: the sensor is turned by roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg against "
+            f"its recorded mounting; {evidence}",
+            "calibrate the mounting and record it in /tf_static, or give it with --extrinsic",
+        )
+
+
+def _ground(recording: Recording) -> float | None:
+    """Return the height of the largest level surface below the body, None if there is none."""
+    poses, below = recording.poses, []
+    if poses is None:
+        return None
+    for index in _sampled(len(recording.sweep_times)):
+        sweep = recording.sweep(index)
+        points = place(sweep, poses)
+        here = poses.track.interpolate(sweep.time)[0]
+        near = (np.linalg.norm(points[:, :2] - here[:2], axis=1) < 20.0) & (points[:, 2] < here[2] - 0.2)
+        below.append(points[near, 2])
+    heights = np.concatenate(below)
+    if len(heights) < 100:
+        return None
+    counts, edges = np.histogram(heights, np.arange(heights.min(), heights.max() + 0.2, 0.1))
+    best = int(np.argmax(counts))
+    if counts[best] < 0.1 * len(heights):
+        return None
+    inside = heights[(heights >= edges[max(best - 1, 0)]) & (heights <= edges[min(best + 2, len(edges) - 1)])]
+    return float(np.median(inside) + poses.offset[2])

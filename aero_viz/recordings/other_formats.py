@@ -1,0 +1,139 @@
+"""Recordings that are not bags: folders and single files of clouds, and captures of sensor packets."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from aero_viz.errors import UserError
+from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, CloudFiles, CloudSequence, PacketClouds
+from aero_viz.recordings.packets import (
+    LVX_MAGIC,
+    PCAP_MAGICS,
+    livox_sweeps,
+    lvx2_packets,
+    pcap_kind,
+    pcap_livox_packets,
+    velodyne_sweeps,
+)
+from aero_viz.scenes.map_files import MAP_SUFFIXES
+
+__all__ = ["CloudFolder", "open_cloud_folder", "open_other_file"]
+
+_PERIOD = 100_000_000
+_FIRST_STAMP = 1_000_000_000
+"""Stamp of the first cloud where none is known [ns]; zero would mean that it is unset."""
+_MAGICS = {b"# .PCD": ".pcd", b"VERSION": ".pcd", b"ply": ".ply", b"LASF": ".las", b"\x93NUMPY": ".npy"}
+_PCAPNG = b"\x0a\x0d\x0d\x0a"
+_ULOG = b"ULog"
+_SUBFOLDERS = ("", "velodyne", "velodyne_points/data", "points", "lidar", "clouds", "scans")
+_POSES = ("poses.txt", "pose.txt", "trajectory.txt", "groundtruth.txt", "gt.txt", "tum.txt")
+_TIMES = ("times.txt", "timestamps.txt")
+_UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
+"""Smallest number that is a time since 1970 in ns, us, ms, s, and the length of its unit [ns]."""
+
+
+class CloudFolder(NamedTuple):
+    """A folder of clouds."""
+
+    format: str
+    clouds: CloudFiles
+    pose_file: Path | None
+
+
+def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | None:
+    """Return the format of a file that is no bag, and its clouds; None if it is of no such format.
+
+    Args:
+        path: the file.
+        start: its first bytes.
+
+    Raises:
+        UserError: the file is damaged, or of a format for which the message names the next step.
+    """
+    suffix = path.suffix.lower()
+    if start.startswith(LVX_MAGIC):
+        return "lvx2", PacketClouds(path, "/livox/lidar", livox_sweeps(lvx2_packets(path)))
+    if start.startswith(PCAP_MAGICS):
+        if pcap_kind(path) == "livox":
+            return "livox-pcap", PacketClouds(path, "/livox/lidar", livox_sweeps(pcap_livox_packets(path)))
+        return "velodyne-pcap", PacketClouds(path, "/velodyne_points", velodyne_sweeps(path))
+    if start.startswith(_PCAPNG):
+        raise UserError(f"{path} is a pcapng capture: convert it with `editcap -F pcap {path.name} OUT.pcap`.")
+    if start.startswith(_ULOG):
+        raise UserError(f"{path} is a log of PX4, which has no clouds: play a recording with --poses {path}.")
+    if suffix == ".osf":
+        raise UserError(f"{path} is Ouster's format: convert it with `ouster-cli source {path.name} save OUT.bag`.")
+    found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
+    if found is None and suffix not in (".bin", ".xyz", ".pts"):
+        return None
+    if found is not None and suffix not in CLOUD_SUFFIXES:
+        raise UserError(f"{path} holds points as {found} under another name: rename it to {path.stem}{found}.")
+    clouds = CloudFiles(path, [path], [_FIRST_STAMP])
+    if suffix in MAP_SUFFIXES:
+        clouds.notices.append(f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {path.name}")
+    return suffix.lstrip("."), clouds
+
+
+def open_cloud_folder(path: Path) -> CloudFolder | None:
+    """Return the clouds in a folder, with poses and times from the texts beside them; None if it holds no clouds.
+
+    Raises:
+        UserError: a file is damaged, or the times do not fit the clouds.
+    """
+    for name in _SUBFOLDERS:
+        folder = path / name
+        if not folder.is_dir():
+            continue
+        files = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES and file.is_file()]
+        if not files:
+            continue
+        suffix = Counter(file.suffix.lower() for file in files).most_common(1)[0][0]
+        files = sorted((file for file in files if file.suffix.lower() == suffix), key=_order)
+        stamps, notice = _stamps(files, [folder, path, path.parent] if name else [folder, path.parent])
+        clouds = CloudFiles(path, files, stamps)
+        clouds.notices += [notice] if notice else []
+        places = [folder, path]
+        pose_file = next((place / pose for place in places for pose in _POSES if (place / pose).is_file()), None)
+        pose_file = pose_file or next((file for place in places for file in sorted(place.glob("*.tum"))), None)
+        return CloudFolder(f"folder of {suffix.lstrip('.')}", clouds, pose_file)
+    return None
+
+
+def _order(file: Path) -> tuple[float, str]:
+    return (_number(file) or 0.0, file.name)
+
+
+def _number(file: Path) -> float | None:
+    try:
+        return float(file.stem.replace("_", "."))
+    except ValueError:
+        return None
+
+
+def _stamps(files: list[Path], folders: list[Path]) -> tuple[list[int], str]:
+    """Return the stamps of the files [ns], and a notice on where they are from."""
+    for folder in folders[:-1]:
+        for name in _TIMES:
+            if (folder / name).is_file():
+                return _read_times(folder / name, len(files)), ""
+    numbers = [_number(file) for file in files]
+    if all(number is not None and number >= _UNITS[-1][0] for number in numbers):
+        unit = next(length for least, length in _UNITS if numbers[0] is not None and numbers[0] >= least)
+        if unit == 1.0:
+            return [int(file.stem.replace("_", "")) for file in files], ""
+        return [round((number or 0.0) * unit) for number in numbers], ""
+    notice = "no times are recorded: the clouds are assumed to be 0.1 s apart" if len(files) > 1 else ""
+    return [_FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
+
+
+def _read_times(path: Path, count: int) -> list[int]:
+    try:
+        values = [float(line.split()[0]) for line in path.read_text(encoding="ascii").splitlines() if line.strip()]
+    except (ValueError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} must hold one time in seconds per line ({error}); correct or remove it.") from error
+    if len(values) != count:
+        raise UserError(f"{path} holds {len(values)} times for {count} clouds; correct or remove it.")
+    unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
+    return [max(round(value * unit), 0) + (0 if values[0] > 1.0 else _FIRST_STAMP) for value in values]

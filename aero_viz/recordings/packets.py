@@ -1,0 +1,178 @@
+"""Raw packets of LiDARs: Livox's .lvx2, and .pcap captures of the Livox Mid-360 and of Velodyne's sensors."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from aero_planner.onboard.livox import LivoxPacket, decode_points, parse_packet
+from aero_viz.errors import UserError
+from aero_viz.recordings.cloud_files import StampedCloud
+
+__all__ = [
+    "LVX_MAGIC",
+    "PCAP_MAGICS",
+    "livox_sweeps",
+    "lvx2_packets",
+    "pcap_kind",
+    "pcap_livox_packets",
+    "udp_payloads",
+    "velodyne_sweeps",
+]
+
+LVX_MAGIC = b"livox_tech"
+PCAP_MAGICS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d")
+"""Starts of captures: little and big endian with microseconds, and with nanoseconds."""
+
+_SWEEP = 100_000_000
+"""A Livox never turns: packets of so much time make a sweep [ns]."""
+_LVX_HEADER, _LVX_DEVICE, _LVX_FRAME = 24 + 5, 63, 24
+_LVX_PACKAGE = struct.Struct("<BIBBQHBIB4x")
+_POINT_SIZES = {1: 14, 2: 8}
+_POINT_INTERVAL = 1e9 / 200_000  # of a Mid-360 [ns]; .lvx2 does not say
+_VELODYNE = 1206
+_OUSTER_PORT = 7502
+_LINKS = {1: 14, 101: 0, 113: 16, 228: 0}
+"""Length of the header before IPv4 [bytes]: Ethernet, raw, Linux cooked, IPv4."""
+_PROBED = 2000
+
+
+class _Datagram(NamedTuple):
+    time: int
+    """Time of capture [ns]."""
+    port: int
+    """Destination."""
+    payload: bytes
+
+
+def udp_payloads(path: Path) -> Iterator[_Datagram]:
+    """Yield the UDP datagrams of a capture; ends where a truncated file ends. Fragments are left out.
+
+    Raises:
+        UserError: the capture has a link type that is not supported.
+    """
+    with path.open("rb") as file:
+        head = file.read(24)
+        order = "<" if head[:4] in (PCAP_MAGICS[0], PCAP_MAGICS[2]) else ">"
+        unit = 1 if head[:4] in PCAP_MAGICS[2:] else 1000
+        link = struct.unpack(f"{order}I", head[20:24])[0] & 0xFFFF if len(head) == 24 else 0
+        if link not in _LINKS:
+            raise UserError(f"{path} is a capture of link type {link}; capture on an Ethernet interface.")
+        while len(record := file.read(16)) == 16:
+            seconds, fraction, length, _ = struct.unpack(f"{order}4I", record)
+            if length > 1 << 18:
+                return
+            frame = file.read(length)
+            if len(frame) < length:
+                return
+            ip = frame[_LINKS[link] :]
+            if link == 1 and frame[12:14] == b"\x81\x00":  # VLAN
+                ip = frame[18:]
+            if len(ip) < 28 or ip[0] >> 4 != 4 or ip[9] != 17 or (ip[6] & 0x3F) or ip[7]:
+                continue
+            size = 4 * (ip[0] & 15)
+            port, udp = struct.unpack_from(">HH", ip, size + 2) if len(ip) >= size + 8 else (0, 0)
+            yield _Datagram(seconds * 10**9 + fraction * unit, port, ip[size + 8 : size + udp])
+
+
+def pcap_kind(path: Path) -> str:
+    """Return "livox" or "velodyne", whichever most of the first packets of a capture are.
+
+    Raises:
+        UserError: they are neither.
+    """
+    counts = {"livox": 0, "velodyne": 0, "ouster": 0}
+    for datagram in itertools.islice(udp_payloads(path), _PROBED):
+        payload = datagram.payload
+        counts["livox"] += isinstance(parse_packet(payload), LivoxPacket)
+        counts["velodyne"] += len(payload) == _VELODYNE and payload[:2] == b"\xff\xee"
+        counts["ouster"] += datagram.port == _OUSTER_PORT
+    kind = max(counts, key=lambda name: counts[name])
+    if not counts[kind]:
+        raise UserError(f"{path} has no packets of a Livox Mid-360 or a Velodyne: capture the sensor's UDP port.")
+    if kind == "ouster":
+        raise UserError(
+            f"{path} holds packets of an Ouster, which AERO-Viz does not decode: convert it first, with "
+            "`ouster-cli source FILE save OUT.bag` of ouster-sdk, and play the bag."
+        )
+    return kind
+
+
+def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
+    """Yield sweeps of 100 ms from the packets of a Livox, without the rays that returned nothing."""
+    for _, group in itertools.groupby(packets, lambda packet: packet.stamp_ns // _SWEEP):
+        parts, times, start = [], [], None
+        for packet in group:
+            start = packet.stamp_ns if start is None else start
+            points, _ = decode_points(packet.data_type, packet.payload)
+            offsets = packet.stamp_ns - start + np.linspace(0.0, 1e9 * packet.interval, len(points))
+            hit = (points != 0.0).any(axis=1) & (offsets >= 0.0)
+            parts.append(points[hit])
+            times.append(offsets[hit].astype(np.uint32))
+        if start is not None:
+            yield StampedCloud(start, np.concatenate(parts), np.concatenate(times))
+
+
+def pcap_livox_packets(path: Path) -> Iterator[LivoxPacket]:
+    """Yield the point packets of a capture."""
+    for datagram in udp_payloads(path):
+        packet = parse_packet(datagram.payload)
+        if isinstance(packet, LivoxPacket):
+            yield packet
+
+
+def lvx2_packets(path: Path) -> Iterator[LivoxPacket]:
+    """Yield the point packets of a .lvx2 file; ends where a truncated or damaged file ends.
+
+    Raises:
+        UserError: it is a file of Livox's older format.
+    """
+    with path.open("rb") as file:
+        head = file.read(_LVX_HEADER)
+        if len(head) < _LVX_HEADER or head[16] != 2:
+            raise UserError(f"{path} is not an .lvx2 file (version 2); export it again with Livox Viewer 2.")
+        file.seek(_LVX_HEADER + _LVX_DEVICE * head[28])
+        while len(frame := file.read(_LVX_FRAME)) == _LVX_FRAME:
+            here, after, _ = struct.unpack("<3Q", frame)
+            end = file.tell() - _LVX_FRAME + (after - here)
+            while file.tell() < end and len(header := file.read(_LVX_PACKAGE.size)) == _LVX_PACKAGE.size:
+                _, _, _, time_type, stamp, sequence, kind, length, _ = _LVX_PACKAGE.unpack(header)
+                size = _POINT_SIZES.get(kind)
+                if length > 1 << 20 or size is None or length % size:
+                    return
+                payload = file.read(length)
+                if len(payload) < length:
+                    return
+                count = length // size
+                if count:
+                    interval = 1e-9 * _POINT_INTERVAL * (count - 1)
+                    yield LivoxPacket(stamp, interval, count, sequence, kind, time_type, payload)
+
+
+def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
+    """Yield the sweeps of a capture of a Velodyne.
+
+    Raises:
+        UserError: velodyne-decoder is not installed.
+    """
+    try:
+        import velodyne_decoder as decoder
+    except ImportError as error:
+        raise UserError(
+            f"velodyne-decoder is not installed ({error}): pip install 'aero-viz[formats]' to read {path}"
+        ) from error
+    with path.open("rb") as file:
+        config = decoder.Config()
+        config.timestamp_first_packet = True
+        for stamp, points in decoder.read_pcap(file, config):
+            table: Any = np.asarray(points)
+            offsets = table[:, decoder.PointField.time].astype(np.float64)
+            start = float(offsets.min()) if len(offsets) else 0.0
+            host = float(getattr(stamp, "host", stamp))
+            times = np.round(1e9 * (offsets - start)).astype(np.uint32)
+            yield StampedCloud(round(1e9 * (host + start)), table[:, :3].astype(np.float32), times)

@@ -1,0 +1,170 @@
+"""Poses from files beside a recording: TUM and KITTI text, and the state in a ULog of PX4."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner.quaternions import multiply, quaternion_of_matrix, rotate
+from aero_planner.user_file import open_user_file
+from aero_viz.errors import UserError
+from aero_viz.recordings.poses import RecordedPoses
+
+if TYPE_CHECKING:
+    from aero_viz.recordings.recording import Recording
+
+__all__ = ["PoseTable", "add_poses", "read_pose_file"]
+
+_ULOG_MAGIC = b"ULog\x01\x12\x35"
+_MAX_BYTES = 1 << 30
+_SQRT_HALF = float(np.sqrt(0.5))
+_NED_TO_ENU = np.array([0.0, _SQRT_HALF, _SQRT_HALF, 0.0])
+_FLU_TO_FRD = np.array([0.0, 1.0, 0.0, 0.0])
+
+
+class PoseTable(NamedTuple):
+    """The poses in a file."""
+
+    format: str
+    """"TUM", "KITTI" or "ULog"."""
+    times: NDArray[np.float64] | None
+    """[n] [s] on the file's own clock; None for KITTI, which has one pose per sweep."""
+    positions: NDArray[np.float64]
+    """[n, 3] [m], world z up."""
+    quaternions: NDArray[np.float64]
+    """[n, 4] w, x, y, z."""
+    twists: NDArray[np.float64] | None
+    """Velocities in the body frame [n, 3] [m/s]."""
+    utc: float | None = None
+    """Time since 1970 at time 0 of the file's clock [s], None where it is not known."""
+
+
+def read_pose_file(path: Path) -> PoseTable:
+    """Return the poses in a file, whose content decides its format.
+
+    TUM: lines of time x y z qx qy qz qw. KITTI: lines of the 12 numbers of a 3 x 4 matrix.
+
+    Raises:
+        UserError: the file cannot be read or is of another format.
+    """
+    try:
+        with open_user_file(path) as file:
+            start = file.read(len(_ULOG_MAGIC))
+            if start == _ULOG_MAGIC:
+                return _read_ulog(path)
+            text = (start + file.read(_MAX_BYTES)).decode("ascii")
+    except OSError as error:
+        raise UserError(f"Cannot read the poses {path}: {error.strerror or error}.") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} holds no poses: give TUM or KITTI text, or a ULog of PX4.") from error
+    lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    widths = {len(line) for line in lines}
+    if len(widths) != 1 or widths not in ({8}, {12}):
+        raise UserError(
+            f"{path} holds no poses: every line must have 8 numbers (TUM: time x y z qx qy qz qw) or 12 (KITTI)."
+        )
+    try:
+        table = np.array(lines, dtype=np.float64)
+    except ValueError as error:
+        raise UserError(f"{path} holds something else than numbers: {error}.") from error
+    finite = np.isfinite(table).all(axis=1)
+    if not finite.all():
+        raise UserError(f"{path} holds numbers that are not finite: see pose {int(np.argmin(finite)) + 1}.")
+    if widths == {12}:
+        matrices = table.reshape(-1, 3, 4)
+        rotation = matrices[:, :, :3]
+        if np.abs(np.linalg.det(rotation) - 1.0).max() > 0.1:
+            raise UserError(f"{path} is not KITTI text: its matrices are no rotations.")
+        return PoseTable("KITTI", None, matrices[:, :, 3], quaternion_of_matrix(rotation), None)
+    quaternions = table[:, [7, 4, 5, 6]]
+    norms = np.linalg.norm(quaternions, axis=1)
+    if (np.abs(norms - 1.0) > 0.1).any():
+        line = int(np.flatnonzero(np.abs(norms - 1.0) > 0.1)[0]) + 1
+        raise UserError(f"{path} is not TUM text: the quaternion of pose {line} has the length {norms[line - 1]:.2f}.")
+    return PoseTable("TUM", table[:, 0], table[:, 1:4], quaternions / norms[:, None], None)
+
+
+def _read_ulog(path: Path) -> PoseTable:
+    """Return position, attitude and velocity of a PX4 log, moved from NED and FRD to ENU and FLU."""
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise UserError(f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}") from error
+    try:
+        log = ULog(str(path), ["vehicle_local_position", "vehicle_attitude", "vehicle_gps_position", "sensor_gps"])
+        data = {entry.name: entry.data for entry in reversed(log.data_list)}
+    except Exception as error:  # the parser fails in many ways on damaged logs
+        raise UserError(
+            f"{path} cannot be read and may be damaged or truncated: {error or type(error).__name__}."
+        ) from error
+    if "vehicle_local_position" not in data or "vehicle_attitude" not in data:
+        raise UserError(f"{path} has no vehicle_local_position and vehicle_attitude: log the estimator's topics.")
+    place, attitude = data["vehicle_local_position"], data["vehicle_attitude"]
+    times = 1e-6 * place["timestamp"].astype(np.float64)
+    ned = np.stack([place[name] for name in ("x", "y", "z")], axis=1).astype(np.float64)
+    speed = np.stack([place[name] for name in ("vx", "vy", "vz")], axis=1).astype(np.float64)
+    frd = np.stack([attitude[f"q[{i}]"] for i in range(4)], axis=1).astype(np.float64)
+    at = 1e-6 * attitude["timestamp"].astype(np.float64)
+    valid = np.isfinite(ned).all(axis=1) & np.isfinite(speed).all(axis=1) & (times >= at[0]) & (times <= at[-1])
+    times, ned, speed = times[valid], ned[valid], speed[valid]
+    if not len(times):
+        raise UserError(f"{path} has no valid position: the estimator had none during this log.")
+    nearest = np.clip(np.searchsorted(at, times), 0, len(at) - 1)
+    quaternions = multiply(multiply(_NED_TO_ENU, frd[nearest]), _FLU_TO_FRD)
+    positions, velocities = rotate(_NED_TO_ENU, ned), rotate(_NED_TO_ENU, speed)
+    twists = rotate(quaternions * [1.0, -1.0, -1.0, -1.0], velocities)
+    return PoseTable("ULog", times, positions, quaternions, twists, _utc(data))
+
+
+def _utc(data: dict[str, dict[str, NDArray[np.generic]]]) -> float | None:
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        gps = data.get(name, {})
+        if "time_utc_usec" in gps:
+            utc = gps["time_utc_usec"].astype(np.float64)
+            known = utc > 0
+            if known.any():
+                return float(np.median(1e-6 * (utc[known] - gps["timestamp"][known].astype(np.float64))))
+    return None
+
+
+def add_poses(recording: Recording, path: Path) -> None:
+    """Play a recording with the poses of a file.
+
+    Times are those of the sweeps' stamps, or since the first sweep. A ULog, whose clock starts with the autopilot, is
+    aligned by its GPS time; without it, the first sweep is taken for its first pose.
+
+    Raises:
+        UserError: the file holds no poses, or none during the sweeps.
+    """
+    table = read_pose_file(path)
+    sweeps = recording.sweep_times
+    notices = [f"poses are those of {path.name} ({table.format})"]
+    if table.times is None:
+        if len(table.positions) != len(sweeps):
+            raise UserError(
+                f"{path} has {len(table.positions)} poses and {recording.path} {len(sweeps)} sweeps: KITTI text must "
+                "have one pose per sweep; give TUM text, which has times."
+            )
+        times = sweeps
+    else:
+        start, first = recording.start * 1e-9, table.times[0]
+        candidates = [("", table.times - start), ("counted from the first sweep", table.times)]
+        if table.utc is not None:
+            candidates.insert(0, ("aligned by GPS time", table.times + table.utc - start))
+        candidates.append(("the first pose is assumed to be that of the first sweep", table.times - first))
+        choice, times = next((c for c in candidates if _overlaps(c[1], sweeps)), candidates[-1])
+        notices += [f"the times of {path.name}: {choice}"] if choice else []
+    poses = RecordedPoses(times, table.positions, table.quaternions, table.twists)
+    covered = poses.covers(sweeps)
+    if not covered.any():
+        raise UserError(f"the poses of {path} do not overlap the sweeps of {recording.path} in time.")
+    recording.keep(covered)
+    recording.use_poses(poses.shifted(float(sweeps[covered][0])), path.name, notices, origin="file")
+
+
+def _overlaps(times: NDArray[np.float64], sweeps: NDArray[np.float64]) -> bool:
+    inside = (sweeps >= times.min()) & (sweeps <= times.max())
+    return bool(inside.mean() > 0.5)

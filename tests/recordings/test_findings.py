@@ -1,0 +1,178 @@
+"""The check-up on recordings that have exactly one fault, made from a simulated flight, and on good ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import bags
+import numpy as np
+import pytest
+from command_line import run, run_json
+
+from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate, rotation_matrix
+from aero_viz.catalog import shipped_recordings
+from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
+from aero_viz.recordings import inspect, open_recording
+from aero_viz.recordings.alignment import place
+from aero_viz.scenes import scene
+
+
+class Flight(NamedTuple):
+    """Four seconds of a flight through the forest."""
+
+    sweeps: list[tuple[float, np.ndarray, np.ndarray]]
+    """Time [s], points [P, 3] [m], body frame, and times of the points [P] [ns]."""
+    world: list[np.ndarray]
+    """The points of the sweeps in the world frame."""
+    times: np.ndarray
+    positions: np.ndarray
+    quaternions: np.ndarray
+    velocities: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    path = tmp_path_factory.mktemp("flight") / "flight.mcap"
+    options = SensorLogOptions(every=4, plan_period=None, duration=4.0)
+    write_sensor_log(scene("forest", seed=3), path, seed=3, speed=5.0, options=options)
+    with open_recording(path) as recording:
+        poses = recording.poses
+        assert poses is not None
+        found = [recording.sweep(i) for i in range(len(recording.sweep_times))]
+        sweeps = [(s.time, s.points, np.round(s.point_times * 1e9).astype("u4")) for s in found]  # type: ignore[operator]
+        world = [place(sweep, poses) for sweep in found]
+        return Flight(sweeps, world, poses.times, poses.positions, poses.quaternions, poses.velocities)
+
+
+Build = Callable[..., Path]
+
+
+@pytest.fixture
+def build(flight: Flight, mcap_of: Callable[[list[bags.Item]], Path]) -> Build:
+    """Return a function that writes the flight, with changes."""
+
+    def write(
+        *,
+        sweeps: list[tuple[float, np.ndarray, np.ndarray]] | None = None,
+        positions: np.ndarray | None = None,
+        twists: np.ndarray | None = None,
+        late: float = 0.0,
+    ) -> Path:
+        items: list[bags.Item] = []
+        for time, points, offsets in sweeps or flight.sweeps:
+            items.append(bags.cloud(time + late, {**bags.xyz(points), "t": offsets}))
+        twists = rotate(conjugate(flight.quaternions), flight.velocities) if twists is None else twists
+        positions = flight.positions if positions is None else positions
+        for row in zip(flight.times, positions, flight.quaternions, twists, strict=True):
+            items.append(bags.odometry(*row))
+        return mcap_of(items)
+
+    return write
+
+
+def codes(path: Path) -> list[str]:
+    return [finding.code for finding in inspect(path).findings]
+
+
+def evidence(path: Path, code: str) -> str:
+    return next(finding.evidence for finding in inspect(path).findings if finding.code == code)
+
+
+def test_a_good_flight_has_no_findings(build: Build) -> None:
+    report = inspect(build())
+    assert report.findings == ()
+    measured = report.measured
+    assert measured is not None and measured.timed_points
+    assert measured.sweep_rate == pytest.approx(10.0) and measured.pose_rate == pytest.approx(50.0)
+    assert measured.ground_height == pytest.approx(-2.0, abs=0.1)  # below the first pose
+    assert measured.elevation_deg is not None
+    assert measured.elevation_deg == pytest.approx((-7.0, 52.0), abs=3.0) and measured.azimuth_deg == 360.0
+
+
+def test_shipped_recordings_have_no_findings() -> None:
+    for path, _ in shipped_recordings().values():
+        assert codes(path) == []
+
+
+@pytest.mark.parametrize(("name", "expected"), [("ouster_os1_128_mcap", []), ("hilti_os0_A_mcap", ["twist-zero"])])
+def test_real_recordings_have_no_faults(shared_datasets: Path, name: str, expected: list[str]) -> None:
+    report = inspect(shared_datasets / name)
+    assert [finding.code for finding in report.findings] == expected
+    assert not any(finding.is_fault for finding in report.findings)
+
+
+def test_a_cloud_in_the_world_frame(build: Build, flight: Flight) -> None:
+    sweeps = [(time, cloud, at) for (time, _, at), cloud in zip(flight.sweeps, flight.world, strict=True)]
+    assert codes(build(sweeps=sweeps)) == ["world-frame"]
+
+
+def test_a_twist_that_is_zero(build: Build, flight: Flight) -> None:
+    path = build(twists=np.zeros_like(flight.velocities))
+    assert codes(path) == ["twist-zero"]
+    assert not inspect(path).findings[0].is_fault
+
+
+def test_a_twist_in_the_world_frame(mcap_of: Callable[[list[bags.Item]], Path]) -> None:
+    # A straight flight to the left while the nose points along x: body and world differ by the heading.
+    turned = quaternion_from_angles(0.0, 0.0, 90.0)
+    items = [bags.cloud(0.1 * k, bags.xyz(bags.wall(seed=k))) for k in range(20)]
+    items += [bags.odometry(0.05 * k, (0.0, 0.1 * k, 0.0), turned, (0.0, 2.0, 0.0)) for k in range(40)]
+    assert "twist-frame" in codes(mcap_of(items))
+    items[20:] = [bags.odometry(0.05 * k, (0.0, 0.1 * k, 0.0), turned, (2.0, 0.0, 0.0)) for k in range(40)]
+    assert "twist-frame" not in codes(mcap_of(items))
+
+
+def test_a_twist_in_a_wrong_unit(build: Build, flight: Flight) -> None:
+    assert codes(build(twists=3.6 * rotate(conjugate(flight.quaternions), flight.velocities))) == ["twist-wrong"]
+
+
+@pytest.mark.parametrize("late", [0.05, -0.05])
+def test_a_time_offset_is_measured(build: Build, late: float) -> None:
+    path = build(late=late)
+    assert codes(path) == ["time-offset"]
+    text = evidence(path, "time-offset")
+    assert ("too late" if late > 0 else "too early") in text
+    assert abs(float(text.split("stamped ")[1].split(" ms")[0]) - 50.0) < 6.0
+
+
+def test_a_wrong_mounting_is_measured(build: Build, flight: Flight) -> None:
+    turn = rotation_matrix(quaternion_from_angles(0.0, 5.0, 0.0))
+    path = build(sweeps=[(time, points @ turn.T, at) for time, points, at in flight.sweeps])
+    assert codes(path) == ["extrinsic"]
+    assert abs(abs(float(evidence(path, "extrinsic").split("pitch ")[1].split(",")[0])) - 5.0) < 1.0
+
+
+def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight) -> None:
+    random = np.random.default_rng(0)
+    box = np.array([0.21, 0.06, -0.14]), np.array([0.34, 0.14, -0.06])
+    sweeps = []
+    for time, points, at in flight.sweeps:
+        arm = random.uniform(*box, (60, 3))
+        sweeps.append((time, np.vstack([points, arm]), np.append(at, np.zeros(60, at.dtype))))
+    path = build(sweeps=sweeps)
+    assert codes(path) == ["airframe"]
+    corners = np.array(inspect(path).findings[0].advice.split("--mask ")[1].split(), float)
+    np.testing.assert_allclose(corners, np.concatenate(box), atol=0.06)
+
+
+def test_poses_that_jump(build: Build, flight: Flight) -> None:
+    jumped = flight.positions + np.outer(flight.times > 2.0, [0.0, 1.5, 0.0])
+    path = build(positions=jumped)
+    assert "pose-jumps" in codes(path)
+    assert "1.5" in evidence(path, "pose-jumps") and "at 2.0 s" in evidence(path, "pose-jumps")
+
+
+def test_dropped_sweeps_are_counted(build: Build, flight: Flight) -> None:
+    path = build(sweeps=flight.sweeps[:10] + flight.sweeps[13:30] + flight.sweeps[31:])
+    assert codes(path) == ["dropped-sweeps"]
+    assert evidence(path, "dropped-sweeps").startswith(f"about 4 of {len(flight.sweeps)} sweeps are missing: 2 gaps")
+
+
+def test_findings_are_printed_with_their_next_step(build: Build, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(build(late=0.05))
+    code, text, _ = run(capsys, "inspect", path)
+    assert code == 0 and "FAULT (time-offset): the sweeps are stamped" in text and "Next: synchronize" in text
+    found = run_json(capsys, "inspect", path)["findings"]
+    assert [finding["code"] for finding in found] == ["time-offset"]

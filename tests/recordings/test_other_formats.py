@@ -1,0 +1,349 @@
+"""Recordings that are not bags, written by the libraries that define their formats."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bags
+import laspy
+import numpy as np
+import pytest
+from command_line import run, run_json, run_refused
+from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
+
+from aero_planner.onboard.livox import encode_packet
+from aero_viz.errors import UserError
+from aero_viz.recordings import open_recording
+from aero_viz.recordings.pose_files import read_pose_file
+
+dpkt = pytest.importorskip("dpkt", reason="the extra 'formats' is not installed")
+
+WALL = bags.wall(500)
+
+
+def write_open3d(path: Path, points: np.ndarray, **options: Any) -> None:
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    assert open3d.io.write_point_cloud(path, cloud, **options)
+
+
+def write_las(path: Path, points: np.ndarray, *, unit: int | None = None) -> None:
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.scales, header.offsets = np.full(3, 1e-4), points.min(axis=0)
+    if unit is not None:
+        keys = GeoKeyDirectoryVlr()
+        keys.geo_keys = [GeoKeyEntryStruct(3076, 0, 1, unit)]
+        keys.geo_keys_header.number_of_keys = 1
+        header.vlrs.append(keys)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.write(str(path))
+
+
+WRITERS: dict[str, Callable[[Path, np.ndarray], object]] = {
+    "ascii.pcd": lambda path, points: write_open3d(path, points, write_ascii=True),
+    "binary.pcd": lambda path, points: write_open3d(path, points),
+    "packed.pcd": lambda path, points: write_open3d(path, points, compressed=True),
+    "cloud.ply": lambda path, points: write_open3d(path, points),
+    "cloud.las": write_las,
+    "cloud.laz": write_las,
+    "cloud.npy": lambda path, points: np.save(path, points),
+    "cloud.bin": lambda path, points: np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(path),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_single_cloud_is_one_sweep(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    WRITERS[name](path, WALL)
+    with open_recording(path) as recording:
+        assert recording.format == path.suffix[1:]
+        np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-4)
+        is_map = path.suffix != ".bin"
+        assert any(f"aero-viz demo {name}" in problem for problem in recording.problems) == is_map
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_folder_of_clouds_plays_with_tum_poses(tmp_path: Path, name: str) -> None:
+    suffix = Path(name).suffix
+    for k in range(4):
+        WRITERS[name](tmp_path / f"{1_700_000_000 + k}.{500_000_000:09d}{suffix}", WALL - [0.5 * k, 0, 0])
+    rows = [f"{1_700_000_000.5 + k} {10 + 0.5 * k} 2 3 0 0 0 1" for k in range(4)]
+    (tmp_path / "poses.txt").write_text("# time x y z qx qy qz qw\n" + "\n".join(rows) + "\n")
+    with open_recording(tmp_path) as recording:
+        assert recording.format == f"folder of {suffix[1:]}" and recording.poses is not None
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 1.0, 2.0, 3.0])
+        for k in range(4):
+            pose = recording.poses.interpolate(float(k))
+            world = recording.sweep(k).points + pose.position + recording.poses.offset
+            np.testing.assert_allclose(world, WALL + np.array([10, 2, 3]), atol=1e-3)
+
+
+def test_kitti_with_times_and_one_pose_per_sweep(tmp_path: Path) -> None:
+    (tmp_path / "velodyne").mkdir()
+    for k in range(3):
+        WRITERS["cloud.bin"](tmp_path / "velodyne" / f"{k:06d}.bin", WALL)
+    (tmp_path / "times.txt").write_text("0.0\n0.104\n0.208\n")
+    matrices = [np.hstack([np.eye(3), [[2.0 * k], [0], [0]]]).reshape(-1) for k in range(3)]
+    np.savetxt(tmp_path / "poses.txt", matrices)
+    with open_recording(tmp_path) as recording:
+        assert recording.poses is not None
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 0.104, 0.208], atol=1e-9)
+        np.testing.assert_allclose(recording.poses.positions[:, 0], [0, 2, 4])
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(UserError, match=r"has 1 poses and .* 3 sweeps"):
+        open_recording(tmp_path)
+
+
+@pytest.mark.parametrize(("code", "unit"), [(9002, 0.3048), (9003, 1200 / 3937)])
+def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path: Path, code: int, unit: float) -> None:
+    path = tmp_path / "forest.las"
+    write_las(path, WALL / unit + [1_500_000.0, 4_600_000.0, 300.0], unit=code)
+    with open_recording(path) as recording:
+        points = recording.sweep(0).points
+        assert any("feet" in problem for problem in recording.problems)
+        assert any("map coordinates" in problem for problem in recording.problems)
+    assert np.abs(points).max() < 10.0
+    np.testing.assert_allclose(points - points.mean(axis=0), WALL - WALL.mean(axis=0), atol=2e-3)
+
+
+def write_pcap(path: Path, datagrams: list[tuple[float, int, bytes]]) -> Path:
+    with path.open("wb") as file:
+        writer = dpkt.pcap.Writer(file)
+        for time, port, payload in datagrams:
+            udp = dpkt.udp.UDP(sport=port, dport=port, data=payload, ulen=8 + len(payload))
+            ip = dpkt.ip.IP(src=b"\x7f\0\0\1", dst=b"\x7f\0\0\1", p=17, data=udp, len=28 + len(payload))
+            writer.writepkt(bytes(dpkt.ethernet.Ethernet(data=ip)), ts=time)
+    return path
+
+
+def livox_packets(sweeps: int) -> list[tuple[int, np.ndarray]]:
+    """Return stamps [ns] and points of packets of 50 points, 5 ms apart."""
+    return [(1_700_000_000_000_000_000 + 5_000_000 * i, WALL[:50] + 0.001 * i) for i in range(20 * sweeps)]
+
+
+def check_livox(path: Path, name: str) -> None:
+    with open_recording(path) as recording:
+        assert recording.format == name
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2], atol=1e-9)
+        sweep = recording.sweep(1)
+        np.testing.assert_allclose(sweep.points[50:100], WALL[:50] + 0.021, atol=6e-4)
+        assert sweep.point_times is not None
+        assert sweep.point_times[50] == pytest.approx(0.005) and len(sweep.points) == 1000
+
+
+def test_a_capture_of_a_mid360(tmp_path: Path) -> None:
+    datagrams = [(0.0, 56401, b"imu"), (0.0, 53, b"")]
+    for i, (stamp, points) in enumerate(livox_packets(3)):
+        packet = encode_packet(points, stamp_ns=stamp, interval=245e-6, sequence=i)
+        datagrams.append((stamp * 1e-9, 56301, packet))
+    path = write_pcap(tmp_path / "mid360.pcap", datagrams)
+    check_livox(path, "livox-pcap")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])  # a truncated capture plays up to the cut
+    with open_recording(path) as recording:
+        assert 1 <= len(recording.sweep_times) <= 2
+
+
+def write_lvx2(path: Path, packets: list[tuple[int, np.ndarray]]) -> Path:
+    """Write the layout of Livox's "LVX2 Specifications": headers, one device, frames of ten packages."""
+    data = bytearray(b"livox_tech".ljust(16, b"\0") + bytes([2, 0, 0, 0]) + struct.pack("<I", 0xAC0EA767))
+    data += struct.pack("<IB", 50, 1) + bytes(63)
+    for first in range(0, len(packets), 10):
+        frame = bytearray()
+        for i, (stamp, points) in enumerate(packets[first : first + 10]):
+            payload = b"".join(struct.pack("<iiiBB", *map(int, np.rint(1000.0 * point)), 9, 0) for point in points)
+            frame += struct.pack("<BIBBQHBIB4x", 0, 7, 9, 0, stamp, i, 1, len(payload), 0) + payload
+        here = len(data)
+        data += struct.pack("<3Q", here, here + 24 + len(frame), first // 10) + frame
+    path.write_bytes(data)
+    return path
+
+
+def test_an_lvx2_file(tmp_path: Path) -> None:
+    check_livox(write_lvx2(tmp_path / "mid360.lvx2", livox_packets(3)), "lvx2")
+    (tmp_path / "old.lvx").write_bytes(b"livox_tech".ljust(16, b"\0") + bytes([1, 1, 0, 0]) + bytes(20))
+    with pytest.raises(UserError, match="Livox Viewer 2"):
+        open_recording(tmp_path / "old.lvx")
+
+
+def velodyne_packet(azimuth: int, microseconds: int, distance: float) -> bytes:
+    """Return a packet of a VLP-16: twelve blocks of 2 x 16 channels, 0.4 deg apart."""
+    blocks = b""
+    for block in range(12):
+        channel = struct.pack("<HB", round(distance / 0.002), 10)
+        blocks += struct.pack("<HH", 0xEEFF, (azimuth + 40 * block) % 36000) + 32 * channel
+    return blocks + struct.pack("<IBB", microseconds, 0x37, 0x22)
+
+
+def test_a_capture_of_a_velodyne(tmp_path: Path) -> None:
+    datagrams = []
+    for i in range(3 * 75 + 10):
+        time = 1327e-6 * i
+        datagrams.append((1_700_000_000.0 + time, 2368, velodyne_packet(480 * i, round(1e6 * time), 8.0)))
+    with open_recording(write_pcap(tmp_path / "vlp16.pcap", datagrams)) as recording:
+        assert recording.format == "velodyne-pcap" and len(recording.sweep_times) >= 3
+        sweep = recording.sweep(1)
+        np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 8.0, atol=0.1)
+        assert len(sweep.points) > 20_000 and sweep.point_times is not None
+        assert 0.05 < float(np.ptp(sweep.point_times)) < 0.11
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("ouster.pcap", None, "ouster-cli source"),
+        ("ouster.osf", b"\0\0\0\0OSF!", "ouster-cli source"),
+        ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
+        ("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "--poses"),
+        ("odd.bin", bytes(17), "no rows of 16"),
+        ("cloud.dat", b"ply\nformat ascii 1.0\n", "rename it to cloud.ply"),
+        ("empty.pcap", b"\xd4\xc3\xb2\xa1" + bytes(16) + b"\1\0\0\0", "no packets of a Livox Mid-360 or a Velodyne"),
+    ],
+)
+def test_what_cannot_be_played_names_the_next_step(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes | None, message: str
+) -> None:
+    path = tmp_path / name
+    if content is None:
+        write_pcap(path, [(0.0, 7502, bytes(8448))])
+    else:
+        path.write_bytes(content)
+    error = run_refused(capsys, "inspect", str(path))
+    assert message in error and name in error
+
+
+def test_a_cloud_of_foxglove(tmp_path: Path) -> None:
+    foxglove = pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
+    from foxglove.channels import PointCloudChannel
+    from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud, Timestamp
+
+    path = tmp_path / "foxglove.mcap"
+    kind = PackedElementFieldNumericType.Float32
+    fields = [PackedElementField(name=axis, offset=4 * i, type=kind) for i, axis in enumerate("xyz")]
+    with foxglove.open_mcap(str(path)):
+        channel = PointCloudChannel("/cloud")
+        for k in range(3):
+            stamp = Timestamp(sec=1_700_000_000, nsec=100_000_000 * k)
+            data = (WALL + 0.1 * k).astype("<f4").tobytes()
+            cloud = PointCloud(timestamp=stamp, frame_id="lidar", point_stride=12, fields=fields, data=data)
+            channel.log(cloud, log_time=1_700_000_000_000_000_000 + 100_000_000 * k)
+    with open_recording(path) as recording:
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2])
+        np.testing.assert_allclose(recording.sweep(2).points, WALL + 0.2, atol=1e-5)
+
+
+def laser_scan(seconds: float) -> bags.Item:
+    """Return a scan of a circle of 3 m, of which every tenth range is out of its limits."""
+    stamp = bags.START + round(seconds * 1e9)
+    ranges = np.full(90, 3.0, np.float32)
+    ranges[::10] = np.inf
+
+    def build(store, ros1):
+        return bags.make(
+            store, "sensor_msgs/msg/LaserScan", header=bags.header(store, ros1, stamp, "laser"), angle_min=-1.0,
+            angle_max=1.0, angle_increment=2.0 / 89, time_increment=1e-3, scan_time=0.1, range_min=0.1, range_max=10.0,
+            ranges=ranges, intensities=np.zeros(0, np.float32),
+        )  # fmt: skip
+
+    return bags.Item("/scan", "sensor_msgs/msg/LaserScan", stamp, build)
+
+
+def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]) -> None:
+    items = [bags.transform(0.0, "base", "laser", (0.5, 0.0, 0.2), topic="/tf_static")]
+    for k in range(5):
+        items += [bags.transform(0.1 * k, "odom", "base", (float(k), 0.0, 0.0)), laser_scan(0.1 * k)]
+    with open_recording(written(items)) as recording:
+        sweep = recording.sweep(0)
+        assert len(sweep.points) == 81 and recording.pose_topic == "/tf"
+        np.testing.assert_allclose(np.linalg.norm(sweep.points - [0.5, 0.0, 0.2], axis=1), 3.0, atol=1e-5)
+        assert sweep.point_times is not None and float(np.ptp(sweep.point_times)) == pytest.approx(0.087, abs=2e-3)
+
+
+def write_ulog(path: Path, rows: int, *, utc: float | None) -> Path:
+    """Write a ULog: north at 2 m/s at a height of 3 m, heading east, 50 Hz."""
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<H", len(body)) + kind + body
+
+    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    data += message(b"B", bytes(40))
+    formats = [
+        b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;",
+        b"vehicle_attitude:uint64_t timestamp;float[4] q;",
+        b"sensor_gps:uint64_t timestamp;uint64_t time_utc_usec;",
+    ]
+    data += b"".join(message(b"F", text) for text in formats)
+    for number, name in enumerate([b"vehicle_local_position", b"vehicle_attitude", b"sensor_gps"]):
+        data += message(b"A", struct.pack("<BH", 0, number) + name)
+    half = np.sqrt(0.5)
+    for i in range(rows):
+        time = 5_000_000 + 20_000 * i
+        place = struct.pack("<HQ6f", 0, time, 0.04 * i, 0.0, -3.0, 2.0, 0.0, 0.0)
+        data += message(b"D", struct.pack("<HQ4f", 1, time, half, 0.0, 0.0, half)) + message(b"D", place)
+        if utc is not None:
+            data += message(b"D", struct.pack("<HQQ", 2, time, round(1e6 * (utc + 1e-6 * time))))
+    path.write_bytes(data)
+    return path
+
+
+def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callable[[list[bags.Item]], Path]) -> None:
+    path = mcap_of([bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(20)])
+    log = write_ulog(tmp_path / "flight.ulg", 200, utc=bags.START * 1e-9 - 5.5)
+    with open_recording(path, poses=log) as recording:
+        assert recording.poses is not None and recording.pose_topic == "flight.ulg"
+        assert any("aligned by GPS time" in problem for problem in recording.problems)
+        pose = recording.poses.interpolate(1.0)
+        # East, north, up; the log starts 0.5 s before the first sweep.
+        np.testing.assert_allclose(pose.position + recording.poses.offset, [0.0, 3.0, 3.0], atol=1e-3)
+        np.testing.assert_allclose(pose.velocity, [0.0, 2.0, 0.0], atol=1e-4)
+        np.testing.assert_allclose(np.abs(pose.quaternion), [1.0, 0.0, 0.0, 0.0], atol=1e-6)  # east is x
+    with open_recording(path, poses=write_ulog(log, 200, utc=None)) as recording:
+        assert any("is assumed" in problem for problem in recording.problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2 3\n", "every line must have 8 numbers"),
+        ("0 0 0 0 0 0 0 x\n", "something else than numbers"),
+        ("0 0 0 0 0 0 0 nan\n", "not finite"),
+        ("0 0 0 0 0 0 0 0\n", "the quaternion of pose 1 has the length 0"),
+        ("1 0 0 0 0 1 0 0 0 0 7 0\n", "no rotations"),
+        ("", "holds no poses"),
+    ],
+)
+def test_texts_without_poses_are_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(text)
+    with pytest.raises(UserError, match=message):
+        read_pose_file(path)
+
+
+def test_mounting_and_mask_are_applied(
+    mcap_of: Callable[[list[bags.Item]], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = mcap_of(bags.drive())
+    with open_recording(path, extrinsic=(1, 0, 0.5, 0, 0, 90), mask=(-9, 3, -9, 9, 9, 9)) as recording:
+        turned = recording.sweep(0).points
+    wall = bags.wall(seed=0)
+    expected = np.column_stack([1.0 - wall[:, 1], wall[:, 0], wall[:, 2] + 0.5])
+    assert len(turned) == 0  # the whole wall is at y = 5
+    with open_recording(path, extrinsic=(1, 0, 0.5, 0, 0, 90)) as recording:
+        np.testing.assert_allclose(recording.sweep(0).points, expected, atol=1e-5)
+    arguments = ("inspect", str(path), "--extrinsic", "0", "0", "0", "0", "0", "nan")
+    code, text, _ = run(capsys, *arguments)
+    assert code == 0 and "--extrinsic takes six finite numbers" in text
+
+
+def test_clouds_and_packets_convert_to_mcap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_lvx2(tmp_path / "mid360.lvx2", livox_packets(3))
+    run_json(capsys, "convert", str(path), str(tmp_path / "out.mcap"))
+    with open_recording(path) as before, open_recording(tmp_path / "out.mcap") as after:
+        assert after.format == "mcap"
+        np.testing.assert_array_equal(before.sweep(1).points, after.sweep(1).points)
+        np.testing.assert_allclose(before.sweep(1).point_times, after.sweep(1).point_times)  # type: ignore[arg-type]
