@@ -171,11 +171,11 @@ def test_topics_are_reported_even_if_none_can_be_decoded(tmp_path):
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        schema = writer.register_schema("foxglove.PointCloud", "protobuf", b"")
+        schema = writer.register_schema("foxglove.SceneUpdate", "protobuf", b"")
         channel = writer.register_channel("/cloud", "protobuf", schema)
         writer.add_message(channel, 0, b"abc", 0)
         writer.finish()
     info = inspect(path)
-    assert [topic.type for topic in info.topics] == ["foxglove.PointCloud"] and info.sweeps == 0
-    with pytest.raises(UserError, match=r"/cloud \(foxglove.PointCloud\)"):
+    assert [topic.type for topic in info.topics] == ["foxglove.SceneUpdate"] and info.sweeps == 0
+    with pytest.raises(UserError, match=r"/cloud \(foxglove.SceneUpdate\)"):
         open_recording(path)
