@@ -76,7 +76,8 @@ def _read_foxglove(message: memoryview) -> RawCloud:
             data = value
     missing = [axis for axis in "xyz" if not fields.get(axis, ("", 0))[0].endswith(("f4", "f8"))]
     if missing:
-        raise DamagedMessage(f"it lacks {', '.join(missing)} as floating-point fields and has {', '.join(fields) or 'none'}")
+        present = ", ".join(fields) or "no fields"
+        raise DamagedMessage(f"it lacks {', '.join(missing)} as floating-point fields and has {present}")
     chosen = {axis: fields[axis] for axis in "xyz"}
     if not step or any(offset + int(code[-1]) > step for code, offset in chosen.values()):
         raise DamagedMessage(f"a field lies outside its point_stride of {step} bytes")
