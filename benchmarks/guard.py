@@ -14,7 +14,7 @@ from aero_planner.benchmark import elapsed_ms
 from aero_planner.cli_util import run_command
 from aero_planner.forest_cloud import forest_flight
 from benchmarks.common import config_of, machine, make_parser, positive
-from benchmarks.naive import NaivePlanner
+from benchmarks.naive import NEUTRAL, NaivePlanner
 
 __all__ = ["BOUNDS", "PlansDifferError", "compare_with_naive", "main"]
 
@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--bound", type=float, help=f"minimum ratio of the whole plan; by default {BOUNDS}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args(arguments)
-    config = config_of(options.preset, samples=options.samples)
+    config = config_of(options.preset, samples=options.samples).replace(NEUTRAL)
     try:
         result = compare_with_naive(
             config, device=options.device, points=options.points, threads=options.threads, repeat=options.repeat

@@ -13,6 +13,7 @@ from aero_planner import Planner, PlannerConfig
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
+from aero_viz.flight.known_drone import config_for_drone
 from aero_viz.flight.metrics import FlightResult, config_name_of, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
@@ -25,8 +26,8 @@ __all__ = ["SWEEPS", "BatchProgress", "FlightBatch"]
 
 wp.set_module_options({"enable_backward": False})
 
-SWEEPS = 10
-"""Number of sweeps in the cloud of the planner."""
+SWEEPS = 30
+"""Number of sweeps in the cloud of the planner, three seconds of a Mid-360: what it has seen stays while it matters."""
 BatchProgress = Callable[[int, int, float], None]
 """Called with the number of finished flights, the number of all flights, and the simulated time [s]."""
 _TIMED_PLANS = 5
@@ -121,7 +122,10 @@ class FlightBatch:
         self._plan_ms: list[float] = []
         self._pending: list[tuple[wp.Event, wp.Event]] = []
         self.interrupted = False
-        rules = rules or FlightRules()
+        rules, lidar = rules or FlightRules(), lidar or LIDARS["mid360"]
+        vehicle = vehicle or VehicleModel.from_config(configs[0])
+        informed = {id(c): config_for_drone(c, lidar=lidar, vehicle=vehicle) for c in configs}
+        configs = [informed[id(c)] for c in configs]
         time_steps = {c.sampling.dt for c in configs}
         if rules.ticks_per_plan > 1 and len(time_steps) > 1:
             raise ValueError(
@@ -134,8 +138,8 @@ class FlightBatch:
             self.planner.configure(configs)
         self.simulator = Simulator(
             worlds,
-            lidar=lidar or LIDARS["mid360"],
-            vehicle=vehicle or VehicleModel.from_config(configs[0]),
+            lidar=lidar,
+            vehicle=vehicle,
             rules=rules,
             seeds=self._seeds,
             device=device,

@@ -143,7 +143,7 @@ class FlightSource:
         return None if self.outcome is None else self.result().explanation
 
     def observe(self) -> Observation:
-        """Return the estimated state, the last 10 complete sweeps, the goal, and the true state."""
+        """Return the estimated state, the last 30 complete sweeps, the goal, and the true state."""
         if self._observation is None:
             self._observation = Observation(
                 time=self.simulator.time,
@@ -183,7 +183,7 @@ class FlightSource:
         """Continue from a checkpoint of this source. The same plans then give the same flight, bit for bit.
 
         This takes a few milliseconds if the sweeps are cached, see `CACHED_BYTES`, and otherwise as long as measuring
-        ten sweeps.
+        30 sweeps.
 
         Raises:
             TypeError: the object is not a checkpoint of a flight.

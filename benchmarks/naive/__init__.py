@@ -6,6 +6,6 @@ parameters and sampled noise with `aero_planner`, but no kernel and no function.
 
 from __future__ import annotations
 
-from benchmarks.naive.planner import NaivePlanner
+from benchmarks.naive.planner import NEUTRAL, NaivePlanner
 
-__all__ = ["NaivePlanner"]
+__all__ = ["NEUTRAL", "NaivePlanner"]

@@ -139,11 +139,14 @@ def initial_anchors(a: Arrays):
         length = wp.min(length, c.lookahead_rest + 0.6 * T * speed)
     a.reach[b] = length
     spacing = wp.radians(c.spacing)
+    rise = spacing
     if speed < c.slow_speed:
-        spacing = spacing * c.slow_spread
+        share = float(a.tick[b] % c.slow_cycle + 1) / float(c.slow_cycle)
+        rise = spacing * (1.0 + (c.slow_rise - 1.0) * share)
+        spacing = spacing * (1.0 + (c.slow_spread - 1.0) * share)
     azimuth = wp.atan2(way[1], way[0]) + (float(m % columns) - 0.5 * float(columns - 1)) * spacing
     elevation = wp.atan2(way[2], wp.sqrt(way[0] * way[0] + way[1] * way[1]))
-    elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * spacing
+    elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * rise
     a.direction[b, m] = rotate_back(
         a.q0[b],
         wp.vec3(wp.cos(elevation) * wp.cos(azimuth), wp.cos(elevation) * wp.sin(azimuth), wp.sin(elevation)),

@@ -9,10 +9,24 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner import Planner
+from aero_planner.config import Value
 from benchmarks.naive import guides, mppi, partition, stage2
 from benchmarks.naive.arrays import allocate, connect
 
-__all__ = ["NaivePlanner"]
+__all__ = ["NEUTRAL", "NaivePlanner"]
+
+NEUTRAL: dict[str, Value] = {
+    "vehicle.delay": 0.0,
+    "partition.range_time": 0.0,
+    "partition.continue_below": 0.0,
+    "partition.continue_above": 0.0,
+    "anchors.lookahead_time": 0.0,
+    "candidates.prove_stop": "off",
+    "candidates.speed_margin": 0.0,
+    "costs.q_height": 0.0,
+    "escape.q_escape": 0.0,
+}
+"""Values of the options that the naive kernels lack: they switch each of them off."""
 
 _STAGES = ("anchors", "partition", "guides", "rollouts", "clearance", "update", "stage2")
 
@@ -28,9 +42,15 @@ class NaivePlanner:
     Attributes:
         arrays: device arrays of the last run, see `benchmarks.naive.arrays.Arrays`.
         stage_ms: time of each stage of the last `run` [ms]; on CUDA the time of launching only.
+
+    Raises:
+        ValueError: the configuration uses an option that the naive kernels lack, see `NEUTRAL`.
     """
 
     def __init__(self, planner: Planner) -> None:
+        lacking = [path for path, value in NEUTRAL.items() if planner.config.get(path) != value]
+        if lacking:
+            raise ValueError(f"the naive kernels lack {', '.join(lacking)}; replace them by the values of NEUTRAL.")
         self._planner = planner
         self._graph: Any = None
         self._device = wp.get_device(planner.device)

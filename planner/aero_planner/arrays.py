@@ -8,6 +8,7 @@ Shapes use these symbols:
     A   anchors                             Q   Stage I positions of a sample: N states, then the probes
     F   fine cells, F0 rows x F1 columns    C   coarse cells
     G   cells of the clearance grid         V   packs of points in its list, of V0 points each
+    J   stops of an instance                H   remembered places
     W   workers: CPU threads, 1 on CUDA     T   noise sequences in the table
     S   sweeps of the cloud                 P   points of the cloud
     E   counters of a sweep
@@ -24,10 +25,12 @@ import warp as wp
 from aero_planner.array_memory import array, as_dict
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.clearance import GRID
+from aero_planner.kernels.escape import PLACES
 from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.mppi import NOISE_ROWS, PROBES
 from aero_planner.kernels.records import CloudSweeps, bundle
+from aero_planner.kernels.stops import STOPS
 from aero_planner.kernels.warp_ops import point_pack
 
 __all__ = ["CloudArrays", "PlannerInputs", "PlannerOutputs", "Sizes", "Workspace", "fine_shape"]
@@ -111,7 +114,10 @@ class PlannerOutputs:
 class Workspace:
     """Intermediate results, tables and the state that the planner carries from plan to plan."""
 
-    quaternion: wp.array = array(wp.vec4, "B", "", "Normalised attitude, w x y z, body to world.")
+    position: wp.array = array(wp.vec3, "B", "m", "Position at which the plan takes effect, world frame.")
+    velocity: wp.array = array(wp.vec3, "B", "m/s", "Velocity there, world frame.")
+    quaternion: wp.array = array(wp.vec4, "B", "", "Attitude there, normalised, w x y z, body to world.")
+    acceleration: wp.array = array(wp.vec3, "B", "m/s^2", "Acceleration there, world frame.")
     command: wp.array = array(wp.vec4, "B", "N, rad/s", "Control of the previous plan that is being flown.")
     control: wp.array = array(wp.vec4, "B", "N, rad/s", "Control in effect, which lags behind the commands.")
     goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal, completed.")
@@ -138,10 +144,23 @@ class Workspace:
     state_terms: wp.array = array(wp.vec4, "B R Q+N+1", "", "J_goal, J_col, speed cost, clearance of Stage II states.")
     instance_scores: wp.array = array(wp.vec2, "B R", "", "S2 and the minimum clearance [m].")
 
+    plan_period: wp.array = array(wp.float32, "B", "s", "Time since the previous plan, taken as that to the next one.")
+    stop_ready: wp.array = array(wp.int32, "B", "", "1 where a proven stop is left to fly.")
+    stop_controls: wp.array = array(wp.vec4, "B M*J N", "N, rad/s", "Controls of the braking manoeuvre of each stop.")
+    stop_positions: wp.array = array(wp.vec3, "B M*J N+1", "m", "Its rollout, world frame.")
+    stop_clearance: wp.array = array(wp.float32, "B M*J", "m", "Least clearance of each stop, at most safe_clearance.")
+
     seed: wp.array = array(wp.int32, "B", "", "Seed of the noise.")
     tick: wp.array = array(wp.int32, "B", "", "Number of plans so far, which selects the noise.")
     previous_controls: wp.array = array(wp.vec4, "B N", "N, rad/s", "Controls to fly of the newest plan.")
     previous_start_control: wp.array = array(wp.vec4, "B", "N, rad/s", "Control in effect at the start of that plan.")
+    proven_stop: wp.array = array(wp.vec4, "B 2*N", "N, rad/s", "Controls of the stop that was proven last.")
+    proven_stop_age: wp.array = array(wp.float32, "B", "s", "Time from that plan to the previous one.")
+    places: wp.array = array(wp.vec3, "B H", "m", "Places without progress, world frame.")
+    place_count: wp.array = array(wp.int32, "B", "", "Number of places remembered for the goal.")
+    place_goal: wp.array = array(wp.vec3, "B", "m", "Goal for which they are remembered, world frame.")
+    place_nearest: wp.array = array(wp.float32, "B", "m", "Distance to the goal when progress was last made.")
+    place_idle: wp.array = array(wp.float32, "B", "s", "Time since then, or since a place was remembered.")
     previous_end: wp.array = array(wp.vec3, "B", "m", "Final position of that plan, world frame.")
     previous_waypoint: wp.array = array(wp.vec3, "B", "m", "Waypoint of that plan, world frame; NaN where none.")
     previous_time: wp.array = array(wp.float64, "B", "s", "Stamp of that plan; NaN where there is none.")
@@ -168,6 +187,8 @@ class Sizes:
     B: int
     M: int
     R: int
+    J: int
+    H: int
     N: int
     K: int
     L: int
@@ -196,6 +217,8 @@ class Sizes:
             B=batch,
             M=M,
             R=M + int(BRAKING_CANDIDATES),
+            J=int(STOPS),
+            H=int(PLACES),
             N=sampling.steps,
             K=sampling.samples,
             L=-(-sampling.samples // vector) * vector,

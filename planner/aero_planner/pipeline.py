@@ -15,7 +15,8 @@ import warp as wp
 from aero_planner.array_memory import as_scalars, as_vectors
 from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.config import PlannerConfig
-from aero_planner.kernels import anchors, clearance, guides, mppi, partition, selection
+from aero_planner.kernels import anchors, clearance, continuation, guides, mppi, partition, prediction, selection, stops
+from aero_planner.kernels.escape import Escape
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.records import (
     DroneState,
@@ -46,6 +47,8 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
         (selection.evaluate_states(tuning), 32),
         (selection.evaluate_states(many), 32),
         (selection.score_instances(tuning), 32),
+        (stops.evaluate_stops(tuning), 32),
+        (stops.evaluate_stops(many), 32),
     ]
 
 
@@ -85,10 +88,10 @@ class Pipeline(LaunchSequence):
         i, o, w = inputs, outputs, work
         self._drone = bundle(
             DroneState,
-            position=i.position,
-            velocity=i.velocity,
+            position=w.position,
+            velocity=w.velocity,
             quaternion=w.quaternion,
-            acceleration=i.acceleration,
+            acceleration=w.acceleration,
             command=w.command,
             control=w.control,
         )
@@ -114,9 +117,19 @@ class Pipeline(LaunchSequence):
             PreviousPlan,
             controls=w.previous_controls,
             start_control=w.previous_start_control,
+            stop=w.proven_stop,
+            stop_age=w.proven_stop_age,
             end=w.previous_end,
             waypoint=w.previous_waypoint,
             time=w.previous_time,
+        )
+        self._escape = bundle(
+            Escape,
+            places=w.places,
+            count=w.place_count,
+            goal=w.place_goal,
+            nearest=w.place_nearest,
+            idle=w.place_idle,
         )
         self.stages = self._record()
 
@@ -127,7 +140,7 @@ class Pipeline(LaunchSequence):
         return [
             self.side_branch("anchors", *self._place_anchors()),  # beside the scan of the cloud
             self._scan_points(),
-            self.serial("partition", self._finish_fine_cells(), self.join),
+            self.serial("partition", self._finish_fine_cells(), self._continue_surfaces(), self.join),
             self.serial("grid", self.fork),  # until the first clearance query
             self._build_clearance_grid(),
             self.serial("guides", self.end_fork, self._make_guides()),
@@ -138,6 +151,22 @@ class Pipeline(LaunchSequence):
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
         i, o, w, anchor_config = self._inputs, self._outputs, self._work, self._config.anchors
+        goal = bundle(GoalState, position=i.goal_position, velocity=i.goal_velocity, quaternion=i.goal_quaternion)
+        place = self.record(
+            anchors.place_anchors,
+            (self._sizes.B, self._sizes.A),
+            inputs=[
+                self._drone, i.time, goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N,
+                w.tick, self._escape, self._previous,
+            ],
+            outputs=[
+                w.command, w.control, self._goal, w.lookahead_length, w.initial_directions, o.initial_endpoints,
+            ],
+        )  # fmt: skip
+        return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), place]
+
+    def _predict_state(self) -> Callable[[], Any]:
+        i, w = self._inputs, self._work
         drone = bundle(
             DroneState,
             position=i.position,
@@ -147,20 +176,12 @@ class Pipeline(LaunchSequence):
             command=w.command,
             control=w.control,
         )
-        goal = bundle(GoalState, position=i.goal_position, velocity=i.goal_velocity, quaternion=i.goal_quaternion)
-        place = self.record(
-            anchors.place_anchors,
-            (self._sizes.B, self._sizes.A),
-            inputs=[
-                drone, i.time, goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N,
-                self._previous,
-            ],
-            outputs=[
-                w.quaternion, w.command, w.control, self._goal, w.lookahead_length, w.initial_directions,
-                o.initial_endpoints,
-            ],
-        )  # fmt: skip
-        return [w.cell_ends.zero_, w.points_used.zero_, place]
+        return self.record(
+            prediction.predict_state,
+            (self._sizes.B,),
+            inputs=[drone, i.time, self._params, self._previous],
+            outputs=[self._drone],
+        )
 
     def _scan_points(self) -> list[Chunk]:
         """Find the nearest point of each fine cell; every worker scans its share of every sweep."""
@@ -187,6 +208,15 @@ class Pipeline(LaunchSequence):
             (self._sizes.B, self._sizes.F),
             inputs=[self._cloud.bundle(), self._params, w.cell_keys, w.worker_dropped],
             outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
+        )
+
+    def _continue_surfaces(self) -> Callable[[], Any]:
+        i, o, w = self._inputs, self._outputs, self._work
+        return self.record(
+            continuation.continue_surfaces,
+            (self._sizes.B, self._sizes.F),
+            inputs=[i.position, i.quaternion, self._params, self._sizes.F1, w.fine_directions],
+            outputs=[o.fine_range, o.occupied, o.filtered_points],
         )
 
     def _build_clearance_grid(self) -> list[Chunk]:
@@ -231,7 +261,7 @@ class Pipeline(LaunchSequence):
                 part.fine_cells, part.coarse_rows, part.coarse_columns, o.fine_range, w.fine_directions,
                 w.lookahead_length, w.initial_directions, self._previous,
             ],
-            outputs=[self._guides, w.waypoints, w.nominal_controls],
+            outputs=[self._guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready],
             block_dim=32,
         )  # fmt: skip
 
@@ -289,8 +319,8 @@ class Pipeline(LaunchSequence):
             mppi.update_controls(self._batch_tuning),
             (count, threads),
             inputs=[
-                first, sizes.M, i.goal_position, self._params, w.waypoints, as_scalars(w.nominal_controls),
-                sample_controls, w.sample_positions, w.sample_clearance_cost,
+                first, sizes.M, i.goal_position, self._params, self._escape, w.waypoints,
+                as_scalars(w.nominal_controls), sample_controls, w.sample_positions, w.sample_clearance_cost,
             ],
             outputs=[o.stage1_cost, w.sample_weights, as_vectors(w.sample_weights, width), as_scalars(o.controls)],
             block_dim=threads,
@@ -324,7 +354,7 @@ class Pipeline(LaunchSequence):
             selection.evaluate_states(self._batch_tuning),
             (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
             inputs=[
-                self._drone, i.ground_height, self._goal, self._params, self._duplicate_rows, w.cell_ends,
+                self._drone, i.position, i.ground_height, self._goal, self._params, self._duplicate_rows, w.cell_ends,
                 w.point_packs, w.waypoints, self._rollouts,
             ],
             outputs=[o.clearance, w.state_terms],
@@ -333,11 +363,29 @@ class Pipeline(LaunchSequence):
         score = self.record(
             selection.score_instances(self._tuning),
             (sizes.B, sizes.R, lanes),
-            inputs=[i.goal_position, self._params, w.waypoints, o.positions, w.state_terms],
+            inputs=[i.goal_position, self._params, self._escape, w.waypoints, o.positions, w.state_terms],
             outputs=[self._costs, w.instance_scores],
             block_dim=32,
         )
-        return [roll_out, evaluate, score]
+        roll_out_stops = self.record(
+            stops.roll_out_stops,
+            (sizes.B, sizes.M * sizes.J),
+            inputs=[self._params, w.plan_period, self._rollouts],
+            outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
+            block_dim=32,
+        )
+        evaluate_stops = self.record(
+            stops.evaluate_stops(self._batch_tuning),
+            (sizes.B, sizes.M * sizes.J, 4 * sizes.N, threads),
+            inputs=[
+                i.position, i.quaternion, i.ground_height, self._params, sizes.Q - sizes.N, self._duplicate_rows,
+                sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period,
+                w.cell_ends, w.point_packs, w.stop_positions, w.state_terms,
+            ],
+            outputs=[w.stop_clearance],
+            block_dim=32,
+        )  # fmt: skip
+        return [roll_out, evaluate, score, roll_out_stops, evaluate_stops]
 
     def _commit_plan(self) -> Callable[[], Any]:
         i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
@@ -345,11 +393,12 @@ class Pipeline(LaunchSequence):
             selection.commit_plan,
             (sizes.B, sizes.N + 1),
             inputs=[
-                i.time, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index, w.waypoints,
-                w.state_terms, w.instance_scores,
+                i.time, i.position, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index,
+                w.waypoints, w.state_terms, w.instance_scores, w.plan_period, w.stop_ready, w.stop_controls,
+                w.stop_clearance,
             ],
             outputs=[
-                self._guides, self._rollouts, self._costs, o.clearance, w.tick, o.best, o.status,
+                self._guides, self._rollouts, self._costs, o.clearance, w.tick, self._escape, o.best, o.status,
                 o.braking_instance, self._previous,
             ],
             block_dim=32,

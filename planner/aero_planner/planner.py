@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections.abc import Sequence
@@ -50,6 +51,25 @@ class History:
     """Its stamp [s], shape [B]; NaN where there is no previous plan."""
     tick: NDArray[np.int32]
     """Number of plans so far, which selects the noise, shape [B]."""
+    stop: NDArray[np.float32]
+    """Controls of the stop that was proven last, shape [B, 2 N, 4]."""
+    stop_age: NDArray[np.float32]
+    """Time from the plan that proved it to the previous one [s], shape [B]; infinite where there is none."""
+    places: NDArray[np.float32]
+    """Places without progress [m], shape [B, 16, 3], world frame."""
+    place_count: NDArray[np.int32]
+    """Number of places remembered for the goal, shape [B]."""
+    place_goal: NDArray[np.float32]
+    """Goal for which they are remembered [m], shape [B, 3], world frame."""
+    place_nearest: NDArray[np.float32]
+    """Distance to the goal when progress was last made [m], shape [B]."""
+    place_idle: NDArray[np.float32]
+    """Time since then, or since a place was remembered [s], shape [B]."""
+
+    @classmethod
+    def of(cls, work: Workspace) -> History:
+        """Return copies of the arrays of a workspace."""
+        return cls(*(_to_numpy(array).copy() for array in _history_arrays(work)))
 
 
 class Planner:
@@ -261,27 +281,22 @@ class Planner:
         self._work.tick.zero_()
         self._work.previous_controls.zero_()
         self._work.previous_time.fill_(np.nan)
+        self._work.proven_stop.zero_()
+        self._work.proven_stop_age.fill_(np.inf)
+        self._work.place_count.zero_()
+        self._work.place_goal.fill_(wp.vec3(np.inf))
 
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
-        work = self._work
-        arrays = (
-            work.previous_controls, work.previous_start_control, work.previous_end, work.previous_waypoint,
-            work.previous_time, work.tick,
-        )  # fmt: skip
-        return History(*(_to_numpy(array).copy() for array in arrays))
+        return History.of(self._work)
 
     def restore(self, history: History) -> None:
         """Continue from `history`. If it has another structure or batch, the planner is reset instead."""
         work = self._work
         if history.controls.shape != (*work.previous_controls.shape, 4):
             return self.reset()
-        work.previous_controls.assign(history.controls)
-        work.previous_start_control.assign(history.start_control)
-        work.previous_end.assign(history.end)
-        work.previous_waypoint.assign(history.waypoint)
-        work.previous_time.assign(history.time)
-        work.tick.assign(history.tick)
+        for array, field in zip(_history_arrays(work), dataclasses.fields(History), strict=True):
+            array.assign(getattr(history, field.name))
 
     def launch(self) -> None:
         """Plan from the device arrays of `inputs` and `points` into those of `outputs` and `command`.
@@ -436,13 +451,15 @@ class Planner:
         """Save the launches of a plan for the C++ host; kernels are written to a folder beside the file.
 
         Arrays are bound by their names in `PlannerInputs` and `PlannerOutputs`, and "points", "params", "seed", "tick",
-        "previous_controls", "previous_end", "previous_waypoint" and "previous_time". The planner must have planned
+        "previous_controls", "previous_end", "previous_waypoint", "previous_time", "proven_stop_age", "place_count" and
+        "place_goal". The planner must have planned
         before and, on the CPU, have one thread.
 
         Returns:
             The file, with the suffix ".wrp".
         """
         state = ("seed", "tick", "previous_controls", "previous_end", "previous_waypoint", "previous_time")
+        state += ("proven_stop_age", "place_count", "place_goal")
         inputs = as_dict(self.inputs) | {"points": self.points, "params": self.params}
         inputs |= {name: getattr(self._work, name) for name in state}
         graph = self._pipeline.capture_graph()
@@ -452,6 +469,14 @@ class Planner:
     def close(self) -> None:
         """Stop the worker threads; the planner can't be used afterwards."""
         self._pipeline.close()
+
+
+def _history_arrays(work: Workspace) -> list[wp.array]:
+    """Return the arrays of `History`, in the order of its fields."""
+    arrays = [work.previous_controls, work.previous_start_control, work.previous_end, work.previous_waypoint]
+    arrays += [work.previous_time, work.tick]
+    arrays += [work.proven_stop, work.proven_stop_age]
+    return [*arrays, work.places, work.place_count, work.place_goal, work.place_nearest, work.place_idle]
 
 
 def _to_numpy(array: wp.array) -> NDArray[Any]:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.config import Value
-from benchmarks.naive import NaivePlanner, mppi
-from tests.planner.cases import Case, config_of, random_case
+from benchmarks.naive import NEUTRAL, NaivePlanner, mppi
+from tests.planner.cases import Case, random_case
+from tests.planner.cases import config_of as small_config
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -20,6 +21,11 @@ Arrays = dict[str, NDArray[Any]]
 COST: dict[str, Any] = {"rtol": 5e-5, "atol": 1e-2}
 EDGE = 3e-5
 """Distance to a step of a penalty within which rounding may put a state on its other side [m]."""
+
+
+def config_of(preset: str = "default", **changes: Value) -> PlannerConfig:
+    """Return a preset with few samples and `changes`, without the options that the naive kernels lack."""
+    return small_config(preset, **changes).replace(NEUTRAL)
 
 
 def both(

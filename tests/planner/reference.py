@@ -86,18 +86,26 @@ def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Ar
 
 
 def lookahead(speed: float, goal_distance: float, config: PlannerConfig) -> float:
-    """Return l; with the options min(l, l_rest + 0.6 T v), and at most 0.6 T v_limit and the distance to the goal."""
+    """Return l, or lookahead_time v_limit if that is longer; with the options min(l, l_rest + 0.6 T v), and at most 0.6
+    T v_limit and the distance to the goal.
+    """
     steady, a = 0.6 * config.horizon, config.anchors
-    at_speed = a.lookahead_rest + steady * speed if a.lookahead_rest < a.lookahead else np.inf
-    return min(a.lookahead, at_speed, steady * config.vehicle.speed_limit, goal_distance)
+    longest = max(a.lookahead, a.lookahead_time * config.vehicle.speed_limit)
+    at_speed = a.lookahead_rest + steady * speed if a.lookahead_rest < longest else np.inf
+    return min(longest, at_speed, steady * config.vehicle.speed_limit, goal_distance)
 
 
 def anchor_directions(position: Array, velocity: Array, goal: Array, config: PlannerConfig) -> Array:
-    """Return the world directions of the initial endpoints, shape [M_h M_v, 3]; columns run fastest."""
+    """Return the world directions of the initial endpoints of the first plan, shape [M_h M_v, 3]; columns run fastest.
+
+    Later plans of a slow drone have other spreads, see `anchors.slow_cycle`.
+    """
     a, (x, y, z) = config.anchors, goal - position
-    spacing = np.radians(a.spacing) * (a.slow_spread if np.linalg.norm(velocity) < a.slow_speed else 1.0)
+    spread, rise = (a.slow_spread, a.slow_rise) if np.linalg.norm(velocity) < a.slow_speed else (1.0, 1.0)
+    spacing = np.radians(a.spacing) * (1.0 + (spread - 1.0) / a.slow_cycle)
+    rise = np.radians(a.spacing) * (1.0 + (rise - 1.0) / a.slow_cycle)
     azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing
-    elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * spacing
+    elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * rise
     return np.array([[np.cos(e) * np.cos(h), np.cos(e) * np.sin(h), np.sin(e)] for e in elevation for h in azimuth])
 
 

@@ -29,6 +29,7 @@ __all__ = [
     "AnchorConfig",
     "CandidateConfig",
     "CostConfig",
+    "EscapeConfig",
     "PartitionConfig",
     "PlannerConfig",
     "SamplingConfig",
@@ -61,6 +62,11 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         0.0, "s", 0.0, 1.0, "Time constant with which the yaw rate follows its commands; 0 as in the paper.",
         label="Yaw rate lag", symbol="tau_z",
     )  # fmt: skip
+    delay: float = live(
+        0.0, "s", 0.0, 0.5, "Time from a command to its effect: the latency and the lag of the body rates. Plans start "
+        "from the state that is predicted for it.",
+        label="Delay of commands",
+    )  # fmt: skip
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
@@ -75,6 +81,11 @@ class PartitionConfig(ParameterSection, section="partition"):
     range_max: float = live(
         10.0, "m", 1.0, 100.0, "Points farther away than this are ignored.", label="Maximum range", symbol="r_max"
     )
+    range_time: float = live(
+        1.0, "s", 0.0, 5.0, "A fast drone sees farther: the maximum range is at least this times the speed limit; 0 as "
+        "in the paper.",
+        label="Range per speed limit",
+    )  # fmt: skip
     range_min: float = live(
         0.1, "m", 0.0, 5.0, "Points closer than this are ignored as returns from the drone itself; 0 as in the paper.",
         label="Minimum range",
@@ -82,6 +93,23 @@ class PartitionConfig(ParameterSection, section="partition"):
     cloud_age_max: float = live(
         0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, if the caller states the age.",
         label="Maximum cloud age",
+    )  # fmt: skip
+    view_min: float = live(
+        -7.0, "deg", -90.0, 90.0, "Lowest elevation that the sensor sees, body frame. What lies below is unknown.",
+        label="Lower edge of the view",
+    )  # fmt: skip
+    view_max: float = live(
+        52.0, "deg", -90.0, 90.0, "Highest elevation that the sensor sees, body frame.", label="Upper edge of the view"
+    )
+    continue_below: float = live(
+        2.0, "m", 0.0, 20.0, "Depth to which the surface at the lower edge of the field of view is continued into "
+        "empty cells that the sensor does not see; 0 as in the paper.",
+        label="Continuation below",
+    )  # fmt: skip
+    continue_above: float = live(
+        0.0, "m", 0.0, 20.0, "Height above the drone up to which the surface at the upper edge of the field of view is "
+        "continued horizontally, as a ceiling; 0 as in the paper.",
+        label="Continuation above",
     )  # fmt: skip
     fine_cells: int = structural(
         6, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg.",
@@ -104,6 +132,11 @@ class AnchorConfig(ParameterSection, section="anchors"):
         5.0, "m", 0.2, 30.0, "Distance of the anchors from the drone, at most the distance of the goal.",
         label="Look-ahead distance", symbol="l",
     )  # fmt: skip
+    lookahead_time: float = live(
+        0.65, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
+        "speed limit; 0 as in the paper.",
+        label="Look-ahead per speed limit",
+    )  # fmt: skip
     lookahead_rest: float = live(
         2.5, "m", 0.1, 30.0,
         "Look-ahead distance at rest. It grows by 0.6 T v with the speed v, up to the look-ahead distance: from rest, "
@@ -112,13 +145,21 @@ class AnchorConfig(ParameterSection, section="anchors"):
         label="Look-ahead distance at rest",
     )  # fmt: skip
     slow_spread: float = live(
-        1.5, "", 1.0, 5.0, "Factor on the spacing at speeds below slow_speed, to find a way around an obstacle; 1 as "
+        3.0, "", 1.0, 5.0, "Factor on the spacing at speeds below slow_speed, to find a way around an obstacle; 1 as "
         "in the paper.",
         label="Spread factor at low speed",
     )  # fmt: skip
     slow_speed: float = live(
         3.0, "m/s", 0.0, 20.0, "Speed below which slow_spread applies.", label="Low-speed threshold"
     )
+    slow_rise: float = live(
+        1.5, "", 1.0, 5.0, "The same factor on the spacing of the rows, upward and downward.",
+        label="Rise factor at low speed",
+    )  # fmt: skip
+    slow_cycle: int = live(
+        3, "", 1, 10, "Number of spreads at low speed: successive plans go from a part of slow_spread to all of it.",
+        label="Spreads at low speed",
+    )  # fmt: skip
     refine: bool = switch(True, "Move each anchor to the safe direction of its coarse cell.", label="Refine anchors")
     arrival_speed: float = live(
         0.0, "m/s", 0.0, 20.0, "Speed at the end of each guide, in the direction of its anchor.",
@@ -140,8 +181,13 @@ class CandidateConfig(ParameterSection, section="candidates"):
         live=False, label="Braking candidate",
     )  # fmt: skip
     safe_clearance: float = live(
-        0.27, "m", 0.0, 5.0, "Clearance below which a candidate is unsafe: the radius of the drone plus a margin."
+        0.30, "m", 0.0, 5.0, "Clearance below which a candidate is unsafe: the radius of the drone plus a margin."
     )
+    speed_margin: float = live(
+        0.01, "s", 0.0, 0.5, "Addition to the clearances of candidates and stops per speed: a fast drone follows its "
+        "plan less closely. 0 as in the paper.",
+        label="Margin per speed",
+    )  # fmt: skip
     between_steps: bool = switch(
         True, "Also check the clearance halfway between two time steps, which are 0.35 m apart at 7 m/s.",
         label="Check between time steps",
@@ -150,6 +196,23 @@ class CandidateConfig(ParameterSection, section="candidates"):
         True, "Select the cheapest safe candidate, and brake if no candidate is safe. Off as in the paper: the "
         "candidate with the lowest S2 is selected, and the drone brakes if it is unsafe.",
         label="Prefer safe candidates",
+    )  # fmt: skip
+    prove_stop: str = choice(
+        "instead", ("off", "required", "instead"),
+        "Fly a candidate only while a clear stop remains: a braking manoeuvre that leaves it now or later. Otherwise "
+        "the drone flies the stop that was proven last. Instead: such a candidate need not be clear beyond that.",
+        label="Proven stop",
+    )  # fmt: skip
+    stop_clearance: float = live(
+        0.28, "m", 0.0, 5.0, "Clearance of a proven stop, at most safe_clearance.", label="Clearance of a stop"
+    )
+    stop_seen: bool = switch(
+        True, "A proven stop lies in space that is seen from the drone: not behind the nearest point of a fine cell.",
+        label="Stop in seen space",
+    )  # fmt: skip
+    stop_speed: float = live(
+        1.0, "m/s", 0.0, 50.0, "Speed below which a braking manoeuvre counts as a stop at its end.",
+        label="Speed after a stop",
     )  # fmt: skip
     brake_reach: float = live(
         0.35, "", 0.1, 1.0, "Length of the braking guide as a fraction of v T; smaller values brake harder.",
@@ -222,6 +285,11 @@ class CostConfig(ParameterSection, section="costs"):
         0.25, "s/m", 0.0, 1e3, "Weight of the difference to the goal velocity.",
         label="Goal velocity weight", symbol="Q_v", group="Goal",
     )  # fmt: skip
+    q_height: float = live(
+        0.0, "1/m", 0.0, 1e3, "Weight of the difference in height to the goal, beyond its part of the distance; 0 as "
+        "in the paper.",
+        label="Height weight", symbol="Q_h", group="Goal",
+    )  # fmt: skip
     q_attitude: float = live(
         1.0, "", 0.0, 1e3, "Weight of the difference to the goal attitude.",
         label="Goal attitude weight", symbol="Q_q", group="Goal",
@@ -252,7 +320,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Speed limit weight", group="Tracking and effort",
     )  # fmt: skip
     distance_min: float = live(
-        0.28, "m", 0.0, 5.0, "Clearance below which the full penalty applies; 0.4 in the paper.",
+        0.30, "m", 0.0, 5.0, "Clearance below which the full penalty applies; 0.4 in the paper.",
         label="Full-penalty clearance", symbol="d_min", group="Obstacles",
     )  # fmt: skip
     distance_max: float = live(
@@ -289,6 +357,14 @@ class CostConfig(ParameterSection, section="costs"):
         "in the paper.",
         label="Avoid the ground", group="Obstacles",
     )  # fmt: skip
+    height_min: float = live(
+        -1e5, "m", -1e5, 1e5, "Lower end of the band of heights, world frame, which counts as an obstacle.",
+        label="Lowest height", group="Obstacles",
+    )  # fmt: skip
+    height_max: float = live(
+        1e5, "m", -1e5, 1e5, "Upper end of the band of heights, world frame, which counts as an obstacle.",
+        label="Greatest height", group="Obstacles",
+    )  # fmt: skip
     q_blocked: float = live(
         300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the path from the final state to the "
         "goal; 0 in the paper.",
@@ -309,6 +385,27 @@ class CostConfig(ParameterSection, section="costs"):
         0.35, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
         label="Cost-to-go clearance", group="Cost-to-go",
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class EscapeConfig(ParameterSection, section="escape"):
+    """Memory of places without progress, which leads out of dead ends."""
+
+    q_escape: float = live(
+        120.0, "1/m", 0.0, 1e4, "Weight of the depth of a rollout's end in the neighbourhood of each remembered place; "
+        "0 as in the paper.",
+        label="Escape weight",
+    )  # fmt: skip
+    radius: float = live(4.0, "m", 0.1, 20.0, "Radius of the neighbourhood of a remembered place.")
+    rise: float = live(
+        3.0, "", 1.0, 5.0, "Factor on the spacing of the rows of anchors, instead of anchors.slow_rise, for a slow "
+        "drone near a remembered place: the way out may lead upward.",
+        label="Rise factor near a place",
+    )  # fmt: skip
+    patience: float = live(
+        0.6, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
+    )
+    progress: float = live(0.3, "m", 0.01, 10.0, "Decrease of the distance to the goal that counts as progress.")
 
 
 RENAMED: dict[str, str] = {"costs.way_ahead": "costs.waypoint_distance"}
@@ -339,6 +436,7 @@ class PlannerConfig(SectionedConfig):
     candidates: CandidateConfig = field(default_factory=CandidateConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     costs: CostConfig = field(default_factory=CostConfig)
+    escape: EscapeConfig = field(default_factory=EscapeConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -346,6 +444,8 @@ class PlannerConfig(SectionedConfig):
             ("vehicle.thrust", self.vehicle.thrust_min, self.vehicle.thrust_max),
             ("costs.distance", self.costs.distance_min, self.costs.distance_max),
             ("partition.range", self.partition.range_min, self.partition.range_max),
+            ("partition.view", self.partition.view_min, self.partition.view_max),
+            ("costs.height", self.costs.height_min, self.costs.height_max),
         ):
             if low >= high:
                 raise ValueError(f"{path}_min is {low}; it must be less than {path}_max, which is {high}.")

@@ -12,6 +12,7 @@ from aero_planner.kernels.dynamics import (
     quat_inverse_rotate,
     quat_rotate,
 )
+from aero_planner.kernels.escape import Escape, escape_cost
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction, safest_fine_cell
 from aero_planner.kernels.records import DroneState, GoalState, PreviousPlan
@@ -28,8 +29,9 @@ def lookahead(speed: float, goal_distance: float, horizon: float, params: Params
     A guide of length 0.6 T v that ends at rest asks for no change of the speed v, so the look-ahead bounds the speed.
     """
     steady = 0.6 * horizon
-    length = wp.min(params.lookahead, steady * params.speed_limit)
-    if params.lookahead_rest < params.lookahead:
+    longest = wp.max(params.lookahead, params.lookahead_time * params.speed_limit)
+    length = wp.min(longest, steady * params.speed_limit)
+    if params.lookahead_rest < longest:
         length = wp.min(length, params.lookahead_rest + steady * speed)
     return wp.min(length, goal_distance)
 
@@ -67,9 +69,10 @@ def place_anchors(
     rows: int,
     steps: int,
     # in
+    tick: wp.array(dtype=int),
+    escape: Escape,
     previous: PreviousPlan,
     # out
-    unit_quaternion: wp.array(dtype=wp.vec4),
     command: wp.array(dtype=wp.vec4),
     control: wp.array(dtype=wp.vec4),
     full_goal: GoalState,
@@ -79,20 +82,18 @@ def place_anchors(
 ):
     """Place the initial endpoints p0 + l d, with d spaced around the azimuth and elevation of the goal in the world.
 
-    `initial_directions` are d in the body frame. The thread of the first anchor also normalises the attitudes, finds
-    the controls in effect, and derives the velocity and attitude that the goal leaves open; see `Goal`. Launched over
-    [B, M_h M_v].
+    `initial_directions` are d in the body frame. The thread of the first anchor also finds the controls in effect and
+    derives the velocity and attitude that the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
     """
     b, m = wp.tid()
     p = drone.position[b]
-    q = wp.normalize(drone.quaternion[b])
+    q = drone.quaternion[b]
     to_goal = goal.position[b] - p
     distance = wp.length(to_goal)
     speed = wp.length(drone.velocity[b])
     length = lookahead(speed, distance, float(steps) * params[b].dt, params[b])
     if m == 0:
         lookahead_length[b] = length
-        unit_quaternion[b] = q
         commanded, in_effect = flown_controls(b, time[b], previous, params[b])
         command[b] = commanded
         control[b] = in_effect
@@ -110,11 +111,15 @@ def place_anchors(
     if distance < 1.0e-3:
         to_goal = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
     spacing = wp.radians(params[b].spacing)
+    rise = spacing
     if speed < params[b].slow_speed:
-        spacing = spacing * params[b].slow_spread
+        share = float(tick[b] % params[b].slow_cycle + 1) / float(params[b].slow_cycle)
+        factor = wp.where(escape_cost(p, b, escape, params[b]) > 0.0, params[b].rise, params[b].slow_rise)
+        rise = spacing * (1.0 + (factor - 1.0) * share)
+        spacing = spacing * (1.0 + (params[b].slow_spread - 1.0) * share)
     azimuth = wp.atan2(to_goal[1], to_goal[0]) + (float(m % columns) - 0.5 * float(columns - 1)) * spacing
     elevation = wp.atan2(to_goal[2], wp.sqrt(to_goal[0] * to_goal[0] + to_goal[1] * to_goal[1]))
-    elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * spacing
+    elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * rise
     c = wp.cos(elevation)
     d = wp.vec3(c * wp.cos(azimuth), c * wp.sin(azimuth), wp.sin(elevation))
     initial_directions[b, m] = quat_inverse_rotate(q, d)
@@ -133,7 +138,7 @@ def safe_anchor(
     coarse_columns: int,
     fine_range: wp.array2d(dtype=float),
     directions: wp.array2d(dtype=wp.vec3),
-    lookahead_length: wp.array(dtype=float),
+    length: float,
     initial_directions: wp.array2d(dtype=wp.vec3),
 ) -> wp.vec3:
     """Return the refined endpoint p0 + l d, with d the safe direction of the coarse cell [m], world frame."""
@@ -141,4 +146,4 @@ def safe_anchor(
     if refine != 0:
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
         _r, d = safest_fine_cell(fine_range, directions, b, row, column, fine_cells, initial_directions[b, m])
-    return position + lookahead_length[b] * quat_rotate(quaternion, d)
+    return position + length * quat_rotate(quaternion, d)

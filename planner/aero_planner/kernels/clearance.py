@@ -17,6 +17,7 @@ import warp as wp
 from aero_planner.kernels.costs import collision_cost
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.partition import farthest
 from aero_planner.kernels.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "fill_rows",
     "query_clearance",
     "query_limit",
+    "safety_limit",
 ]
 
 wp.set_module_options({"enable_backward": False})
@@ -45,11 +47,17 @@ FAR = wp.constant(1.0e18)
 
 
 @wp.func
+def safety_limit(params: Params) -> float:
+    """Return the largest clearance that matters for safety, that of a drone at its speed limit [m]."""
+    return params.safe_clearance + params.speed_margin * params.speed_limit
+
+
+@wp.func
 def cell_size(params: Params) -> float:
     """Return the width of a cell [m]."""
     return wp.max(
         wp.max(params.distance_max, params.blocked_radius),
-        wp.max(params.safe_clearance, 2.0 * params.range_max / float(GRID - 2)),
+        wp.max(safety_limit(params), 2.0 * farthest(params) / float(GRID - 2)),
     )
 
 
@@ -247,10 +255,12 @@ def clearance_at(width: int, threads: int) -> wp.Function:
 
 @wp.func
 def above_ground(d: float, x: wp.vec3, ground_height: float, params: Params) -> float:
-    """Return the smaller of d, the distance from x to the nearest point, and the height of x above the ground [m].
+    """Return the smallest of d, the distance from x to the nearest point, the height of x above the ground, and its
+    distances from the ends of the band of heights [m].
 
     `ground_height` is -inf where the ground is unknown.
     """
+    d = wp.min(d, wp.max(wp.min(x[2] - params.height_min, params.height_max - x[2]), 0.0))
     return wp.where(params.use_ground != 0, wp.min(d, wp.max(x[2] - ground_height, 0.0)), d)
 
 
@@ -262,7 +272,7 @@ def query_limit(t: int, steps: int, params: Params) -> float:
     """
     if t >= steps:
         return params.blocked_radius
-    return wp.max(params.distance_max, params.safe_clearance)
+    return wp.max(params.distance_max, safety_limit(params))
 
 
 @functools.cache

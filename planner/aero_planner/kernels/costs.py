@@ -66,6 +66,7 @@ def goal_cost(
     """Return J_goal: Q_p |p - p_goal| + Q_v |v - v_goal| + Q_q |R(q) R(q_goal)^T - I|_F."""
     return (
         params.q_position * wp.length(p - p_goal)
+        + params.q_height * wp.abs(p[2] - p_goal[2])
         + params.q_velocity * wp.length(v - v_goal)
         + params.q_attitude * attitude_distance(q, q_goal)
     )

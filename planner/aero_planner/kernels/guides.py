@@ -176,8 +176,24 @@ def write_shifted_controls(
         nominal_controls[b, m, t] = u0 + (s - float(i)) * (u1 - u0)
 
 
-BRAKING_CANDIDATES = wp.constant(5)
-"""Braking candidates after the M instances: straight ahead, then alternately to the left and to the right."""
+@wp.func
+def shifted_control(b: int, t: int, elapsed: float, params: Params, controls: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
+    """Return control t of a sequence that began `elapsed` seconds ago; past its end the drone hovers."""
+    hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
+    s = float(t) + elapsed / params.dt
+    i = int(s)
+    u0 = hover
+    u1 = hover
+    if i < controls.shape[1]:
+        u0 = controls[b, i]
+    if i + 1 < controls.shape[1]:
+        u1 = controls[b, i + 1]
+    return u0 + (s - float(i)) * (u1 - u0)
+
+
+BRAKING_CANDIDATES = wp.constant(6)
+"""Braking candidates after the M instances: straight ahead, then alternately to the left and to the right, and the stop
+that was proven last."""
 
 
 @wp.func
@@ -216,6 +232,8 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         guides: GuideSet,
         waypoints: wp.array2d(dtype=wp.vec3),
         nominal_controls: wp.array3d(dtype=wp.vec4),
+        plan_period: wp.array(dtype=float),
+        stop_ready: wp.array(dtype=int),
     ):
         """Write endpoint, guide and nominal controls of the M instances and the braking candidates.
 
@@ -239,10 +257,15 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         v1 = wp.vec3(0.0, 0.0, 0.0)
         heading_goal = heading(goal.quaternion[b])
         elapsed = float(-1.0)
+        # The difference is taken in float64, since stamps may count from 1970.
+        since = float(time[b] - previous.time[b])
+        if wp.isnan(time[b]) and not wp.isnan(previous.time[b]):
+            since = c.replan_period
+        is_stop = m == instances + BRAKING_CANDIDATES - 1
         if m < anchor_count:
             p1 = safe_anchor(
                 b, m, p0, q0, c.refine, fine_cells, coarse_rows, coarse_columns, fine_range, directions,
-                lookahead_length, initial_directions,
+                lookahead, initial_directions,
             )  # fmt: skip
             v1 = c.arrival_speed * wp.normalize(p1 - p0)
             if lookahead >= goal_distance:
@@ -250,10 +273,7 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
             elif c.waypoint_distance > lookahead and c.waypoint_distance < goal_distance:
                 waypoint = p0 + c.waypoint_distance * wp.normalize(p1 - p0)
         elif m == previous_index:
-            # The difference is taken in float64, since stamps may count from 1970.
-            elapsed = float(time[b] - previous.time[b])
-            if wp.isnan(time[b]) and not wp.isnan(previous.time[b]):
-                elapsed = c.replan_period
+            elapsed = since
             p1 = previous.end[b]
             if not (elapsed >= 0.0 and elapsed < T):
                 elapsed = float(-1.0)
@@ -262,14 +282,23 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
                 waypoint = previous.waypoint[b]
         else:
             heading_goal = heading(q0)
+            # A stop has two horizons of controls.
+            if is_stop and since >= 0.0 and previous.stop_age[b] + since < 2.0 * T:
+                elapsed = previous.stop_age[b] + since
         if lane == 0:
+            if is_stop:
+                stop_ready[b] = wp.where(elapsed >= 0.0, 1, 0)
+                plan_period[b] = wp.where(since > 0.0, since, c.replan_period)
             guides.anchors[b, m] = p1
             waypoints[b, m] = waypoint
             if m >= anchor_count:
                 guides.initial_endpoints[b, m] = p1
         curve = quintic(p0, drone.velocity[b], drone.acceleration[b], p1, v1, T)
         write_guide(b, m, lane, LANES, curve, c.dt, guides)
-        if elapsed >= 0.0:
+        if is_stop and elapsed >= 0.0:
+            for t in range(lane, nominal_controls.shape[2], LANES):
+                nominal_controls[b, m, t] = shifted_control(b, t, elapsed, c, previous.stop)
+        elif elapsed >= 0.0:
             write_shifted_controls(b, m, lane, LANES, elapsed, c, previous.controls, nominal_controls)
         elif lane == 0:
             write_nominal(b, m, curve, q0, drone.control[b], heading_goal, c, nominal_controls)

@@ -20,6 +20,7 @@ from aero_planner.kernels.costs import (
     vnorm_cost,
 )
 from aero_planner.kernels.dynamics import clamp_control, lag_shares, lagged_control, mean_lag_shares, rk4_step
+from aero_planner.kernels.escape import Escape, escape_cost
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState
@@ -264,6 +265,7 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         # configuration
         params: wp.array(dtype=Params),
         # in
+        escape: Escape,
         waypoints: wp.array2d(dtype=wp.vec3),
         nominal_controls: wp.array3d(dtype=float),
         sample_controls: wp.array3d(dtype=Reals),
@@ -312,6 +314,7 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
             S += J_col
             if params[b].q_blocked > 0.0:
                 S += blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), params[b])
+            S += escape_cost(end, b, escape, params[b])
             stage1_cost[i, k] = S
             lowest = wp.min(lowest, S)
         lowest = block_minimum(lowest)

@@ -21,6 +21,7 @@ from aero_planner.kernels.warp_ops import add_count
 __all__ = [
     "EMPTY",
     "cell_of_direction",
+    "farthest",
     "fill_directions",
     "finish_fine_cells",
     "pool_coarse",
@@ -32,6 +33,12 @@ wp.set_module_options({"enable_backward": False})
 
 EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
 """Key of a fine cell that holds no point."""
+
+
+@wp.func
+def farthest(params: Params) -> float:
+    """Return the range beyond which points are ignored [m]."""
+    return wp.max(params.range_max, params.range_time * params.speed_limit)
 
 
 @wp.func
@@ -104,7 +111,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         left = quat_rotate(q, wp.vec3(0.0, 1.0, 0.0))
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
         range_min = params[b].range_min
-        range_max = params[b].range_max
+        range_max = farthest(params[b])
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
             last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])
@@ -198,7 +205,7 @@ def finish_fine_cells(
         key = wp.min(key, cell_keys[worker, b, cell])
         cell_keys[worker, b, cell] = EMPTY
     if key == EMPTY:
-        fine_range[b, cell] = params[b].range_max
+        fine_range[b, cell] = farthest(params[b])
         occupied[b, cell] = 0
     else:
         fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)

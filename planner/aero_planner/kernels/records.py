@@ -80,6 +80,8 @@ class PreviousPlan:
 
     controls: wp.array2d(dtype=wp.vec4)  # [B, N], F_t and omega
     start_control: wp.array(dtype=wp.vec4)  # [B], F_t and omega in effect at its start
+    stop: wp.array2d(dtype=wp.vec4)  # [B, 2 N], controls of the stop that was proven last
+    stop_age: wp.array(dtype=float)  # [B], time from that plan to the previous one [s]
     end: wp.array(dtype=wp.vec3)  # [B], final position of the rollout, world frame [m]
     waypoint: wp.array(dtype=wp.vec3)  # [B], waypoint beyond that, NaN where there was none, world frame [m]
     time: wp.array(dtype=wp.float64)  # [B], stamp [s], NaN where there is no previous plan

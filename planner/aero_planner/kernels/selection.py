@@ -10,13 +10,15 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
+from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit, safety_limit
 from aero_planner.kernels.costs import collision_cost, goal_cost, speed_cost
 from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step
+from aero_planner.kernels.escape import Escape, escape_cost, remember_place
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
+from aero_planner.kernels.stops import STOPS, switch_step
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 from aero_planner.plan import PlanStatus
 
@@ -94,6 +96,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
     def evaluate_states(
         # problem
         drone: DroneState,
+        center: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
         goal: GoalState,
         # configuration
@@ -119,15 +122,19 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         steps = rollouts.positions.shape[2] - 1
         x = rollouts.positions[b, m, wp.min(t + 1, steps)]
         limit = query_limit(t, steps, c)
+        margin = float(0.0)
         if t >= steps + PROBES:
             # The last row is the start, as the midpoint between the start and itself.
             half = (t - steps - PROBES) % steps
             half_end = wp.where(t == state_terms.shape[2] - 1, half, half + 1)
             x = 0.5 * (rollouts.positions[b, m, half] + rollouts.positions[b, m, half_end])
-            limit = c.safe_clearance
+            limit = safety_limit(c)
+            margin = c.speed_margin * wp.length(rollouts.velocities[b, m, half])
+            if t == state_terms.shape[2] - 1:
+                margin = 0.0
         elif t >= steps:
             x = probe_position(x, waypoints[b, m], goal.position[b], t - steps, c)
-        d = clearance_of(x, limit, b, thread, drone.position[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
+        d = clearance_of(x, limit, b, thread, center[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
         d = above_ground(d, x, ground_height[b], c)
         J_goal = float(0.0)
         J_speed = float(0.0)
@@ -136,8 +143,9 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             q = rollouts.quaternions[b, m, t + 1]
             J_goal = goal_cost(x, v, q, goal.position[b], goal.velocity[b], goal.quaternion[b], c)
             J_speed = speed_cost(v, c)
+            margin = c.speed_margin * wp.length(v)
             clearance[b, m, t] = wp.min(d, c.distance_max)
-        state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d)
+        state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d - margin)
 
     return tuning.set_options(evaluate_states, keep_loops=True)
 
@@ -155,6 +163,7 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         # configuration
         params: wp.array(dtype=Params),
         # in
+        escape: Escape,
         waypoints: wp.array2d(dtype=wp.vec3),
         positions: wp.array3d(dtype=wp.vec3),
         state_terms: wp.array3d(dtype=wp.vec4),
@@ -190,7 +199,7 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
             costs.collision_cost[b, m] = J_col
             end = positions[b, m, steps]
             to_go = blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), c)
-            S2 = J_goal + J_col + J_speed + to_go
+            S2 = J_goal + J_col + J_speed + to_go + escape_cost(end, b, escape, c)
             costs.stage2_cost[b, m] = S2
             instance_scores[b, m] = wp.vec2(S2, nearest)
 
@@ -205,7 +214,9 @@ def select_best(
     start_clearance: float,
     cloud_age: float,
     c: Params,
+    stop_ready: int,
     instance_scores: wp.array2d(dtype=wp.vec2),
+    stop_clearance: wp.array2d(dtype=float),
 ):
     """Select the instance with the lowest S2; with `prefer_safe`, among the safe ones if there are any.
 
@@ -214,22 +225,39 @@ def select_best(
     clearance is flown; it replaces the "brake" instance, or the selected one if there is no such instance.
 
     Returns:
-        Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status.
+        Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status,
+        index of the stop that is kept.
     """
     safe = c.safe_clearance
+    stop_safe = wp.min(c.stop_clearance, c.safe_clearance)
     if start_clearance < safe:
         safe = start_clearance - 0.02
+    if start_clearance < stop_safe:
+        stop_safe = start_clearance - 0.005
     best = int(0)
+    best_stop = int(0)
     lowest = instance_scores[b, 0][0]
     best_safe = instance_scores[b, 0][1] >= safe
-    for m in range(1, instances):
+    for m in range(instances):
         score = instance_scores[b, m]
         is_safe = score[1] >= safe
+        clear_stop = int(0)
+        if c.prove_stop != 0:
+            largest = stop_clearance[b, m * STOPS]
+            for j in range(1, STOPS):
+                d = stop_clearance[b, m * STOPS + j]
+                # The first clear stop is kept: what is still unseen may be in the way of a later one.
+                if d > largest and largest < stop_safe:
+                    largest = d
+                    clear_stop = j
+            has_stop = largest >= stop_safe
+            is_safe = has_stop and (is_safe or c.prove_stop == 2)
         better = score[0] < lowest
         if c.prefer_safe != 0 and is_safe != best_safe:
             better = is_safe
-        if better:
+        if better or m == 0:
             best = m
+            best_stop = clear_stop
             lowest = score[0]
             best_safe = is_safe
     flown = best
@@ -242,18 +270,23 @@ def select_best(
         replaced = best
         flown = instances
         largest_clearance = instance_scores[b, instances][1]
-        for candidate in range(instances + 1, instance_scores.shape[1]):
+        proven = instance_scores.shape[1] - 1
+        may_fly_stop = c.prove_stop != 0 and stop_ready != 0 and status == NO_SAFE_CANDIDATE
+        for candidate in range(instances + 1, wp.where(may_fly_stop, proven + 1, proven)):
             d = instance_scores[b, candidate][1]
             if d > largest_clearance:
                 flown = candidate
                 largest_clearance = d
-    return best, flown, replaced, status
+        if may_fly_stop and instance_scores[b, proven][1] >= stop_safe:
+            flown = proven
+    return best, flown, replaced, status, best_stop
 
 
 @wp.kernel
 def commit_plan(
     # problem
     time: wp.array(dtype=wp.float64),
+    position: wp.array(dtype=wp.vec3),
     goal_position: wp.array(dtype=wp.vec3),
     cloud_age: wp.array(dtype=float),
     control: wp.array(dtype=wp.vec4),
@@ -265,12 +298,17 @@ def commit_plan(
     waypoints: wp.array2d(dtype=wp.vec3),
     state_terms: wp.array3d(dtype=wp.vec4),
     instance_scores: wp.array2d(dtype=wp.vec2),
+    plan_period: wp.array(dtype=float),
+    stop_ready: wp.array(dtype=int),
+    stop_controls: wp.array3d(dtype=wp.vec4),
+    stop_clearance: wp.array2d(dtype=float),
     # in and out
     guides: GuideSet,
     rollouts: Rollouts,
     costs: InstanceCosts,
     clearance: wp.array3d(dtype=float),
     tick: wp.array(dtype=int),
+    escape: Escape,
     # out
     best: wp.array(dtype=int),
     status: wp.array(dtype=int),
@@ -284,8 +322,9 @@ def commit_plan(
     b, t = wp.tid()
     steps = rollouts.controls.shape[2]
     start_clearance = state_terms[b, 0, state_terms.shape[2] - 1][3]
-    m, flown, replaced, outcome = select_best(
-        b, instances, brake_index, start_clearance, cloud_age[b], params[b], instance_scores
+    c = params[b]
+    m, flown, replaced, outcome, stop = select_best(
+        b, instances, brake_index, start_clearance, cloud_age[b], c, stop_ready[b], instance_scores, stop_clearance
     )
     if t == 0:
         best[b] = m
@@ -308,6 +347,26 @@ def commit_plan(
                 guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
     if t == 0:
         previous.start_control[b] = control[b]
+    if c.prove_stop != 0 and t < steps:
+        # Keep the controls of the stop, of twice the length of the horizon.
+        hover = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+        switch = steps
+        if replaced < 0:
+            switch = switch_step(stop, steps, plan_period[b], c)
+        if flown == rollouts.controls.shape[1] - 1:
+            if t == 0:
+                previous.stop_age[b] = previous.stop_age[b] + plan_period[b]
+        else:
+            for half in range(2):
+                k = t + half * steps
+                u = hover
+                if k < switch:
+                    u = rollouts.controls[b, flown, k]
+                elif replaced < 0 and k - switch < steps:
+                    u = stop_controls[b, m * STOPS + stop, k - switch]
+                previous.stop[b, k] = u
+            if t == 0:
+                previous.stop_age[b] = 0.0
     if t < steps:
         previous.controls[b, t] = rollouts.controls[b, flown, t]
     else:
@@ -315,6 +374,8 @@ def commit_plan(
         waypoint = waypoints[b, flown]
         previous.waypoint[b] = wp.where(waypoint == goal_position[b], wp.vec3(wp.NAN, wp.NAN, wp.NAN), waypoint)
         tick[b] = tick[b] + 1
+        if c.q_escape > 0.0:
+            remember_place(b, position[b], goal_position[b], plan_period[b], escape, c)
         if not wp.isnan(time[b]):
             previous.time[b] = time[b]
         else:

@@ -97,7 +97,7 @@ struct aero_planner {
             {"time", 8}, {"position", 12}, {"velocity", 12}, {"quaternion", 16}, {"acceleration", 12},
             {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
             {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"seed", 4}, {"tick", 4},
-            {"previous_time", 8},
+            {"previous_time", 8}, {"proven_stop_age", 4}, {"place_count", 4}, {"place_goal", 12},
         };
         bool fits = true;
         for (const auto& array : expected)
@@ -151,6 +151,10 @@ struct aero_planner {
         const std::vector<char> zeros(graph->bytes("previous_controls"));
         graph->put("previous_controls", zeros.data(), zeros.size());
         put("previous_time", std::numeric_limits<double>::quiet_NaN());
+        const float never = std::numeric_limits<float>::infinity(), nowhere[3] = {never, never, never};
+        put("proven_stop_age", never);
+        put("place_count", int32_t {0});
+        put("place_goal", nowhere);
     }
 
     // Runs a task. Returns 0, or -1 if it throws; `problem` is then the exception's message.

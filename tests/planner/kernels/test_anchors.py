@@ -79,7 +79,8 @@ def test_lookahead(device: str, speed: float, distance: float, changes: dict[str
 
 
 def test_slow_drones_use_a_wider_spacing(device: str):
-    planner = Planner(config_of(anchors__slow_spread=2.0, anchors__slow_speed=3.0), device=device)
+    config = config_of(anchors__slow_spread=2.0, anchors__slow_cycle=1, anchors__slow_speed=3.0)
+    planner = Planner(config, device=device)
 
     def width(speed: float) -> float:
         case = random_case(0, count=0)

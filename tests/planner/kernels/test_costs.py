@@ -71,7 +71,7 @@ def test_exponential_edges(device: str):
 def test_quadratic_edges(device: str):
     """The cost is C just below d_min, the soft weight at d_min, a quarter of it half way, and zero from d_max on."""
     config = PlannerConfig()
-    d_min, d_max = np.float32(0.28), np.float32(0.55)
+    d_min, d_max = np.float32(config.costs.distance_min), np.float32(config.costs.distance_max)
     edges = [0.0, np.nextafter(d_min, np.float32(0)), d_min, (d_min + d_max) / 2, d_max, 5.0]
     np.testing.assert_allclose(collision(device, np.array(edges), config), [2e5, 1e5, 100, 25, 0, 0], rtol=1e-6)
     slow = config.replace({"vehicle.speed_limit": 1.4})  # a fifth of soft_speed: five times as many steps in a gap

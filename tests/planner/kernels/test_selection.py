@@ -28,7 +28,8 @@ def cluttered(seed: int) -> Case:
 @pytest.mark.parametrize("between", [True, False])
 def test_safety_is_checked_between_the_states(device: str, between: bool):
     """Without `between_steps` some selected plans pass a post between two states, with it none does."""
-    config = config_of(candidates__between_steps=between, candidates__safe_clearance=0.3)
+    changes = {"candidates.prove_stop": "off", "candidates.speed_margin": 0.0, "costs.distance_min": 0.28}
+    config = config_of(candidates__between_steps=between).replace(changes)
     planner, slipped, chosen = Planner(config, device=device), 0, 0
     for seed in range(60):
         plan = cluttered(seed).plan(planner)

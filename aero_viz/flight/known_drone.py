@@ -1,0 +1,32 @@
+"""What the planner of a simulated flight knows about its drone: the field of view of the sensor, and the delay."""
+
+from __future__ import annotations
+
+from aero_planner import PlannerConfig
+from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.sensors.lidar import LidarModel
+
+__all__ = ["config_for_drone"]
+
+_UPRIGHT, _INVERTED = (0.0, 0.0), (180.0, 0.0)
+
+
+def config_for_drone(config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel) -> PlannerConfig:
+    """Return `config` with the field of view of `lidar` and the delay of `vehicle` where it has the default values.
+
+    The delay is the latency plus the time constant of the body rates. A sensor that is neither upright nor upside down
+    has no lower edge of its view that could be continued.
+    """
+    default = PlannerConfig()
+    roll_and_pitch = (abs(lidar.mount_angles[0]), abs(lidar.mount_angles[1]))
+    view = (-90.0, 90.0)
+    if roll_and_pitch == _UPRIGHT:
+        view = (lidar.elevation_min, lidar.elevation_max)
+    elif roll_and_pitch == _INVERTED:
+        view = (-lidar.elevation_max, -lidar.elevation_min)
+    known = {
+        "partition.view_min": view[0],
+        "partition.view_max": view[1],
+        "vehicle.delay": min(vehicle.latency + vehicle.rate_lag, 0.5),
+    }
+    return config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})

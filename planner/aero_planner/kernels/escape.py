@@ -1,0 +1,55 @@
+"""Places without progress toward the goal: they are remembered, and rollouts that end near them cost more."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from aero_planner.kernels.params import Params
+
+__all__ = ["PLACES", "Escape", "escape_cost", "remember_place"]
+
+wp.set_module_options({"enable_backward": False})
+
+PLACES = wp.constant(16)
+"""Number of places that are remembered; a new one replaces the oldest."""
+
+
+@wp.struct
+class Escape:
+    """Memory of a drone's places without progress."""
+
+    places: wp.array2d(dtype=wp.vec3)  # [B, PLACES], world frame [m]
+    count: wp.array(dtype=int)  # [B], number of places since the goal was set
+    goal: wp.array(dtype=wp.vec3)  # [B], goal for which the memory holds [m]
+    nearest: wp.array(dtype=float)  # [B], distance to the goal when progress was last made [m]
+    idle: wp.array(dtype=float)  # [B], time since then, or since the last place was remembered [s]
+
+
+@wp.func
+def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
+    """Return q_escape times the sum of the depths of p in the neighbourhoods of the remembered places."""
+    depth = float(0.0)
+    if params.q_escape > 0.0:
+        for k in range(wp.min(escape.count[b], PLACES)):
+            depth += wp.max(0.0, params.radius - wp.length(p - escape.places[b, k]))
+    return params.q_escape * depth
+
+
+@wp.func
+def remember_place(b: int, p: wp.vec3, goal: wp.vec3, period: float, escape: Escape, params: Params):
+    """Remember the position p if the drone has made no progress for a while; forget all places for a new goal."""
+    distance = wp.length(goal - p)
+    if not (wp.length(goal - escape.goal[b]) < 0.1):
+        escape.goal[b] = goal
+        escape.count[b] = 0
+        escape.nearest[b] = distance
+        escape.idle[b] = 0.0
+    elif distance < escape.nearest[b] - params.progress:
+        escape.nearest[b] = distance
+        escape.idle[b] = 0.0
+    else:
+        escape.idle[b] = escape.idle[b] + period
+        if escape.idle[b] > params.patience:
+            escape.places[b, escape.count[b] % PLACES] = p
+            escape.count[b] = escape.count[b] + 1
+            escape.idle[b] = 0.0

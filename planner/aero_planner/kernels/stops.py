@@ -1,0 +1,177 @@
+"""Proof that a candidate can be stopped: braking manoeuvres that leave it at several times, checked for clearance.
+
+A candidate is flyable if at least one of its STOPS is clear: its own controls up to a switch time, followed by a
+braking manoeuvre of the length of the horizon. The controls of that stop are kept. If no candidate of the next plan is
+flyable, the drone flies the kept stop, which is still clear unless new points have appeared.
+"""
+
+# Postponed annotations are left out: kernels made for a tuning refer to local types.
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at
+from aero_planner.kernels.dynamics import (
+    clamp_control,
+    near_atan2,
+    quat_from_heading,
+    quat_inverse_rotate,
+    quat_rotate,
+    rk4_step,
+    thrust_axis,
+)
+from aero_planner.kernels.guides import guide_acceleration, quintic
+from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.params import Params
+from aero_planner.kernels.partition import cell_of_direction
+from aero_planner.kernels.records import Rollouts
+from aero_planner.kernels.warp_ops import point_pack
+
+__all__ = ["STOPS", "evaluate_stops", "roll_out_stops", "switch_step"]
+
+wp.set_module_options({"enable_backward": False})
+
+STOPS = wp.constant(6)
+"""Stops of a candidate: three that leave it at once, straight ahead and to either side, and three that leave it after a
+quarter, half and all of the horizon."""
+
+
+@wp.func
+def switch_step(stop: int, steps: int, period: float, params: Params) -> int:
+    """Return the time step at which a stop leaves its candidate; the first ones after the time until the next plan."""
+    first = wp.clamp(int(wp.ceil(period / params.dt - 1.0e-3)), 1, steps)
+    step = first
+    if stop == 3:
+        step = steps // 4
+    if stop == 4:
+        step = steps // 2
+    if stop == 5:
+        step = steps
+    return wp.max(step, first)
+
+
+@wp.func
+def stop_angle(stop: int, params: Params) -> float:
+    """Return the angle of the braking manoeuvre to the left of the velocity [rad]."""
+    side = float(0.0)
+    if stop == 1:
+        side = 1.0
+    if stop == 2:
+        side = -1.0
+    return side * wp.radians(params.brake_fan)
+
+
+@wp.kernel(enable_backward=False)
+def roll_out_stops(
+    # configuration
+    params: wp.array(dtype=Params),
+    # in
+    plan_period: wp.array(dtype=float),
+    rollouts: Rollouts,
+    # out
+    stop_controls: wp.array3d(dtype=wp.vec4),
+    stop_positions: wp.array3d(dtype=wp.vec3),
+    stop_clearance: wp.array2d(dtype=float),
+):
+    """Roll out the braking manoeuvre of each stop. Launched over [B, M STOPS]."""
+    b, i = wp.tid()
+    c = params[b]
+    if c.prove_stop == 0:
+        return
+    m = i // STOPS
+    stop = i % STOPS
+    steps = stop_controls.shape[2]
+    dt = c.dt
+    T = float(steps) * dt
+    s = switch_step(stop, steps, plan_period[b], c)
+    p = rollouts.positions[b, m, s]
+    v = rollouts.velocities[b, m, s]
+    q = rollouts.quaternions[b, m, s]
+    up = wp.vec3(0.0, 0.0, c.gravity)
+    acceleration = (rollouts.controls[b, m, s - 1][0] / c.mass) * thrust_axis(q) - up
+    goal = p + (c.brake_reach * T) * quat_rotate(quat_from_heading(stop_angle(stop, c)), v)
+    curve = quintic(p, v, acceleration, goal, wp.vec3(0.0, 0.0, 0.0), T)
+    stop_positions[b, i, 0] = p
+    for t in range(steps):
+        f = guide_acceleration(curve, (float(t) + 0.5) * dt) + up
+        z_body = quat_inverse_rotate(q, wp.normalize(guide_acceleration(curve, float(t + 1) * dt) + up))
+        sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
+        gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
+        u = wp.vec4(c.mass * wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], 0.0)
+        u = clamp_control(u, c)
+        p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, dt)
+        stop_controls[b, i, t] = u
+        stop_positions[b, i, t + 1] = p
+    # A manoeuvre that has not stopped proves nothing.
+    stop_clearance[b, i] = wp.where(wp.length(v) < c.stop_speed, c.safe_clearance, 0.0)
+
+
+@functools.cache
+def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that finds the clearance of all stops, with `tuning.threads_per_query` threads per position."""
+    clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_query)
+    Pack: Any = point_pack(tuning.points_per_pack)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def evaluate_stops(
+        # problem
+        position: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
+        ground_height: wp.array(dtype=float),
+        # configuration
+        params: wp.array(dtype=Params),
+        probes: int,
+        duplicate_rows: int,
+        rows: int,
+        columns: int,
+        # in
+        fine_range: wp.array2d(dtype=float),
+        positions: wp.array3d(dtype=wp.vec3),
+        plan_period: wp.array(dtype=float),
+        cell_ends: wp.array2d(dtype=int),
+        point_packs: wp.array2d(dtype=Pack),
+        stop_positions: wp.array3d(dtype=wp.vec3),
+        state_terms: wp.array3d(dtype=wp.vec4),
+        # in and out
+        stop_clearance: wp.array2d(dtype=float),
+    ):
+        """Lower the clearance of each stop to the least of its N states and N midpoints, and to that of the part of
+        the candidate before the switch.
+
+        Launched over [B, M STOPS, 4 N, threads per query].
+        """
+        b, i, row, thread = wp.tid()
+        c = params[b]
+        if c.prove_stop == 0:
+            return
+        steps = stop_positions.shape[2] - 1
+        d = float(c.safe_clearance)
+        x = position[b]
+        if row < 2 * steps:
+            t = row // 2
+            x = stop_positions[b, i, t + 1]
+            if row % 2 == 1:
+                x = 0.5 * (x + stop_positions[b, i, t])
+            margin = c.speed_margin * wp.length(stop_positions[b, i, t + 1] - stop_positions[b, i, t]) / c.dt
+            limit = wp.min(c.safe_clearance + margin, cell_size(c))
+            d = clearance_of(x, limit, b, thread, position[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
+            d = above_ground(d, x, ground_height[b], c) - margin
+        else:
+            t = (row - 2 * steps) // 2
+            if t < switch_step(i % STOPS, steps, plan_period[b], c):
+                # state_terms holds N states, the probes, N midpoints and the start.
+                x = positions[b, i // STOPS, t + 1]
+                d = state_terms[b, i // STOPS, wp.where(row % 2 == 0, t, steps + probes + t)][3]
+        if c.stop_seen != 0 and row % 2 == 0:
+            to_x = quat_inverse_rotate(wp.normalize(quaternion[b]), x - position[b])
+            distance = wp.length(to_x)
+            if distance > 0.5:
+                cell_row, cell_column = cell_of_direction(to_x, rows, columns)
+                if distance > fine_range[b, cell_row * columns + cell_column]:
+                    d = 0.0
+        if thread == 0 and d < c.safe_clearance:
+            wp.atomic_min(stop_clearance, b, i, d)
+
+    return tuning.set_options(evaluate_stops, keep_loops=True)

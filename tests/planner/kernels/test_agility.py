@@ -1,0 +1,75 @@
+"""Continued surfaces, proven stops, places without progress, and the prediction of the start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner import Goal, Planner, PlanStatus, VehicleState
+from tests.planner import reference
+from tests.planner.cases import Case, config_of, kept_points, random_case, shell
+
+
+def level(x: float = 20.0, *, speed: float = 0.0) -> Case:
+    """Return a level drone at the origin with the goal `x` ahead and no cloud."""
+    case = random_case(0, count=0)
+    case.position, case.velocity, case.acceleration = np.zeros(3), np.array([speed, 0.0, 0.0]), np.zeros(3)
+    case.quaternion, case.goal = np.array([1.0, 0.0, 0.0, 0.0]), np.array([x, 0.0, 0.0])
+    return case
+
+
+@pytest.mark.parametrize("depth", [0.0, 1.0, 2.0])
+def test_a_wall_continues_below_the_field_of_view(device: str, depth: float):
+    """The points that are added lie on the wall, below its seen part and at most `depth` deeper."""
+    case, edge = level(), -4.0 * np.tan(np.radians(7.0))
+    y, z = np.meshgrid(np.arange(-2, 2, 0.05), np.arange(edge, 2, 0.05))
+    case.points = np.stack((np.full_like(y, 4.0), y, z), axis=-1).reshape(-1, 3).astype(np.float32)
+    plan = case.plan(Planner(config_of(partition__continue_below=depth), device=device))
+    kept = kept_points(plan).astype(np.float64)
+    added = kept[kept[:, 2] < edge - 0.1]
+    assert (len(added) > 0) == (depth > 0.0)
+    if depth > 0.0:
+        # A neighbouring column of cells may hold the source: 3 deg at 4 m change x by at most 0.1 m.
+        np.testing.assert_allclose(added[:, 0], 4.0, atol=0.15)
+        assert added[:, 2].min() > edge - depth - 0.1 and added[:, 2].min() < edge - 0.7 * depth
+
+
+def test_the_stop_that_was_proven_is_flown_when_no_candidate_has_one(device: str):
+    case, planner = level(speed=5.0), Planner(config_of(), device=device)
+
+    def plan(time: float):
+        state = VehicleState(case.position, case.velocity, case.quaternion, case.acceleration, time=time)
+        return planner.plan(state, Goal(case.goal), case.points)
+
+    first = plan(0.0)
+    stop = planner.history().stop[0].astype(np.float64)
+    assert first.status == PlanStatus.OK
+    np.testing.assert_array_equal(stop[0], first.command[0])
+    x = reference.roll_out(case.position, case.quaternion, case.velocity, stop, planner.config)
+    assert np.linalg.norm(x.v[-1]) < planner.config.candidates.stop_speed
+    case.points = shell(case.position, 0.7)  # no candidate is clear now
+    second = plan(0.1)
+    assert second.status == PlanStatus.NO_SAFE_CANDIDATE and second.kinds[second.best] == "brake"
+
+
+def test_a_drone_without_progress_remembers_where_it_was(device: str):
+    config = config_of(escape__patience=0.5)
+    case, planner = level(), Planner(config, device=device)
+    for k in range(13):
+        state = VehicleState(case.position, case.velocity, case.quaternion, case.acceleration, time=0.1 * k)
+        planner.plan(state, Goal(case.goal), case.points)
+    history = planner.history()
+    assert history.place_count[0] == 2
+    np.testing.assert_array_equal(history.places[0, :2], np.zeros((2, 3)))
+    planner.plan(case.state, Goal([0.0, 20.0, 0.0]), case.points)
+    assert planner.history().place_count[0] == 0
+
+
+def test_plans_start_from_the_state_after_the_delay(device: str):
+    case, planner = random_case(3, count=0), Planner(config_of(vehicle__delay=0.1), device=device)
+    plan = case.plan(planner)  # without a previous plan the drone hovers until then
+    config = planner.config.replace({"sampling.dt": 0.01})
+    hover = np.tile([config.vehicle.mass * config.vehicle.gravity, 0.0, 0.0, 0.0], (10, 1))
+    x = reference.roll_out(case.position, reference.unit(case.quaternion), case.velocity, hover, config)
+    np.testing.assert_allclose(plan.positions[0, 0], x.p[-1], atol=1e-5)
+    np.testing.assert_allclose(plan.velocities[0, 0], x.v[-1], atol=1e-5)
