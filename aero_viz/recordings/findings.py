@@ -99,7 +99,7 @@ def measure(recording: Recording) -> Measured:
         low, high = np.percentile(np.degrees(np.arcsin(np.clip(points[:, 2] / ranges, -1, 1))), [1, 99])
         near, field = (float(first), float(last)), (float(low), float(high))
         azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) // 5.0
-        circle = 5.0 * len(np.unique(azimuth))
+        circle = min(5.0 * len(np.unique(azimuth)), 360.0)
     times = None if recording.poses is None else recording.poses.times
     return Measured(
         _rate(recording.sweep_times),
