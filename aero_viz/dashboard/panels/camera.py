@@ -118,6 +118,8 @@ class CameraPanel(Panel):
         self._modes: dict[int, str] = {}
         self._marks: dict[int, viser.GuiHtmlHandle] = {}
         self._settled: dict[int, float] = {}
+        self._targets: dict[int, Point] = {}
+        """Point that each camera was last moved to look at [m]."""
         self.page.server.initial_camera.fov = FIELD_OF_VIEW
         self._buttons = gui.add_button_group("Camera", MODES, hint=_HINT)
 
@@ -166,10 +168,12 @@ class CameraPanel(Panel):
             if time.monotonic() < self._settled.setdefault(number, time.monotonic() + _SETTLE_TIME):
                 eye, look_at = self._views.find(mode if mode in VIEWS else "follow", frame)
                 changes += [(camera, "position", eye), (camera, "look_at", look_at)]
-            elif mode != "free":
-                # Moving a camera also moves the point that it looks at.
+            elif mode != "free" and not np.array_equal(target, self._targets.get(number, target + 1.0)):
+                # Moving a camera also moves the point that it looks at. While the drone stands, the camera is left
+                # alone: its position may be older than what the visitor's mouse does now.
                 eye = target + eye - camera.look_at
                 changes.append((camera, "position", eye))
+            self._targets[number] = target
             self.eyes.append(eye)
         return changes
 
@@ -181,7 +185,7 @@ class CameraPanel(Panel):
         return self._modes.get(number, MODES[0])
 
     def _forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
-        for table in (self._modes, self._marks, self._settled):
+        for table in (self._modes, self._marks, self._settled, self._targets):
             for number in set(table) - set(clients):
                 table.pop(number, None)
 
