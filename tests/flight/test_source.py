@@ -48,7 +48,7 @@ def assert_equal_flights(first, second):
 
 def test_first_observation(source):
     now = source.observe()
-    assert (now.time, now.sweep_count, source.outcome, source.info.period) == (0.0, 10, None, 0.02)
+    assert (now.time, now.sweep_count, source.outcome, source.info.period) == (0.0, 30, None, 0.02)
     np.testing.assert_array_equal(now.state.position, [0.0, 0.0, 2.0])
     np.testing.assert_array_equal(now.goal.position, [45.0, 0.0, 2.0])
     assert now.points.dtype == np.float32 and np.isfinite(now.points).all() and len(now.points) > 1000
@@ -92,6 +92,7 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
 @pytest.mark.parametrize("noise", [None, StateNoise(position=0.2, velocity=0.1, attitude=1.0)], ids=["exact", "noisy"])
 @pytest.mark.parametrize("ticks", [0, 33])  # looking back to before the start, and within the seventh sweep
 def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
+    monkeypatch.setattr("aero_viz.flight.source.SWEEPS", 10)
     monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)  # only the last ten sweeps
     mounted = LidarModel(
         "mounted", points_per_sweep=2000, mount_position=(0.1, 0.0, 0.05), mount_angles=(0.0, 20.0, 0.0)
@@ -108,7 +109,7 @@ def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monk
     assert_equal_flights(first, fly(source, planner, 60))
 
 
-def test_checkpoints_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
+def test_checkpoints_of_ten_minutes_fit_in_256_megabytes(planner, monkeypatch):
     monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)
     tracemalloc.start()
     try:
@@ -123,7 +124,7 @@ def test_checkpoints_of_ten_minutes_fit_in_128_megabytes(planner, monkeypatch):
         each = (tracemalloc.get_traced_memory()[0] - before) / len(checkpoints)
     finally:
         tracemalloc.stop()
-    assert 30_000 * each + CACHED_BYTES < 128e6
+    assert 30_000 * each + CACHED_BYTES < 256e6
 
 
 def test_checkpoints_share_their_clouds(source, planner):
