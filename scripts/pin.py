@@ -1,8 +1,8 @@
 """Update the hashes in constraints.txt: scripts/pin.py. `make pin` runs it after a version was changed there.
 
-A pin gets the SHA-256 hashes of all files that the package registry holds for this version, so that every supported
-platform and version of Python can install it. The section of the benchmarks stays without hashes: a registry may
-offer its own build of PyTorch.
+A pin gets the SHA-256 hashes of its wheels for Linux and macOS and for the supported versions of Python, or that of its
+sources if there is no wheel. The section of the benchmarks stays without hashes: a registry may offer its own build of
+PyTorch.
 """
 
 from __future__ import annotations
@@ -12,9 +12,16 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from urllib.parse import unquote
+
+import tomllib
+from packaging.utils import parse_wheel_filename
 
 CONSTRAINTS = Path(__file__).resolve().parents[1] / "constraints.txt"
 WITHOUT_HASHES = "## Benchmarks"
+PYTHONS = ("cp311", "cp312", "cp313")
+INTERPRETERS = r"py3|py2\.py3|py2|cp3\d+"
+PLATFORMS = r"any|(many)?linux.*_(x86_64|aarch64)|macosx.*_(arm64|universal2)"
 
 
 def main() -> int:
@@ -43,15 +50,32 @@ def find_hashes(pins: list[str]) -> dict[str, list[str]]:
     Raises:
         subprocess.CalledProcessError: uv failed, for example because a version does not exist.
     """
-    with tempfile.NamedTemporaryFile("w", suffix=".in") as file:
-        file.write("\n".join(pins))
-        file.flush()
+    with tempfile.TemporaryDirectory() as folder:
+        source, lock = Path(folder) / "pins.in", Path(folder) / "pylock.toml"
+        source.write_text("\n".join(pins))
         uv = Path(sys.executable).with_name("uv")
-        options = ["-q", "--no-deps", "--universal", "--generate-hashes", "--no-header", "--no-annotate"]
-        compile_pins = [uv, "pip", "compile", *options, file.name]
-        compiled = subprocess.run(compile_pins, check=True, capture_output=True, text=True).stdout
-    blocks = re.split(r"\n(?=\S)", compiled.strip())
-    return {name_and_version(block): re.findall(r"--hash=\S+", block) for block in blocks}
+        options = ["-q", "--no-deps", "--universal", "--format", "pylock.toml", "-o", lock]
+        subprocess.run([uv, "pip", "compile", *options, source], check=True, capture_output=True, text=True)
+        packages = tomllib.loads(lock.read_text())["packages"]
+    return {name_and_version(f"{p['name']}=={p['version']}"): hash_options(p) for p in packages}
+
+
+def hash_options(package: dict) -> list[str]:
+    """Return the hashes of a package's wheels that a supported system can install, or of its sources without any."""
+    wheels = [wheel for wheel in package.get("wheels", []) if is_supported(wheel["url"].rpartition("/")[2])]
+    files = wheels or [package["sdist"]]
+    return sorted(f"--hash=sha256:{file['hashes']['sha256']}" for file in files)
+
+
+def is_supported(wheel: str) -> bool:
+    """Return True for the file name of a wheel for a supported system and version of Python."""
+    _, _, _, tags = parse_wheel_filename(unquote(wheel))
+    return any(
+        re.fullmatch(INTERPRETERS, tag.interpreter)
+        and (tag.interpreter in PYTHONS or tag.abi in ("abi3", "none"))
+        and re.fullmatch(PLATFORMS, tag.platform)
+        for tag in tags
+    )
 
 
 def name_and_version(pin: str) -> str:
