@@ -76,7 +76,7 @@ def test_messages_hold_the_content_of_the_frames(session, tmp_path):
     write(tmp_path / "a.mcap", frames)
     topics = decoded(tmp_path / "a.mcap")
     assert {name: len(messages) for name, messages in topics.items()} == {
-        "/odometry": 12, "/tf": 12, "/sweep": 12, "/plan": 12, "/plan/best": 12, "/plan/guides": 12,
+        "/odometry": 12, "/tf": 12, "/sweep": 32, "/plan": 12, "/plan/best": 12, "/plan/guides": 12,
         "/plan/rollouts": 12, "/goal": 1,
     }  # fmt: skip
     frame, plan = frames[7], frames[7].plan
@@ -107,10 +107,10 @@ def test_each_sweep_is_written_once_in_the_body_frame(session, tmp_path):
     frames = [session.tick() for _ in range(12)]  # new sweeps at ticks 5 and 10
     write(tmp_path / "a.mcap", frames)
     sweeps = decoded(tmp_path / "a.mcap")["/sweep"]
-    assert len(sweeps) == 12  # ten at the start, two new
+    assert len(sweeps) == 32  # thirty at the start, two new
     sizes = [cloud.width for _, cloud in sweeps]
-    assert sum(sizes[:10]) == len(frames[0].observation.points)
-    for index, sweep in ((5, sweeps[10]), (10, sweeps[11])):
+    assert sum(sizes[:30]) == len(frames[0].observation.points)
+    for index, sweep in ((5, sweeps[30]), (10, sweeps[11])):
         _, cloud = sweep
         assert cloud.header.frame_id == "body"
         points = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
@@ -198,7 +198,7 @@ def test_play_sees_the_flight_that_was_logged(tmp_path):
     result = fly(world, recorder=flight_recorder(tmp_path / "a.mcap"), config=CONFIG, seed=4, lidar=LIDAR, speed=2.0)
     info = inspect(tmp_path / "a.mcap")
     ticks = round(result.flight_time_s / 0.02)
-    assert (info.sweeps, info.poses, info.points_topic) == (10 + ticks // 5, ticks + 1, "/sweep")
+    assert (info.sweeps, info.poses, info.points_topic) == (30 + ticks // 5, ticks + 1, "/sweep")
     assert info.problems == ()
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.poses is not None and recording.poses.measured_velocity
