@@ -110,7 +110,7 @@ def test_each_sweep_is_written_once_in_the_body_frame(session, tmp_path):
     assert len(sweeps) == 32  # thirty at the start, two new
     sizes = [cloud.width for _, cloud in sweeps]
     assert sum(sizes[:30]) == len(frames[0].observation.points)
-    for index, sweep in ((5, sweeps[30]), (10, sweeps[11])):
+    for index, sweep in ((5, sweeps[30]), (10, sweeps[31])):
         _, cloud = sweep
         assert cloud.header.frame_id == "body"
         points = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
