@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Planner
-from aero_planner.onboard.connections import thrust_model
-from aero_planner.onboard.failsafe_process import FailsafeGuard, HeartbeatMemory
-from aero_planner.onboard.livox import LivoxSource
+from aero_planner.onboard.connections import open_lidar, open_link
+from aero_planner.onboard.failsafe_process import FailsafeGuard
+from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
@@ -28,7 +28,7 @@ from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.offboard import Mode
-from aero_viz.rig.rig import HOST, PX4_RESPONSE, free_ports, rig_settings
+from aero_viz.rig.rig import HOST, PX4_RESPONSE, free_ports, ground_below, rig_settings
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 from aero_viz.sensors.lidar import LIDARS
@@ -52,7 +52,7 @@ class _MemoryFailsafe:
         return self._memory.read_status().braking
 
     def report(self, heartbeat: Heartbeat) -> None:
-        self._memory.write(heartbeat, self._link.peer)
+        self._memory.write(heartbeat, self._link.peer, self._link.min_signing_time)
         self.interventions = self._memory.read_status().interventions
 
     def close(self) -> None:
@@ -130,18 +130,14 @@ class LockstepRig:
                 hover_thrust=onboard.thrust.hover_thrust,
                 curve=onboard.thrust.curve,
                 loss_time=loss_time,
+                ground=ground_below(world),
                 seed=seed,
             )
             stack.callback(self.autopilot.close)
             self.sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed)
             stack.callback(self.sensor.close)
-            link = MavlinkLink(
-                onboard.mavlink.url,
-                thrust_model(onboard, config.vehicle),
-                state_rate=onboard.mavlink.state_rate,
-                clock=lambda: self.now,
-            )
-            source = LivoxSource(lidar_port, host=HOST, clock=lambda: self.now)
+            link = open_link(onboard, config.vehicle, clock=lambda: self.now)
+            source = open_lidar(onboard, clock=lambda: self.now)
             file = HeartbeatMemory.create_file()
             memory, reader = HeartbeatMemory(file), HeartbeatMemory(file)
             os.close(file)

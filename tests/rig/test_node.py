@@ -117,7 +117,8 @@ def test_the_failsafe_brakes_for_a_killed_node_and_the_restarted_node_stays_sile
 
 
 def test_the_failsafe_brakes_for_a_paused_node_which_then_continues(world):
-    paused, duration = 1.5, 0.5
+    # 0.14 s pass until the pause is noticed, and 0.2 s until the drone has turned; then it brakes with 6 m/s^2.
+    paused, duration = 1.5, 0.8
     result = fly(world, Fault("pause-node", paused, duration))
     # The autopilot sees an uninterrupted stream: first the plan, then the braking commands.
     assert longest_gap(result, paused, paused + duration + 1.0) < ONBOARD.limits.deadline, result.log

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ipaddress
 import socket
+import time
+from collections.abc import Callable
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
@@ -23,8 +25,10 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
-    """Connect to the autopilot.
+def open_link(
+    config: OnboardConfig, vehicle: VehicleConfig, *, clock: Callable[[], float] = time.monotonic
+) -> MavlinkLink:
+    """Connect to the autopilot; `clock` is the host time [s].
 
     Raises:
         ImportError: pymavlink is not installed; names the extra to install.
@@ -42,6 +46,7 @@ def open_link(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkLink:
             state_rate=settings.state_rate,
             goal_senders=_goal_senders(config),
             key=_signing_key(config),
+            clock=clock,
         )
     except OSError as error:
         raise OSError(
@@ -86,8 +91,8 @@ def thrust_model(config: OnboardConfig, vehicle: VehicleConfig) -> ThrustModel:
     return ThrustModel(vehicle.mass, vehicle.gravity, config.thrust.hover_thrust, config.thrust.curve)
 
 
-def open_lidar(config: OnboardConfig) -> LivoxSource:
-    """Listen to the LiDAR.
+def open_lidar(config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> LivoxSource:
+    """Listen to the LiDAR; `clock` is the host time [s].
 
     Raises:
         OSError: The port is in use; says what to do.
@@ -102,7 +107,9 @@ def open_lidar(config: OnboardConfig) -> LivoxSource:
             "digits of its serial number, or lidar.host to 127.0.0.1."
         )
     try:
-        return LivoxSource(settings.port, host=settings.host, sensor=sensor, keep_uncertain=settings.keep_uncertain)
+        return LivoxSource(
+            settings.port, host=settings.host, sensor=sensor, keep_uncertain=settings.keep_uncertain, clock=clock
+        )
     except OSError as error:
         raise OSError(
             f"can't listen on the LiDAR's UDP port {settings.host}:{settings.port} (lidar.host, lidar.port): "

@@ -101,6 +101,8 @@ class MavlinkSender:
     Attributes:
         transport: Connection to the autopilot.
         sent: Number of commands sent.
+        min_signing_time: Earliest time stamp of the next signature, see `aero_planner.onboard.mavlink_signing`. The
+            autopilot accepts none that is much older than its own clock.
     """
 
     def __init__(
@@ -116,6 +118,7 @@ class MavlinkSender:
     ) -> None:
         self.transport = transport
         self.sent = 0
+        self.min_signing_time = 0
         self._dialect = load_dialect()
         self._system = system
         self._component = component
@@ -157,14 +160,10 @@ class MavlinkSender:
     def send_message(self, message: Any) -> bool:
         """Send one of the dialect's messages; return False if there is no transport or no room."""
         with self._sending:
-            self._signing.timestamp = max(self._signing.timestamp, self._signing_time())
+            self._signing.timestamp = max(self._signing.timestamp, self.min_signing_time, signing_time())
             data = message.pack(self._packer)
             self._packer.seq = (self._packer.seq + 1) % 256
             return self.transport is not None and self.transport.send(bytes(data))
-
-    def _signing_time(self) -> int:
-        """Return the time stamp of the next signature."""
-        return signing_time()
 
 
 class MavlinkLink(MavlinkSender):
@@ -275,10 +274,6 @@ class MavlinkLink(MavlinkSender):
         """Number of datagrams that were dropped unread: of strangers, or for lack of room."""
         return self._transport.ignored
 
-    def _signing_time(self) -> int:
-        # The autopilot accepts no time stamp older than its own.
-        return signing_time() if self._signatures is None else max(signing_time(), self._signatures.newest)
-
     def _receive(self) -> None:
         """Read what has arrived, within the limits of one poll."""
         deadline = time.thread_time() + _POLL_TIME
@@ -286,7 +281,10 @@ class MavlinkLink(MavlinkSender):
             data = self._transport.receive()
             if data is None:
                 return
-            for message in self.parser.parse(data):
+            messages = self.parser.parse(data)
+            if self._signatures is not None:
+                self.min_signing_time = self._signatures.newest
+            for message in messages:
                 self._process(message)
             if time.thread_time() > deadline:
                 return

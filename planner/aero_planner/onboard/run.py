@@ -77,7 +77,7 @@ def run_node(
         link = opened.enter_context(contextlib.closing(open_link(onboard, planner_config.vehicle)))
         lidar = opened.enter_context(contextlib.closing(open_lidar(onboard)))
         observers = _open_observers(log, planner_config, onboard, opened)
-        failsafe = FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer)
+        failsafe = FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer, lambda: link.min_signing_time)
         opened.callback(failsafe.close)
         with _planning_errors(device):
             node = Node(planner, link, lidar, onboard, goal=goal, observers=observers, failsafe=failsafe)

@@ -10,7 +10,7 @@ import pytest
 from aero_planner import Goal, Planner, PlannerConfig, VehicleState
 from aero_planner.onboard.braking_path import PATH_POINTS, BrakingPath, choose_path
 from aero_planner.onboard.dead_reckoning import MotionState, propagate
-from aero_planner.onboard.failsafe_process import HeartbeatMemory
+from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.settings import BrakeSettings, ResponseSettings
 from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.watchdog import Heartbeat

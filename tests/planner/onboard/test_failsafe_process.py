@@ -20,9 +20,10 @@ import pytest
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.dead_reckoning import MotionState
-from aero_planner.onboard.failsafe_process import FailsafeProcess, HeartbeatMemory, takeover_time
+from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.frames import flu_from_frd
+from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
@@ -65,9 +66,11 @@ def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
     assert reader.read() is None
     motion = MotionState(4.9, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([0.5, 0.5, -0.5, 0.5]))
     for count in range(1, 5):
-        memory.write(Heartbeat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count])), "udpout:10.0.0.1:14540")
-        number, heartbeat, peer = reader.read() or pytest.fail("there is none")
+        written = Heartbeat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count]))
+        memory.write(written, "udpout:10.0.0.1:14540", 2**47 + count)
+        number, heartbeat, peer, signing_time = reader.read() or pytest.fail("there is none")
         assert (number, heartbeat.time, peer) == (count, 5.0 + count, "udpout:10.0.0.1:14540")
+        assert signing_time == 2**47 + count
         assert heartbeat.motion is not None and heartbeat.motion.time == 4.9
         for name in ("position", "velocity", "quaternion"):
             np.testing.assert_array_equal(getattr(heartbeat.motion, name), getattr(motion, name))
@@ -75,10 +78,10 @@ def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
     planned = np.arange(4.0 * (UPCOMING_MAX + 3)).reshape(-1, 4)
     for upcoming in (planned[:1], planned[:5], planned[:UPCOMING_MAX], planned):
         memory.write(Heartbeat(9.0, motion, HOVER, upcoming), None)
-        _, heartbeat, _ = reader.read() or pytest.fail("there is none")
+        _, heartbeat, *_ = reader.read() or pytest.fail("there is none")
         np.testing.assert_array_equal(heartbeat.upcoming, upcoming[:UPCOMING_MAX])
     memory.write(Heartbeat(10.0, None, None), None)
-    assert reader.read() == (9, Heartbeat(10.0, None, None), None)
+    assert reader.read() == (9, Heartbeat(10.0, None, None), None, 0)
     assert memory.read_status() == (False, False, 0)
     reader.write_status(8, 3)
     assert memory.read_status() == (True, False, 3)
@@ -90,7 +93,14 @@ def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
 
 def test_a_motion_that_is_not_finite_reads_as_none(memory: HeartbeatMemory):
     memory.write(Heartbeat(5.0, forward(math.nan), np.array([9.0, math.inf, 0.0, 0.0])), None)
-    assert memory.read() == (1, Heartbeat(5.0, None, None), None)
+    assert memory.read() == (1, Heartbeat(5.0, None, None), None, 0)
+
+
+def test_a_memory_of_another_version_is_refused(file: int):
+    end = os.lseek(file, 0, os.SEEK_END)
+    os.pwrite(file, b"\xff", end - 4)
+    with pytest.raises(ValueError, match="another version"):
+        HeartbeatMemory(file)
 
 
 @pytest.mark.parametrize("written", [1, 2, 3, 4])

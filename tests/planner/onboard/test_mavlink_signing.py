@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import socket
 import time
 
+import numpy as np
 import pytest
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.connections import make_sender, open_link
+from aero_planner.onboard.dead_reckoning import MotionState
+from aero_planner.onboard.failsafe_process import FailsafeGuard
+from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
 from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.transport import open_transport
+from aero_planner.onboard.watchdog import Heartbeat
 
 mavlink = load_dialect()
 KEY = bytes(range(32))
@@ -127,6 +133,27 @@ def test_time_stamps_follow_an_autopilot_whose_clock_is_ahead(key_file):
     link.poll()
     link.send([9.81, 0, 0, 0])
     assert autopilot.receive()[-1] == "SET_ATTITUDE_TARGET"
+    link.close()
+
+
+def test_the_failsafe_process_follows_an_autopilot_whose_clock_is_ahead(key_file):
+    autopilot = Autopilot(KEY)
+    autopilot.protocol.signing.timestamp += 10 * 60 * 100_000
+    link = connect(autopilot, key_file)
+    autopilot.receive()
+    autopilot.send(autopilot.heartbeat())
+    link.poll()
+    config = OnboardConfig().replace({"mavlink.signing_key_file": str(key_file)})
+    file = HeartbeatMemory.create_file()
+    memory = HeartbeatMemory(file)
+    guard = FailsafeGuard(HeartbeatMemory(file), config, VehicleConfig())
+    os.close(file)
+    hover = np.array([9.81, 0.0, 0.0, 0.0])
+    motion = MotionState(0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    memory.write(Heartbeat(0.0, motion, hover), link.peer, link.min_signing_time)
+    guard.check(0.02, is_alone=True)
+    assert autopilot.receive()[-1] == "SET_ATTITUDE_TARGET"
+    guard.close()
     link.close()
 
 
