@@ -14,8 +14,8 @@ _UPRIGHT, _INVERTED = (0.0, 0.0), (180.0, 0.0)
 def config_for_drone(config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel) -> PlannerConfig:
     """Return `config` with the field of view of `lidar` and the delay of `vehicle` where it has the default values.
 
-    The delay is the latency plus the time constant of the body rates. A sensor that is neither upright nor upside down
-    has no lower edge of its view that could be continued.
+    The delay is the latency, plus the time constant of the body rates unless `config` models their lag. A sensor that
+    is neither upright nor upside down has no lower edge of its view that could be continued.
     """
     default = PlannerConfig()
     roll_and_pitch = (abs(lidar.mount_angles[0]), abs(lidar.mount_angles[1]))
@@ -24,9 +24,10 @@ def config_for_drone(config: PlannerConfig, *, lidar: LidarModel, vehicle: Vehic
         view = (lidar.elevation_min, lidar.elevation_max)
     elif roll_and_pitch == _INVERTED:
         view = (-lidar.elevation_max, -lidar.elevation_min)
+    unmodelled_lag = vehicle.rate_lag if config.vehicle.rate_xy_lag == 0.0 else 0.0
     known = {
         "partition.view_min": view[0],
         "partition.view_max": view[1],
-        "vehicle.delay": min(vehicle.latency + vehicle.rate_lag, 0.5),
+        "vehicle.delay": min(vehicle.latency + unmodelled_lag, 0.5),
     }
     return config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})

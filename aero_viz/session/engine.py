@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.planner import History
+from aero_planner.history import History
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source

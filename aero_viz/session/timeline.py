@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.planner import History
+from aero_planner.history import History
 
 __all__ = ["Checkpoint", "Timeline"]
 

@@ -370,7 +370,7 @@ class Pipeline(LaunchSequence):
         roll_out_stops = self.record(
             stops.roll_out_stops,
             (sizes.B, sizes.M * sizes.J),
-            inputs=[self._params, w.plan_period, self._rollouts],
+            inputs=[self._drone, self._params, w.plan_period, self._rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
             block_dim=32,
         )

@@ -53,9 +53,10 @@ class PlanStatus(enum.IntEnum):
     """Safety of a plan; `controls[best]` may be flown in any case."""
 
     OK = 0
-    """The best candidate keeps its clearance over the whole horizon."""
+    """The best candidate is safe: it keeps its clearance over the whole horizon, and a clear stop remains if
+    candidates.prove_stop asks for one. With "instead", that stop is enough: beyond it the candidate may come close."""
     NO_SAFE_CANDIDATE = 1
-    """Every candidate comes too close; `controls[best]` is a braking sequence."""
+    """No candidate is safe; `controls[best]` is a braking sequence, or the stop that was proven last."""
     STALE_CLOUD = 2
     """The cloud is older than partition.cloud_age_max; `controls[best]` is a braking sequence."""
 
@@ -88,7 +89,8 @@ class Plan:
     safe_direction: Array
     """Direction of that fine cell, shape [10, 20, 3], body frame."""
     filtered_points: NDArray[np.float32] | list[NDArray[np.float32]]
-    """Nearest point of each occupied fine cell [m], shape [F, 3], world frame; a list of B arrays with a batch."""
+    """Nearest point of each occupied fine cell [m], shape [F, 3], world frame; a list of B arrays with a batch. It
+    includes the continuations of surfaces, which were not measured; see partition.continue_below."""
     initial_endpoints: Array
     """Endpoints before the refinement [m], shape [M, 3], world frame."""
     anchors: Array

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,61 +13,26 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.array_memory import PackedArrays, allocate, as_dict
-from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace, fine_shape
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
+from aero_planner.history import History
 from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
 from aero_planner.pipeline import Pipeline
-from aero_planner.plan import BrakingCandidates, Goal, Plan, PlanStatus, VehicleState
+from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
+from aero_planner.plan_outputs import make_plan
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import find_device
 
-__all__ = ["History", "Planner"]
+__all__ = ["Planner"]
 
 _MIN_SWEEPS = 16
 """Sweeps for which there is room at least."""
-
-
-@dataclass(frozen=True, eq=False)
-class History:
-    """State that the planner carries from one plan to the next."""
-
-    controls: NDArray[np.float32]
-    """Controls to fly of the previous plan, shape [B, N, 4]."""
-    start_control: NDArray[np.float32]
-    """Control in effect at its start, shape [B, 4]."""
-    end: NDArray[np.float32]
-    """Final position of its rollout [m], shape [B, 3], world frame."""
-    waypoint: NDArray[np.float32]
-    """Waypoint of its cost-to-go [m], shape [B, 3], world frame; NaN where the path led straight to the goal."""
-    time: NDArray[np.float64]
-    """Its stamp [s], shape [B]; NaN where there is no previous plan."""
-    tick: NDArray[np.int32]
-    """Number of plans so far, which selects the noise, shape [B]."""
-    stop: NDArray[np.float32]
-    """Controls of the stop that was proven last, shape [B, 2 N, 4]."""
-    stop_age: NDArray[np.float32]
-    """Time from the plan that proved it to the previous one [s], shape [B]; infinite where there is none."""
-    places: NDArray[np.float32]
-    """Places without progress [m], shape [B, 16, 3], world frame."""
-    place_count: NDArray[np.int32]
-    """Number of places remembered for the goal, shape [B]."""
-    place_goal: NDArray[np.float32]
-    """Goal for which they are remembered [m], shape [B, 3], world frame."""
-    place_nearest: NDArray[np.float32]
-    """Distance to the goal when progress was last made [m], shape [B]."""
-    place_idle: NDArray[np.float32]
-    """Time since then, or since a place was remembered [s], shape [B]."""
-
-    @classmethod
-    def of(cls, work: Workspace) -> History:
-        """Return copies of the arrays of a workspace."""
-        return cls(*(_to_numpy(array).copy() for array in _history_arrays(work)))
 
 
 class Planner:
@@ -292,11 +255,10 @@ class Planner:
 
     def restore(self, history: History) -> None:
         """Continue from `history`. If it has another structure or batch, the planner is reset instead."""
-        work = self._work
-        if history.controls.shape != (*work.previous_controls.shape, 4):
-            return self.reset()
-        for array, field in zip(_history_arrays(work), dataclasses.fields(History), strict=True):
-            array.assign(getattr(history, field.name))
+        if history.fits(self._work):
+            history.write_to(self._work)
+        else:
+            self.reset()
 
     def launch(self) -> None:
         """Plan from the device arrays of `inputs` and `points` into those of `outputs` and `command`.
@@ -355,7 +317,8 @@ class Planner:
         stage_ms = {"inputs": 1e3 * (uploaded - started)}
         stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
-        return self._to_plan(values, stage_ms, samples)
+        sampled = self._sampled_positions(values["positions"]) if samples else None
+        return make_plan(values, self._config, batched=self._batched, stage_ms=stage_ms, samples=sampled)
 
     def _write_points(self, points: Points) -> None:
         if not self._cloud.is_current(points):
@@ -379,59 +342,10 @@ class Planner:
         self._memory.hold(sweeps)
         self._scan(self._memory.arrays)
 
-    def _to_plan(self, values: NDArray[Any], stage_ms: dict[str, float], samples: bool) -> Plan:
-        """Return the plan of the output arrays, without the rows of the braking candidates."""
-        B, M, config = self._batch, self._sizes.M, self._config
-        part = config.partition
-        coarse = (B, part.coarse_rows, part.coarse_columns)
-        filtered = [
-            cloud.take(np.flatnonzero(occupied), axis=0)
-            for cloud, occupied in zip(values["filtered_points"], values["occupied"] != 0, strict=True)
-        ]
-        kinds = list(config.kinds)
-        if not self._batched and values["braking_instance"][0] >= 0:
-            kinds[values["braking_instance"][0]] = "brake"
-
-        def per_drone(array: NDArray[Any]) -> Any:
-            return array if self._batched else array[0]
-
-        def instances(name: str) -> Any:
-            return per_drone(values[name][:, :M])
-
-        return Plan(
-            fine_range=per_drone(values["fine_range"].reshape(B, *fine_shape(config))),
-            safe_range=per_drone(values["safe_range"].reshape(coarse)),
-            safe_direction=per_drone(values["safe_direction"].reshape(*coarse, 3)),
-            filtered_points=filtered if self._batched else filtered[0],
-            initial_endpoints=instances("initial_endpoints"),
-            anchors=instances("anchors"),
-            guide_coefficients=np.swapaxes(instances("guide_coefficients"), -1, -2),
-            guides=instances("guides"),
-            kinds=tuple(kinds),
-            controls=instances("controls"),
-            positions=instances("positions"),
-            velocities=instances("velocities"),
-            quaternions=instances("quaternions"),
-            stage1_cost=per_drone(values["stage1_cost"].reshape(B, M, -1))[..., : self._sizes.K],
-            stage2_cost=instances("stage2_cost"),
-            goal_cost=instances("goal_cost"),
-            collision_cost=instances("collision_cost"),
-            clearance=instances("clearance"),
-            best=values["best"] if self._batched else int(values["best"][0]),
-            status=values["status"] if self._batched else PlanStatus(int(values["status"][0])),
-            dropped_points=values["dropped_points"] if self._batched else int(values["dropped_points"][0]),
-            stage_ms=stage_ms,
-            braking=BrakingCandidates(
-                per_drone(values["positions"][:, M:]),
-                per_drone(values["velocities"][:, M:]),
-                per_drone(values["clearance"][:, M:].min(axis=-1)),
-            ),
-            samples=per_drone(self._sampled_positions(values["positions"][:, :M])) if samples else None,
-        )
-
     def _sampled_positions(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the Stage I rollouts [m], shape [B, M, K, N + 1, 3]; they start as the Stage II rollouts do."""
         B, M, N, K = self._batch, self._sizes.M, self._sizes.N, self._sizes.K
+        positions = positions[:, :M]
         states = _to_numpy(self._work.sample_positions)[:, :N, :, :K]
         states = states.transpose(0, 3, 1, 2).reshape(B, M, K, N, 3)
         start = np.broadcast_to(positions[:, :, None, :1], (B, M, K, 1, 3))
@@ -452,8 +366,7 @@ class Planner:
 
         Arrays are bound by their names in `PlannerInputs` and `PlannerOutputs`, and "points", "params", "seed", "tick",
         "previous_controls", "previous_end", "previous_waypoint", "previous_time", "proven_stop_age", "place_count" and
-        "place_goal". The planner must have planned
-        before and, on the CPU, have one thread.
+        "place_goal". The planner must have planned before and, on the CPU, have one thread.
 
         Returns:
             The file, with the suffix ".wrp".
@@ -469,14 +382,6 @@ class Planner:
     def close(self) -> None:
         """Stop the worker threads; the planner can't be used afterwards."""
         self._pipeline.close()
-
-
-def _history_arrays(work: Workspace) -> list[wp.array]:
-    """Return the arrays of `History`, in the order of its fields."""
-    arrays = [work.previous_controls, work.previous_start_control, work.previous_end, work.previous_waypoint]
-    arrays += [work.previous_time, work.tick]
-    arrays += [work.proven_stop, work.proven_stop_age]
-    return [*arrays, work.places, work.place_count, work.place_goal, work.place_nearest, work.place_idle]
 
 
 def _to_numpy(array: wp.array) -> NDArray[Any]:

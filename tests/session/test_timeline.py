@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aero_planner.planner import History
+from aero_planner.history import History
 from aero_viz.session.timeline import Checkpoint, Timeline
 
 HISTORY = History(

@@ -63,8 +63,8 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         label="Yaw rate lag", symbol="tau_z",
     )  # fmt: skip
     delay: float = live(
-        0.0, "s", 0.0, 0.5, "Time from a command to its effect: the latency and the lag of the body rates. Plans start "
-        "from the state that is predicted for it.",
+        0.0, "s", 0.0, 0.5, "Time from a command to its effect: the latency, and the lag of the body rates where "
+        "rate_xy_lag does not model it. Plans start from the state that is predicted for it.",
         label="Delay of commands",
     )  # fmt: skip
     speed_limit: float = live(

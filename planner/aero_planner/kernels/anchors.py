@@ -17,7 +17,7 @@ from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction, safest_fine_cell
 from aero_planner.kernels.records import DroneState, GoalState, PreviousPlan
 
-__all__ = ["lookahead", "place_anchors", "safe_anchor"]
+__all__ = ["flown_controls", "lookahead", "place_anchors", "safe_anchor", "time_since_plan"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,13 +37,20 @@ def lookahead(speed: float, goal_distance: float, horizon: float, params: Params
 
 
 @wp.func
-def flown_controls(b: int, time: wp.float64, previous: PreviousPlan, params: Params):
-    """Return the command and the control in effect if the previous plan is being flown; hover if there is none."""
-    command = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
-    control = command
+def time_since_plan(b: int, time: wp.float64, previous: PreviousPlan, params: Params) -> float:
+    """Return the time since the previous plan [s]; NaN if there is none."""
+    # The difference is taken in float64, since stamps may count from 1970.
     elapsed = float(time - previous.time[b])
     if wp.isnan(time) and not wp.isnan(previous.time[b]):
         elapsed = params.replan_period
+    return elapsed
+
+
+@wp.func
+def flown_controls(b: int, elapsed: float, previous: PreviousPlan, params: Params):
+    """Return the command and the control in effect when the previous plan has been flown for a time; hover if not."""
+    command = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
+    control = command
     steps = previous.controls.shape[1]
     if elapsed >= 0.0 and elapsed < float(steps) * params.dt:
         control = previous.start_control[b]
@@ -94,7 +101,7 @@ def place_anchors(
     length = lookahead(speed, distance, float(steps) * params[b].dt, params[b])
     if m == 0:
         lookahead_length[b] = length
-        commanded, in_effect = flown_controls(b, time[b], previous, params[b])
+        commanded, in_effect = flown_controls(b, time_since_plan(b, time[b], previous, params[b]), previous, params[b])
         command[b] = commanded
         control[b] = in_effect
         v_goal = goal.velocity[b]

@@ -6,7 +6,7 @@ import functools
 
 import warp as wp
 
-from aero_planner.kernels.anchors import safe_anchor
+from aero_planner.kernels.anchors import safe_anchor, time_since_plan
 from aero_planner.kernels.dynamics import (
     clamp_control,
     heading,
@@ -191,9 +191,10 @@ def shifted_control(b: int, t: int, elapsed: float, params: Params, controls: wp
     return u0 + (s - float(i)) * (u1 - u0)
 
 
+BRAKING_FAN = wp.constant(5)
+"""Braking guides: straight ahead, then alternately to the left and to the right."""
 BRAKING_CANDIDATES = wp.constant(6)
-"""Braking candidates after the M instances: straight ahead, then alternately to the left and to the right, and the stop
-that was proven last."""
+"""Braking candidates after the M instances: the braking guides, then the stop that was proven last."""
 
 
 @wp.func
@@ -257,10 +258,7 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         v1 = wp.vec3(0.0, 0.0, 0.0)
         heading_goal = heading(goal.quaternion[b])
         elapsed = float(-1.0)
-        # The difference is taken in float64, since stamps may count from 1970.
-        since = float(time[b] - previous.time[b])
-        if wp.isnan(time[b]) and not wp.isnan(previous.time[b]):
-            since = c.replan_period
+        since = time_since_plan(b, time[b], previous, c)
         is_stop = m == instances + BRAKING_CANDIDATES - 1
         if m < anchor_count:
             p1 = safe_anchor(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.kernels.dynamics import rk4_step, thrust_axis
+from aero_planner.kernels.anchors import flown_controls, time_since_plan
+from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step, thrust_axis
 from aero_planner.kernels.guides import shifted_control
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, PreviousPlan
@@ -31,8 +32,8 @@ def predict_state(
 ):
     """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
 
-    A lag of first order is taken as a delay by its time constant. The commands that act from now on are those that were
-    sent one delay ago. Without a delay the state is copied, with its attitude normalised. Launched over [B].
+    The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
+    Without a delay the state is copied, with its attitude normalised. Launched over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -41,19 +42,24 @@ def predict_state(
     q = wp.normalize(drone.quaternion[b])
     acceleration = drone.acceleration[b]
     if c.delay > 0.0:
-        since = float(time[b] - previous.time[b])
-        if wp.isnan(time[b]) and not wp.isnan(previous.time[b]):
-            since = c.replan_period
+        since = time_since_plan(b, time[b], previous, c)
         steps = int(wp.ceil(c.delay / _STEP - 1.0e-3))
         dt = c.delay / float(steps)
         u = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+        acting = u
+        if since >= 0.0:
+            _command, acting = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
+        shares = lag_shares(dt, c)
+        mean_shares = mean_lag_shares(shares, dt, c)
         horizon = float(previous.controls.shape[1]) * c.dt
         for k in range(steps):
             if since >= 0.0 and since < horizon:
                 sent = wp.max(since - c.delay + (float(k) + 0.5) * dt, 0.0)
                 u = shifted_control(b, 0, sent, c, previous.controls)
-            p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, dt)
-        acceleration = (u[0] / c.mass) * thrust_axis(q) - wp.vec3(0.0, 0.0, c.gravity)
+            mean = lagged_control(u, acting, mean_shares)
+            acting = lagged_control(u, acting, shares)
+            p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, dt)
+        acceleration = (acting[0] / c.mass) * thrust_axis(q) - wp.vec3(0.0, 0.0, c.gravity)
     start.position[b] = p
     start.velocity[b] = v
     start.quaternion[b] = q

@@ -347,6 +347,8 @@ def commit_plan(
                 guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
     if t == 0:
         previous.start_control[b] = control[b]
+        if c.prove_stop == 0:
+            previous.stop_age[b] = wp.INF
     if c.prove_stop != 0 and t < steps:
         # Keep the controls of the stop, of twice the length of the horizon.
         hover = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)

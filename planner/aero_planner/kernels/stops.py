@@ -15,6 +15,9 @@ import warp as wp
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at
 from aero_planner.kernels.dynamics import (
     clamp_control,
+    lag_shares,
+    lagged_control,
+    mean_lag_shares,
     near_atan2,
     quat_from_heading,
     quat_inverse_rotate,
@@ -26,7 +29,7 @@ from aero_planner.kernels.guides import guide_acceleration, quintic
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction
-from aero_planner.kernels.records import Rollouts
+from aero_planner.kernels.records import DroneState, Rollouts
 from aero_planner.kernels.warp_ops import point_pack
 
 __all__ = ["STOPS", "evaluate_stops", "roll_out_stops", "switch_step"]
@@ -63,8 +66,21 @@ def stop_angle(stop: int, params: Params) -> float:
     return side * wp.radians(params.brake_fan)
 
 
+@wp.func
+def control_at_step(
+    b: int, m: int, step: int, control: wp.vec4, params: Params, controls: wp.array3d(dtype=wp.vec4)
+) -> wp.vec4:
+    """Return the control in effect at the beginning of a time step of a rollout; `control` is that at its start."""
+    shares = lag_shares(params.dt, params)
+    for t in range(step):
+        control = lagged_control(controls[b, m, t], control, shares)
+    return control
+
+
 @wp.kernel(enable_backward=False)
 def roll_out_stops(
+    # problem
+    drone: DroneState,
     # configuration
     params: wp.array(dtype=Params),
     # in
@@ -90,18 +106,25 @@ def roll_out_stops(
     v = rollouts.velocities[b, m, s]
     q = rollouts.quaternions[b, m, s]
     up = wp.vec3(0.0, 0.0, c.gravity)
-    acceleration = (rollouts.controls[b, m, s - 1][0] / c.mass) * thrust_axis(q) - up
+    acting = control_at_step(b, m, s, drone.control[b], c, rollouts.controls)
+    shares = lag_shares(dt, c)
+    mean_shares = mean_lag_shares(shares, dt, c)
+    lead = 2.0 * c.rate_xy_lag  # as in `write_nominal`
+    acceleration = (acting[0] / c.mass) * thrust_axis(q) - up
     goal = p + (c.brake_reach * T) * quat_rotate(quat_from_heading(stop_angle(stop, c)), v)
     curve = quintic(p, v, acceleration, goal, wp.vec3(0.0, 0.0, 0.0), T)
     stop_positions[b, i, 0] = p
     for t in range(steps):
         f = guide_acceleration(curve, (float(t) + 0.5) * dt) + up
-        z_body = quat_inverse_rotate(q, wp.normalize(guide_acceleration(curve, float(t + 1) * dt) + up))
+        later = wp.min(float(t + 1) * dt + lead, T)
+        z_body = quat_inverse_rotate(q, wp.normalize(guide_acceleration(curve, later) + up))
         sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
-        gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * dt)
+        gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * (dt + lead))
         u = wp.vec4(c.mass * wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], 0.0)
         u = clamp_control(u, c)
-        p, v, q = rk4_step(p, v, q, u, c.mass, c.gravity, dt)
+        mean = lagged_control(u, acting, mean_shares)
+        acting = lagged_control(u, acting, shares)
+        p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, dt)
         stop_controls[b, i, t] = u
         stop_positions[b, i, t + 1] = p
     # A manoeuvre that has not stopped proves nothing.

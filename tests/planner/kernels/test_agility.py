@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from aero_planner import Goal, Planner, PlanStatus, VehicleState
+from aero_planner.kernels.stops import STOPS
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case, shell
 
@@ -73,3 +74,55 @@ def test_plans_start_from_the_state_after_the_delay(device: str):
     x = reference.roll_out(case.position, reference.unit(case.quaternion), case.velocity, hover, config)
     np.testing.assert_allclose(plan.positions[0, 0], x.p[-1], atol=1e-5)
     np.testing.assert_allclose(plan.velocities[0, 0], x.v[-1], atol=1e-5)
+
+
+LAGS = {"vehicle.thrust_lag": 0.05, "vehicle.rate_xy_lag": 0.07, "vehicle.rate_z_lag": 0.07}
+
+
+def test_stops_are_rolled_out_with_the_lags_of_the_drone(device: str):
+    case, planner = level(speed=5.0), Planner(config_of().replace(LAGS), device=device)
+    plan, config = case.plan(planner), planner.config
+    work, N = planner.workspace, config.sampling.steps
+    stop_controls, stop_positions = work.stop_controls.numpy()[0], work.stop_positions.numpy()[0]
+    best = int(plan.best)
+    for stop, switch in ((0, 1), (3, N // 4), (5, N)):
+        row = best * int(STOPS) + stop
+        controls = np.concatenate((plan.controls[best, :switch], stop_controls[row]))
+        x = reference.roll_out(case.position, case.quaternion, case.velocity, controls, config)
+        np.testing.assert_allclose(stop_positions[row, 1:], x.p[switch:], atol=2e-3)
+
+
+def test_a_stop_is_forgotten_while_stops_are_not_proven(device: str):
+    case, config = level(speed=5.0), config_of()
+    planner = Planner(config, device=device)
+    case.plan(planner)
+    assert planner.history().stop_age[0] == 0.0
+    planner.configure(config.replace({"candidates.prove_stop": "off"}))
+    case.plan(planner)
+    assert np.isinf(planner.history().stop_age[0])
+
+
+def test_the_stop_that_was_proven_is_no_braking_candidate_of_a_plan(device: str):
+    """It may take two horizons, so that it does not end at rest as the braking candidates do."""
+    plan = level(speed=5.0).plan(Planner(config_of(), device=device))
+    assert plan.braking is not None
+    assert len(plan.braking.positions) == len(plan.braking.velocities) == len(plan.braking.clearance) == 5
+
+
+def test_the_prediction_follows_the_commands_of_the_previous_plan_with_the_lags(device: str):
+    config = config_of(vehicle__delay=0.1).replace(LAGS)
+    case, planner = level(speed=3.0), Planner(config, device=device)
+
+    def plan(time: float):
+        state = VehicleState(case.position, case.velocity, case.quaternion, case.acceleration, time=time)
+        return planner.plan(state, Goal([3.0, 8.0, 4.0]), case.points)
+
+    command = plan(0.0).command.astype(np.float64)
+    second = plan(0.1)  # the commands sent until now arrive from now on
+    sent = 0.01 * (np.arange(10) + 0.5) / config.sampling.dt
+    arriving = np.stack([np.interp(sent, np.arange(len(command)), u) for u in command.T], axis=1)
+    fine = config.replace({"sampling.dt": 0.01})
+    x = reference.roll_out(case.position, case.quaternion, case.velocity, arriving, fine)
+    np.testing.assert_allclose(second.positions[0, 0], x.p[-1], atol=1e-4)
+    np.testing.assert_allclose(second.velocities[0, 0], x.v[-1], atol=1e-3)
+    np.testing.assert_allclose(second.quaternions[0, 0], x.q[-1], atol=1e-4)

@@ -1,0 +1,33 @@
+"""What the planner of a simulated flight knows about its drone."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.flight import VehicleModel
+from aero_viz.flight.known_drone import config_for_drone
+from aero_viz.sensors.lidar import LIDARS
+
+MID360 = LIDARS["mid360"]
+
+
+@pytest.mark.parametrize(("preset", "delay"), [("default", 0.09), ("px4", 0.02)])
+def test_the_delay_contains_the_lag_of_the_rates_unless_the_planner_models_it(preset: str, delay: float):
+    vehicle = VehicleModel(latency=0.02, rate_lag=0.07)
+    config = config_for_drone(PlannerConfig.preset(preset), lidar=MID360, vehicle=vehicle)
+    assert config.vehicle.delay == pytest.approx(delay)
+
+
+def test_a_delay_that_was_chosen_stays():
+    config = PlannerConfig().replace({"vehicle.delay": 0.2})
+    vehicle = VehicleModel(latency=0.02)
+    assert config_for_drone(config, lidar=MID360, vehicle=vehicle).vehicle.delay == 0.2
+
+
+def test_the_field_of_view_turns_with_the_sensor():
+    upside_down = dataclasses.replace(MID360, mount_angles=(180.0, 0.0, 0.0))
+    part = config_for_drone(PlannerConfig(), lidar=upside_down, vehicle=VehicleModel()).partition
+    assert (part.view_min, part.view_max) == (-MID360.elevation_max, -MID360.elevation_min)
