@@ -180,7 +180,7 @@ def _events(last: Frame | None, frame: Frame) -> list[Event]:
         events.append(Event(frame.time, "goal", f"goal moved to {place}"))
     is_braking, was_braking = (f.plan.status == PlanStatus.NO_SAFE_CANDIDATE for f in (frame, last))
     if is_braking and not was_braking and frame.epoch == last.epoch:
-        events.append(Event(frame.time, "braking", "no safe candidate: braking"))
+        events.append(Event(frame.time, "braking", "no safe candidate: stopping"))
     if frame.outcome is not None and (last.outcome is None or last.epoch != frame.epoch):
         events.append(Event(frame.time, "end", frame.outcome.replace("_", " ")))
     return events

@@ -86,7 +86,7 @@ class CloudArrays:
 class PlannerOutputs:
     """Everything that a `Plan` contains, under its names; rows of the braking candidates follow the M instances."""
 
-    fine_range: wp.array = array(wp.float32, "B F", "m", "r_ij; range_max where the cell is empty.")
+    fine_range: wp.array = array(wp.float32, "B F", "m", "r_ij; the maximum range where the cell is empty.")
     occupied: wp.array = array(wp.int32, "B F", "", "1 where the cell holds a point, 2 where a surface continues.")
     filtered_points: wp.array = array(wp.vec3, "B F", "m", "Nearest point of each occupied cell, world frame.")
     safe_range: wp.array = array(wp.float32, "B C", "m", "Largest fine range of each coarse cell.")

@@ -24,7 +24,10 @@ _SPHERE = 2.0
 
 
 class FineCellLayer(Layer):
-    """A patch at the measured range for every occupied fine cell, coloured by range. Red is near."""
+    """A patch at the range of every occupied fine cell, coloured by range. Red is near.
+
+    Cells outside the field of view into which a surface is continued count as occupied, as they do in the plan.
+    """
 
     name, title, on_by_default = "fine_cells", "Occupied cells", False
 
@@ -50,7 +53,7 @@ class FineCellLayer(Layer):
                 (np.ones_like(azimuth), np.cos(elevation), np.ones_like(azimuth)), axis=1
             )  # fmt: skip
             changes.append((self._node, "batched_wxyzs", _facing(azimuth, elevation)))
-        reach = frame.config.partition.range_max
+        reach = frame.config.farthest_range
         flat = ranges.reshape(-1, 1)
         occupied = flat < reach - 1e-4
         return [
@@ -61,8 +64,8 @@ class FineCellLayer(Layer):
         ]
 
     def legend(self, frame: Frame) -> list[ColorScale]:
-        reach = f"{frame.config.partition.range_max:g} m"
-        return [ColorScale("occupied cells: range", "0 m", reach, palette.NEAR_TO_FAR)]
+        reach = f"{frame.config.farthest_range:g} m"
+        return [ColorScale("occupied cells, with continued surfaces: range", "0 m", reach, palette.NEAR_TO_FAR)]
 
 
 class CoarseCellLayer(Layer):
@@ -86,7 +89,7 @@ class CoarseCellLayer(Layer):
         if ranges.shape != self._shape:
             self._shape = ranges.shape
             changes += self._borders.show(_SPHERE * _borders(ranges.shape), _BORDER)
-        reach = frame.config.partition.range_max
+        reach = frame.config.farthest_range
         start = _SPHERE * directions.reshape(-1, 3)
         share = ranges.reshape(-1, 1) / reach
         colors = palette.colorize(mean_ranges(frame.plan).reshape(-1), 0.0, reach, _FREE)
@@ -95,7 +98,7 @@ class CoarseCellLayer(Layer):
         return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), colors)]
 
     def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
-        reach = f"{frame.config.partition.range_max:g} m"
+        reach = f"{frame.config.farthest_range:g} m"
         return [
             ColorScale("safe directions: mean range of the cell", "0 m", reach, palette.VIRIDIS),
             ColorKey("cells of anchors", palette.ANCHOR),

@@ -43,7 +43,7 @@ class CloudLayer(Layer):
         if self.color_by.value == "range":
             origin = np.asarray(frame.observation.state.position, dtype=np.float32)
             ranges = np.linalg.norm(points - origin, axis=1)
-            reach = frame.config.partition.range_max
+            reach = frame.config.farthest_range
             colors = palette.colorize(ranges, 0.0, reach, palette.NEAR_TO_FAR)
             self._scale = ColorScale("cloud: range", "0 m", f"{reach:g} m and more", palette.NEAR_TO_FAR)
         else:

@@ -19,7 +19,7 @@ __all__ = ["StatusPanel"]
 
 _STATUS = {
     PlanStatus.OK: ("OK", palette.GOOD),
-    PlanStatus.NO_SAFE_CANDIDATE: ("no safe candidate: braking", palette.BAD),
+    PlanStatus.NO_SAFE_CANDIDATE: ("no safe candidate: stopping", palette.BAD),
     PlanStatus.STALE_CLOUD: ("no cloud", palette.WARNING),
 }
 _OUTCOMES = {"arrived": palette.GOOD, "collision": palette.BAD, "end": palette.MUTED}

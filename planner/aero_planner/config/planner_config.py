@@ -466,6 +466,11 @@ class PlannerConfig(SectionedConfig):
         """Length of the horizon, T = N dt [s]."""
         return self.sampling.steps * self.sampling.dt
 
+    @property
+    def farthest_range(self) -> float:
+        """Range beyond which points are ignored, which grows with the speed limit [m]."""
+        return max(self.partition.range_max, self.partition.range_time * self.vehicle.speed_limit)
+
     def structure(self) -> tuple[tuple[str, Value], ...]:
         """Return path and value of each structural parameter; configurations of equal structure can share buffers."""
         return tuple((info.path, self.get(info.path)) for info in self.parameters() if not info.live)
