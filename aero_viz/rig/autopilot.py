@@ -18,7 +18,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.frames import attitude_from_ned, attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
-from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel

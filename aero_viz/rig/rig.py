@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from aero_planner import PlannerConfig
 from aero_planner.onboard.frames import ned_from_world
 from aero_planner.onboard.livox import CARTESIAN_MM
-from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot

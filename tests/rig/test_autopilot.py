@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot

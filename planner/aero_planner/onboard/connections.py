@@ -9,7 +9,8 @@ from collections.abc import Callable
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.livox import LivoxSource
-from aero_planner.onboard.mavlink import MavlinkLink, MavlinkSender
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_sender import MavlinkSender
 from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.thrust import ThrustModel

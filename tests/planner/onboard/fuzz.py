@@ -28,7 +28,8 @@ from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import open_bundle
 from aero_planner.deploy.export import pack, write_manifest
 from aero_planner.onboard.livox import LivoxPacket, LivoxSource, Reject, encode_packet, parse_packet
-from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.sweep_buffer import SweepBuffer
 from aero_planner.onboard.thrust import ThrustModel
 

@@ -24,7 +24,7 @@ from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.frames import flu_from_frd
 from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
-from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.transport import open_transport

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from aero_planner.onboard import mavlink as mavlink_module
-from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 
 mavlink = load_dialect()

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aero_planner.onboard.mavlink import load_dialect
 from aero_planner.onboard.mavlink_parser import MavlinkParser
+from aero_planner.onboard.mavlink_sender import load_dialect
 
 mavlink = load_dialect()
 

@@ -15,7 +15,8 @@ from aero_planner.onboard.connections import make_sender, open_link
 from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.failsafe_process import FailsafeGuard
 from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
-from aero_planner.onboard.mavlink import MavlinkLink, load_dialect
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.transport import open_transport

@@ -10,7 +10,7 @@ import pytest
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.connections import open_link
-from aero_planner.onboard.mavlink import load_dialect
+from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
     check_parameters,

@@ -1,0 +1,231 @@
+"""The state of the vehicle from the autopilot's messages.
+
+It comes from ODOMETRY or, while no usable one arrives, from LOCAL_POSITION_NED with ATTITUDE_QUATERNION. The estimator
+counts as reset when the reset counter of ODOMETRY changes, when LOCAL_POSITION_NED, which has no counter, moves as no
+flight does (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message. The
+covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
+
+HEARTBEAT tells whether the vehicle is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the air. A
+DISTANCE_SENSOR that looks down measures the height of the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_planner.onboard.estimator_reset import EstimatorState, is_estimator_reset
+from aero_planner.onboard.frames import attitude_from_ned, world_from_ned
+from aero_planner.onboard.host_clock import HostClock
+from aero_planner.onboard.interfaces import VehicleSample
+from aero_planner.onboard.mavlink_sender import load_dialect
+from aero_planner.plan import VehicleState
+from aero_planner.quaternions import integrate_rates, rotate
+
+__all__ = ["COORDINATE_LIMIT", "StateReceiver"]
+
+COORDINATE_LIMIT = 1e6
+"""Largest coordinate [m] and velocity [m/s]; larger values have no precision left in float32."""
+
+_ODOMETRY_TIMEOUT = 1.0  # [s] without ODOMETRY after which the other two messages are used
+_PAIR_TIMEOUT = 0.1  # [s] between the stamps of a position and an attitude that are used together
+_OVERTAKEN = 1.0  # [s] by which an attitude may be late and is ignored; more means that the clock was set
+_RANGE_TIMEOUT = 1.0  # [s] after which a measured distance counts no more
+_RANGE_MAX_TILT = 0.5  # [rad] beyond which a distance to the ground is not used
+_INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
+_LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
+_PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
+
+
+class StateReceiver:
+    """Combines the autopilot's messages to samples of the vehicle state.
+
+    Args:
+        clock: Host time [s].
+
+    Attributes:
+        sample: The newest sample; None before the first state. Heartbeats update its flags between two states.
+        is_px4: True if the autopilot says that it is a PX4; None before its first heartbeat.
+        dropped: Number of states that could not be used, by message and reason.
+    """
+
+    MESSAGES = (
+        "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
+    )  # fmt: skip
+    """Names of the messages that `process` takes."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.sample: VehicleSample | None = None
+        self.is_px4: bool | None = None
+        self.dropped: dict[str, int] = {}
+        self._time = clock
+        self._dialect = load_dialect()
+        self._handlers: dict[str, Callable[[Any], bool]] = {
+            "HEARTBEAT": self._process_heartbeat,
+            "ODOMETRY": self._process_odometry,
+            "ATTITUDE_QUATERNION": self._process_attitude,
+            "LOCAL_POSITION_NED": self._process_position,
+            "EXTENDED_SYS_STATE": self._process_landed_state,
+            "DISTANCE_SENSOR": self._process_distance,
+        }
+        self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
+        self._armed = self._offboard = False
+        self._heartbeat_time = self._odometry_time = -np.inf
+        self._landed_state, self._landed_time = 0, -np.inf
+        self._position_std = self._velocity_std = math.nan
+        self._ground_height, self._range_time = math.nan, -np.inf
+        self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._estimate: EstimatorState | None = None
+        self._origin: tuple[Any, ...] | None = None
+        self._resets = self._detected_resets = 0
+
+    def process(self, message: Any) -> bool:
+        """Process one of the autopilot's messages; return False if it could not be used."""
+        return self._handlers[message.get_type()](message)
+
+    def _process_heartbeat(self, message: Any) -> bool:
+        self._heartbeat_time = self._time()
+        self._armed = bool(message.base_mode & self._dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.is_px4 = message.autopilot == self._dialect.MAV_AUTOPILOT_PX4
+        custom = message.base_mode & self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        self._offboard = bool(custom) and message.custom_mode >> 16 & 0xFF == _PX4_OFFBOARD
+        self._update_flags()
+        return True
+
+    def _process_landed_state(self, message: Any) -> bool:
+        self._landed_state, self._landed_time = message.landed_state, self._time()
+        self._update_flags()
+        return True
+
+    def _process_distance(self, message: Any) -> bool:
+        now = self._time()
+        if self.sample is None or now - self.sample.time > _RANGE_TIMEOUT:
+            return True
+        is_downward = message.orientation == self._dialect.MAV_SENSOR_ROTATION_PITCH_270
+        is_in_range = message.min_distance < message.current_distance < message.max_distance
+        upright = float(rotate(self.sample.state.quaternion, [0.0, 0.0, 1.0])[2])
+        if not is_downward or not is_in_range or message.signal_quality == _INVALID_QUALITY:
+            return True
+        if upright > math.cos(_RANGE_MAX_TILT):
+            height = float(np.asarray(self.sample.state.position)[2])
+            self._ground_height, self._range_time = height - 1e-2 * message.current_distance * upright, now
+            self._update_flags()
+        return True
+
+    def _process_odometry(self, message: Any) -> bool:
+        d = self._dialect
+        arrival = self._time()
+        attitude = _normalized(message.q)
+        velocity = np.array([message.vx, message.vy, message.vz])
+        local = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_LOCAL_FRD
+        body = message.child_frame_id in (d.MAV_FRAME_BODY_FRD, d.MAV_FRAME_BODY_NED)
+        if message.frame_id not in local or not (body or message.child_frame_id in local):
+            return self._drop(f"ODOMETRY in frames {message.frame_id} and {message.child_frame_id}")
+        if attitude is None or not np.isfinite(velocity).all():
+            return self._drop(f"ODOMETRY that is not finite or beyond {COORDINATE_LIMIT:g}")
+        if body:
+            velocity = rotate(attitude, velocity)
+        time = self._clocks["ODOMETRY"].to_host(1e-6 * message.time_usec, arrival)
+        origin = "ODOMETRY", message.frame_id, message.reset_counter
+        stds = _largest_std(message.pose_covariance), _largest_std(message.velocity_covariance)
+        if self._set_state(origin, time, [message.x, message.y, message.z], velocity, attitude, stds):
+            self._odometry_time = arrival
+            return True
+        return False
+
+    def _process_attitude(self, message: Any) -> bool:
+        stamp, attitude = 1e-3 * message.time_boot_ms, _normalized([message.q1, message.q2, message.q3, message.q4])
+        rates = np.array([message.rollspeed, message.pitchspeed, message.yawspeed])
+        if attitude is None or not np.isfinite(rates).all():
+            self._drop("ATTITUDE_QUATERNION that is not finite")
+        elif self._attitude is None or not 0.0 <= self._attitude[0] - stamp < _OVERTAKEN:
+            self._attitude = stamp, attitude, rates
+            return True
+        return False
+
+    def _process_position(self, message: Any) -> bool:
+        arrival, stamp = self._time(), 1e-3 * message.time_boot_ms
+        if arrival - self._odometry_time < _ODOMETRY_TIMEOUT or self._attitude is None:
+            return False
+        # Both stamps are from the same clock.
+        attitude_stamp, attitude, rates = self._attitude
+        if abs(stamp - attitude_stamp) > _PAIR_TIMEOUT:
+            return False
+        time = self._clocks["LOCAL_POSITION_NED"].to_host(stamp, arrival)
+        position = np.array([message.x, message.y, message.z])
+        velocity = np.array([message.vx, message.vy, message.vz])
+        attitude = integrate_rates(attitude, rates, stamp - attitude_stamp)
+        estimate = EstimatorState(stamp, position, velocity, attitude, rates)
+        is_reset = self._estimate is not None and is_estimator_reset(self._estimate, estimate)
+        resets = self._detected_resets + is_reset
+        if self._set_state(("LOCAL_POSITION_NED", resets), time, position, velocity, attitude):
+            self._estimate, self._detected_resets = estimate, resets
+            return True
+        return False
+
+    def _set_state(
+        self,
+        origin: tuple[Any, ...],
+        time: float | None,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        attitude: ArrayLike,
+        stds: tuple[float, float] = (math.nan, math.nan),
+    ) -> bool:
+        """Accept a state in north-east-down; return False if it is unusable or not newer than the present one.
+
+        `origin`, which begins with the message's name, identifies the local origin of the state. When it changes, the
+        estimator was reset. `stds` are the standard deviations of position and velocity; NaN stands for unknown.
+        """
+        p, v, q = world_from_ned(position), world_from_ned(velocity), attitude_from_ned(attitude)
+        if time is None:
+            return self._drop(f"{origin[0]} with an inconsistent time stamp")
+        # Written so that NaN fails.
+        if not (np.abs(p).max() <= COORDINATE_LIMIT and np.abs(v).max() <= COORDINATE_LIMIT):
+            return self._drop(f"{origin[0]} that is not finite or beyond {COORDINATE_LIMIT:g}")
+        if self.sample is not None and time <= self.sample.time:
+            return False
+        self._resets += self._origin not in (None, origin)
+        self._origin = origin
+        self._position_std, self._velocity_std = stds
+        self.sample = self._make_sample(time, VehicleState(p, v, q, time=time))
+        return True
+
+    def _make_sample(self, time: float, state: VehicleState) -> VehicleSample:
+        in_air = None
+        if self._time() - self._landed_time <= _LANDED_TIMEOUT and self._landed_state:
+            in_air = self._landed_state == self._dialect.MAV_LANDED_STATE_IN_AIR
+        return VehicleSample(
+            time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
+            self._position_std, self._velocity_std,
+            self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
+        )  # fmt: skip
+
+    def _update_flags(self) -> None:
+        """Give the newest sample the present flags."""
+        if self.sample is not None:
+            self.sample = self._make_sample(self.sample.time, self.sample.state)
+
+    def _drop(self, reason: str) -> bool:
+        self.dropped[reason] = self.dropped.get(reason, 0) + 1
+        return False
+
+
+def _largest_std(covariance: Sequence[float]) -> float:
+    """Return the largest standard deviation of x, y and z in the upper triangle of a 6 x 6 matrix; NaN if unknown.
+
+    An autopilot that does not know a variance sends NaN or 0.
+    """
+    known = [variance for variance in (covariance[0], covariance[6], covariance[11]) if variance > 0.0]
+    return math.sqrt(max(known)) if known else math.nan
+
+
+def _normalized(quaternion: ArrayLike) -> NDArray[np.float64] | None:
+    """Return the unit quaternion [4]; None if the length is far from 1 or NaN."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    length = float(np.linalg.norm(q))
+    return q / length if 0.9 < length < 1.1 else None
