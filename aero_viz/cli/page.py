@@ -246,6 +246,7 @@ def serve(
                 *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
             ],
             seed=seed,
+            opened=spec,
             folders=_folders(spec, page_flags),
             allowed_hosts=page_flags.allow_host,
         )

@@ -45,6 +45,7 @@ class Dashboard:
         open_source: opens a source by path or scene name and seed; None hides the choice of the source.
         choices: sources on offer, each a label and the argument of `open_source`.
         seed: first value of the seed that the page passes to `open_source`.
+        opened: argument of `open_source` for the session's source; the page may open it again.
         layers: layers to draw, in the order of the page; to add one, pass (*LAYERS, MyLayer).
         panels: show the panels; without them the page loads in half the time.
         folders: folders whose files the page may open, besides `choices`.
@@ -63,6 +64,7 @@ class Dashboard:
         open_source: Opener | None = None,
         choices: Sequence[tuple[str, str]] = (),
         seed: int = 0,
+        opened: str = "",
         layers: Sequence[type[Layer]] = LAYERS,
         panels: bool = True,
         folders: Sequence[str | Path] = (),
@@ -92,7 +94,12 @@ class Dashboard:
         self._page = Page(self.server, session, self.layers, self.history, self.refresh)
         if panels:
             self._camera, self.panels = build(
-                self._page, open_source=open_source, choices=choices, seed=seed, folders=Folders(folders)
+                self._page,
+                open_source=open_source,
+                choices=choices,
+                seed=seed,
+                folders=Folders(folders),
+                opened=opened,
             )
         else:
             self._camera = CameraPanel(self._page)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import viser
 import websockets.asyncio.server
+from viser import _messages
 from viser.infra import WebsockClientConnection
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
@@ -111,6 +112,7 @@ class LocalServer(viser.ViserServer):
         server.on_client_connect(self._prepare_client)
         # viser forgets this for a client that has not sent its camera.
         server.on_client_disconnect(lambda client: self.gui._drop_uploads_from_client(client.client_id))  # type: ignore[arg-type]
+        self._acknowledge_uploads_privately()
         self._style()
         self._is_open.set()
 
@@ -123,6 +125,25 @@ class LocalServer(viser.ViserServer):
 
     async def _prepare_client(self, client: WebsockClientConnection) -> None:
         client.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
+
+    def _acknowledge_uploads_privately(self) -> None:
+        """Tell only the page that uploads a file how much has arrived.
+
+        viser tells all pages, later ones too, which then show the upload of a file without a name.
+        """
+        server = self._websock_server
+        broadcast = server.queue_message
+
+        def queue_message(message: Any) -> None:
+            if not isinstance(message, _messages.FileTransferPartAck):
+                broadcast(message)
+                return
+            upload = self.gui._current_file_upload_states.get(message.transfer_uuid)
+            client = None if upload is None else self._connected_clients.get(upload["client_id"])
+            if client is not None:
+                client._websock_connection.queue_message(message)
+
+        server.queue_message = queue_message  # type: ignore[method-assign]
 
     @property
     def url(self) -> str:

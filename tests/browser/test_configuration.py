@@ -126,3 +126,39 @@ def test_applying_the_structure_form_rebuilds_the_planner(fresh_desk):
     desk.wait_for(lambda: number.input_value() == "128", "the form to show it")
     assert desk.console == []
     assert desk.dashboard.failures == 0
+
+
+@pytest.mark.parametrize("way", ["click", "Enter"])
+def test_a_structural_number_typed_just_before_apply_is_used(fresh_desk, way):
+    desk = fresh_desk
+    desk.open_tab("Tune")
+    desk.open_folder("Structure", "Samples K")
+    number = desk.parameter("sampling.samples").locator("input")
+    for samples in (64, 96):
+        number.click(click_count=3)
+        number.press_sequentially(f"{samples}")
+        if way == "Enter":
+            number.press("Enter")
+            desk.page.wait_for_timeout(100)
+        desk.click("Apply")
+        desk.wait_for(lambda: desk.session.config.sampling.samples != 128, "another structure")
+        desk.wait_for(lambda: desk.session.config.sampling.samples == samples, f"{samples} samples")  # noqa: B023
+
+
+def test_the_upload_of_a_file_is_shown_on_the_page_of_the_upload_only(fresh_desk, browser, tmp_path):
+    desk = fresh_desk
+    path = tmp_path / "mine.yaml"
+    path.write_text("costs:\n  q_track: 7.5\n")
+    with browser.new_page() as early, browser.new_page() as late:
+        early.goto(desk.dashboard.url)
+        desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "another visitor")
+        desk.open_tab("Tune")
+        upload(desk, path)
+        desk.wait_for(lambda: desk.session.config.costs.q_track == 7.5, "the configuration of the file")
+        desk.page.get_by_text("File uploaded successfully").wait_for()
+        late.goto(desk.dashboard.url)
+        desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 3, "a late visitor")
+        for page in (early, late):
+            page.get_by_role("tab", name="Tune").wait_for()
+            page.wait_for_timeout(500)
+            assert page.get_by_text("Uploading").count() == 0

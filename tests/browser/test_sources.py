@@ -148,3 +148,51 @@ def test_a_recording_plays_to_its_end(recording):
     assert recording.session.frame.time == pytest.approx(11.5, abs=0.1)
     recording.click("-1")
     recording.wait_for(lambda: recording.session.frame.outcome is None, "one tick back")
+
+
+def test_enter_opens_a_path_and_the_list_shows_what_is_open(fresh_desk, tmp_path):
+    desk = fresh_desk
+    World("a far goal", np.array([0.0, 0.0, 2.0]), np.array([30.0, 0.0, 2.0])).save(tmp_path / "far.json")
+    field, shown = desk.control("Path").locator("input"), desk.control("Scene").locator("input").first
+    assert shown.input_value() == "forest"
+    field.fill(str(tmp_path / "far.json"))
+    field.press("Enter")
+    desk.wait_for(lambda: desk.session.frame.source.name == "a far goal", "the world")
+    desk.wait_for(lambda: shown.input_value() == "far.json", "the list to show it")
+    desk.page.get_by_text(str(tmp_path / "far.json")).first.wait_for()
+    field.fill("pilars")
+    field.press("Enter")
+    desk.refusal("There is no file pilars").wait_for()
+    assert shown.input_value() == "far.json"
+    before = desk.session.source
+    desk.page.get_by_role("button", name="Open", exact=True).click()
+    desk.wait_for(lambda: desk.session.source is not before, "the world again")
+    choose(desk, "pillars")
+    desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
+    assert shown.input_value() == "pillars" and not desk.session.playing
+    assert desk.console == [] and desk.dashboard.failures == 0
+
+
+def test_a_seed_typed_just_before_the_click_counts(fresh_desk):
+    desk = fresh_desk
+    for seed in (17, 23):
+        field = desk.control("Seed").locator("input")
+        field.click(click_count=3)
+        field.press_sequentially(f"{seed}")
+        desk.page.get_by_role("button", name="Open", exact=True).click()
+        desk.wait_for(lambda: desk.session.frame.source.name == f"forest-100-{seed}", f"forest {seed}")  # noqa: B023
+
+
+def test_a_source_that_is_opened_after_a_flight_has_ended_plays(fresh_desk, tmp_path):
+    desk = fresh_desk
+    World("near", np.array([0.0, 0.0, 2.0]), np.array([0.2, 0.0, 2.0])).save(tmp_path / "near.json")
+    desk.control("Path").locator("input").fill(str(tmp_path / "near.json"))
+    desk.click("Open path")
+    desk.wait_for(lambda: desk.session.frame.source.name == "near", "the world")
+    assert not desk.session.playing, "the one before stood, too"
+    desk.click("Play")
+    desk.wait_for(lambda: desk.session.frame.outcome == "arrived", "the end")
+    assert not desk.session.playing
+    choose(desk, "forest")
+    desk.wait_for(lambda: desk.session.frame.source.name.startswith("forest"), "the forest")
+    desk.wait_for(lambda: desk.session.playing, "the flight to start")

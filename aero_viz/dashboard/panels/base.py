@@ -18,9 +18,12 @@ from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["Page", "Panel"]
+__all__ = ["TYPING_DELAY", "Page", "Panel"]
 
 _log = logging.getLogger(__name__)
+
+TYPING_DELAY = 0.2
+"""Time after which a value that was typed just before a click has arrived [s]: the page sends it with a delay."""
 
 
 @dataclass(frozen=True)

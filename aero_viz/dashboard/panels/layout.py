@@ -23,7 +23,13 @@ __all__ = ["build"]
 
 
 def build(
-    page: Page, *, open_source: Opener | None, choices: Sequence[tuple[str, str]], seed: int, folders: Folders
+    page: Page,
+    *,
+    open_source: Opener | None,
+    choices: Sequence[tuple[str, str]],
+    seed: int,
+    folders: Folders,
+    opened: str = "",
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
@@ -38,7 +44,7 @@ def build(
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if controls is not None and open_source is not None:
             with gui.add_folder("Source"):
-                panels.append(SourcePanel(page, controls, open_source, choices, folders, seed=seed))
+                panels.append(SourcePanel(page, controls, open_source, choices, folders, seed=seed, opened=opened))
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))

@@ -10,7 +10,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo
 from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.panels.controls import Control, add_control
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
@@ -18,8 +18,6 @@ from aero_viz.session.frame import Frame
 __all__ = ["LiveParameterPanel", "ParameterTablePanel", "StructureParameterPanel"]
 
 _RESET_HINT = "Return these parameters to their defaults."
-_TYPING_DELAY = 0.2
-"""Time after which a number that was typed just before a click has arrived [s]: the page sends it with a delay."""
 
 
 class _ParameterPanel(Panel):
@@ -47,7 +45,7 @@ class _ParameterPanel(Panel):
             apply(control.disturb())
         self.page.server.flush()
         self._shown = None
-        self.page.refresh_after(_TYPING_DELAY)
+        self.page.refresh_after(TYPING_DELAY)
 
     def _configure(self, changes: dict[str, object], client: viser.ClientHandle | None) -> None:
         """Change some parameters; if the change is refused, show the values that stay."""
@@ -87,7 +85,8 @@ class StructureParameterPanel(_ParameterPanel):
     """Numbers that size the planner's buffers, applied together with a button."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        with gui.add_form("Structure", expand_by_default=False) as form:
+        # No form: Enter would submit it, and viser drops a number that was typed in the 50 ms before.
+        with gui.add_folder("Structure", expand_by_default=False):
             infos = [info for info in PlannerConfig.parameters() if not info.live]
             self._controls = [add_control(gui, info, self.session.config.get(info.path)) for info in infos]
             hint = "Rebuild the planner with these values; this takes a moment."
@@ -95,9 +94,8 @@ class StructureParameterPanel(_ParameterPanel):
 
         @apply.on_click
         async def _(event: viser.GuiEvent) -> None:
-            await asyncio.sleep(_TYPING_DELAY)
+            await asyncio.sleep(TYPING_DELAY)
             self._configure({control.info.path: control.value for control in self._controls}, event.client)
-            form.submit()
 
 
 class ParameterTablePanel(Panel):

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
+from pathlib import Path
 
 import viser
 
 from aero_viz.dashboard.folders import Folders
+from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.server import notify
 from aero_viz.errors import UserError
 from aero_viz.reader_process import ReadCancelled, ReaderProcess
 from aero_viz.session.base import SessionControls
+from aero_viz.session.frame import Frame
 from aero_viz.session.source import Opener, Source
 
 __all__ = ["SourcePanel"]
@@ -31,6 +35,15 @@ class SourcePanel(Panel):
 
     Files are read by a process of its own, one at a time, which anybody can cancel. Reasons that may quote a file are
     written to the terminal only: the page may be seen by people who cannot read the file.
+
+    Args:
+        page: page of the panel.
+        controls: commands of the session.
+        open_source: opens a source by name or path.
+        choices: sources on offer, each a label and the argument of `open_source`.
+        folders: folders whose files the page may open, besides `choices`.
+        seed: first value of the seed.
+        opened: argument of `open_source` for the source that is open at first; empty if it is not known.
     """
 
     def __init__(
@@ -42,6 +55,7 @@ class SourcePanel(Panel):
         folders: Folders,
         *,
         seed: int,
+        opened: str = "",
     ) -> None:
         self._controls = controls
         self._open_source = open_source
@@ -50,6 +64,11 @@ class SourcePanel(Panel):
         # A dropdown cuts off long entries: it gets the names, and a line below it gets the descriptions.
         split = [(*label.partition(": "), spec) for label, spec in choices]
         self._choices = {name: (description, spec) for name, _, description, spec in split}
+        self._offered = frozenset([opened, *(spec for _, spec in choices)])
+        """What may be opened outside the folders."""
+        self._opened = opened or (next(iter(self._choices.values()))[1] if choices else "")
+        self._is_listed = False
+        """True while the list has been told of the open source."""
         self._reader: ReaderProcess | None = None
         """Reader of the source that is being opened; None if there is none."""
         self._closed = False
@@ -60,31 +79,49 @@ class SourcePanel(Panel):
         hint = "Seed of the scene, the LiDAR and all noise. Another seed gives another forest."
         self._seed = gui.add_number("Seed", self._first_seed, min=0, step=1, hint=hint)
         if self._choices:
-            choice = gui.add_dropdown("Scene", tuple(self._choices), hint="Scenes and recordings to open.")
-            description = gui.add_html(markup.note(self._choices[choice.value][0]))
-
-            @choice.on_update
-            async def _(_: viser.GuiEvent) -> None:
-                description.content = markup.note(self._choices[choice.value][0])
-
-            open_choice = gui.add_button("Open", icon=viser.Icon.PLAYER_EJECT, color="gray")
-
-            @open_choice.on_click
-            async def _(event: viser.GuiEvent) -> None:
-                self._start_opening(self._choices[choice.value][1], event.client)
-
+            self._add_choice(gui)
         hint = "Path of a recording or a world in the folders that the page may open, or the name of a scene."
-        path = gui.add_text("Path", "", hint=hint)
+        with gui.add_form(None) as form:
+            path = gui.add_text("Path", "", hint=hint)
         open_path = gui.add_button("Open path", icon=viser.Icon.FOLDER_OPEN, color="gray")
         self._cancel = gui.add_button("Cancel opening", icon=viser.Icon.X, color="red", visible=False)
 
+        @form.on_submit
+        async def _(event: viser.GuiEvent) -> None:
+            await self._start_opening(lambda: path.value.strip(), event.client)
+
         @open_path.on_click
         async def _(event: viser.GuiEvent) -> None:
-            self._start_opening(path.value.strip(), event.client)
+            await self._start_opening(lambda: path.value.strip(), event.client)
 
         @self._cancel.on_click
         async def _(_: viser.GuiEvent) -> None:
             self.cancel()
+
+    def _add_choice(self, gui: viser.GuiApi) -> None:
+        """Add the list of sources, which shows the one that is open until another one is chosen."""
+        self._choice = gui.add_dropdown("Scene", tuple(self._choices), hint="Scenes and recordings to open.")
+        description = gui.add_html(markup.note(self._choices[self._choice.value][0]))
+        open_choice = gui.add_button("Open", icon=viser.Icon.PLAYER_EJECT, color="gray")
+
+        @self._choice.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            description.content = markup.note(self._choices[self._choice.value][0])
+
+        @open_choice.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            await self._start_opening(lambda: self._choices[self._choice.value][1], event.client)
+
+    def update(self, frame: Frame) -> list[Change]:
+        """Show a source that was opened as the choice; one that was opened by its path joins the list."""
+        if self._is_listed or not self._choices:
+            return []
+        self._is_listed, spec = True, self._opened
+        name = next((name for name, (_, offered) in self._choices.items() if offered == spec), None)
+        if name is None:
+            name = spec if Path(spec).name in self._choices else Path(spec).name
+            self._choices[name] = (spec, spec)
+        return [(self._choice, "options", tuple(self._choices)), (self._choice, "value", name)]
 
     def cancel(self) -> None:
         """Stop opening a source."""
@@ -97,8 +134,10 @@ class SourcePanel(Panel):
         self._closed = True
         self.cancel()
 
-    def _start_opening(self, spec: str, client: viser.ClientHandle | None) -> None:
+    async def _start_opening(self, read_spec: Callable[[], str], client: viser.ClientHandle | None) -> None:
         """Open a source on a daemon thread. The program would wait for viser's thread pool at exit."""
+        await asyncio.sleep(TYPING_DELAY)
+        spec = read_spec()
         if not spec:
             notify(self.page.server, "Enter the path of a recording or a world first.", level="error", client=client)
             return
@@ -118,9 +157,7 @@ class SourcePanel(Panel):
             with self._progress_notification(f"Opening {spec} ..", reader, client):
                 source = self._read(reader, spec, client)
                 if source is not None:
-                    # If its first tick fails, the session notifies everyone.
-                    with contextlib.suppress(CancelledError):  # the session was closed in the meantime
-                        self._controls.set_source(source).exception()
+                    self._use(source, spec)
         finally:
             with self._lock:
                 self._reader = None
@@ -128,11 +165,22 @@ class SourcePanel(Panel):
                 self._cancel.visible = False
                 self.page.refresh()
 
+    def _use(self, source: Source, spec: str) -> None:
+        """Make `source` the session's. It plays if the one before it did, also if that had come to its end."""
+        frame = self.session.frame
+        has_ended = frame is not None and frame.outcome is not None
+        with contextlib.suppress(CancelledError):  # the session was closed in the meantime
+            # If its first tick fails, the session notifies everyone.
+            if self._controls.set_source(source).exception() is not None:
+                return
+            if has_ended:
+                self.session.play()
+            self._opened, self._is_listed = spec, False
+
     def _read(self, reader: ReaderProcess, spec: str, client: viser.ClientHandle | None) -> Source | None:
         """Return the source, or None if it cannot be opened."""
         try:
-            is_offered = spec in (offered for _, offered in self._choices.values())
-            path = spec if is_offered else str(self._folders.find(spec))
+            path = spec if spec in self._offered else str(self._folders.find(spec))
         except UserError as error:
             notify(self.page.server, str(error), level="error", client=client)
             return None
