@@ -305,6 +305,12 @@ def wait_for(event: threading.Event) -> None:
 
 def _announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
     print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
+    if not dashboard.server.is_local:
+        print(
+            f"Everyone who can reach port {dashboard.server.get_port()} of this machine controls the session and sees "
+            "what it opens: there is no password.",
+            flush=True,
+        )
     if page_flags.open:
         webbrowser.open(dashboard.url)
 

@@ -41,9 +41,14 @@ class Access:
 
     Raises:
         UserError: an allowed host is not a name or an address.
+
+    Attributes:
+        is_local: True if only this machine can reach the address.
     """
 
     def __init__(self, host: str, allowed_hosts: Sequence[str] = ()) -> None:
+        host = _canonical(host)
+        self.is_local = host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
         self._proxies = {_checked(name) for name in allowed_hosts}
         self._names = {*_LOOPBACK, *self._proxies}
         self._any_address = host in _ANY_ADDRESS
@@ -51,11 +56,11 @@ class Access:
             name = socket.gethostname().lower()
             self._names |= {name, f"{name}.local"}
         else:
-            self._names.add(host.lower())
+            self._names.add(host)
 
     def refusal(self, headers: Headers) -> str | None:
         """Return why a request with these headers is refused, None if it is answered."""
-        host = _place(f"//{_only(headers, 'Host')}")
+        host = _place(f"//{_only(headers, 'Host') or ''}")
         if host is None or not self._is_known(host[0]):
             shown = repr(host[0]) if host else "no readable name"
             return (
@@ -94,9 +99,17 @@ def _place(address: str) -> tuple[str, int | None] | None:
         name, port = parts.hostname, parts.port
     except ValueError:
         return None
-    if not name or "@" in parts.netloc:
+    if not name or "@" in parts.netloc or parts.path or parts.query or parts.fragment:
         return None
-    return name.lower().rstrip("."), port
+    return _canonical(name), port
+
+
+def _canonical(name: str) -> str:
+    """Return an address as browsers write it, or a name in lower case without a final dot."""
+    try:
+        return ipaddress.ip_address(name).compressed
+    except ValueError:
+        return name.lower().rstrip(".")
 
 
 def _is_address(name: str) -> bool:
@@ -116,6 +129,6 @@ def _is_own_navigation(headers: Headers) -> bool:
 
 def _checked(name: str) -> str:
     place = _place(f"//[{name}]" if name.count(":") > 1 and "[" not in name else f"//{name}")
-    if place is None or place[1] is not None or "/" in name:
+    if place is None or place[1] is not None:
         raise UserError(f"{name!r} is not the name of a host; give --allow-host a name such as viz.example.org.")
     return place[0]

@@ -151,6 +151,11 @@ class LocalServer(viser.ViserServer):
         host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.get_host(), self.get_host())
         return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
 
+    @property
+    def is_local(self) -> bool:
+        """True if only this machine can reach the page."""
+        return self._access.is_local
+
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuse to open a public tunnel.
 

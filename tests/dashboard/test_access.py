@@ -26,6 +26,7 @@ def refused(access: Access, headers: dict[str, str]) -> bool:
         OWN,
         {"Host": "127.0.0.1:8080"},
         {"Host": "[::1]:8080", "Origin": "http://[::1]:8080"},
+        {"Host": "localhost:8080", "Origin": "HTTP://LocalHost:8080"},
         {"Host": "LOCALHOST:9000", "Origin": "http://localhost:9000"},  # a forwarded port
         {"Host": "localhost", "Origin": "http://localhost:80"},
         {"Host": "localhost:8080", "Sec-Fetch-Site": "none", "Sec-Fetch-Mode": "navigate"},
@@ -50,6 +51,8 @@ def test_own_pages_programs_and_links_are_answered(headers):
         {"Host": "localhost:x"},
         {"Host": "[::1"},
         {"Host": "user@localhost"},
+        {"Host": "localhost/evil.example"},
+        {"Host": "localhost#evil.example"},
         {"Host": "evil.example:8080"},  # a foreign name that points at this machine
         {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"},
         {"Host": "192.0.2.7:8080"},
@@ -58,6 +61,8 @@ def test_own_pages_programs_and_links_are_answered(headers):
         {**OWN, "Origin": "http://localhost:3000"},  # another server on this machine
         {**OWN, "Origin": "http://127.0.0.1:8080"},
         {**OWN, "Origin": "https://localhost:443"},
+        {**OWN, "Origin": "http://localhost"},  # port 80
+        {**OWN, "Origin": "http://localhost:8080/evil"},
         {**OWN, "Origin": "null"},  # a sandboxed frame or a file
         {**OWN, "Origin": ""},
         {**OWN, "Origin": "chrome-extension://localhost:8080"},
@@ -87,6 +92,23 @@ def test_a_server_for_the_network_is_reached_by_address_but_not_by_a_foreign_nam
     assert not refused(access, {"Host": "192.0.2.7:8080", "Origin": "http://192.0.2.7:8080"})
     assert refused(access, {"Host": "192.0.2.7:8080", "Origin": "http://198.51.100.1:8080"})
     assert refused(access, {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"})
+
+
+def test_an_address_may_be_written_in_other_ways_than_browsers_do():
+    access = Access("FD00:0::0001")
+    assert not refused(access, {"Host": "[fd00::1]:8080", "Origin": "http://[fd00::1]:8080"})
+    assert refused(access, {"Host": "[fd00::2]:8080"})
+
+
+@pytest.mark.parametrize(
+    ("host", "is_local"),
+    [
+        ("127.0.0.1", True), ("127.0.0.2", True), ("::1", True), ("0:0::1", True), ("localhost", True),
+        ("0.0.0.0", False), ("::", False), ("", False), ("192.0.2.7", False), ("drone.local", False),
+    ],
+)  # fmt: skip
+def test_only_a_loopback_address_is_local(host, is_local):
+    assert Access(host).is_local is is_local
 
 
 def test_an_allowed_proxy_may_rewrite_the_host():
