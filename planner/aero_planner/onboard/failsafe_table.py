@@ -62,7 +62,10 @@ class Reaction(enum.Enum):
 
     SILENT = "nothing: the autopilot leaves OFFBOARD through its own failsafe, unless it already has"
     STREAM_PLAN = "the planned controls"
-    BRAKE = "controls that stop and level the drone; by dead reckoning if the vehicle state is stale"
+    BRAKE = (
+        "controls that stop and level the drone, on its braking path if there is one; by dead reckoning if the vehicle "
+        "state is stale"
+    )
     BRAKE_AS_PLANNED = "the planned controls, which stop the drone away from obstacles"
     HOLD = "controls that stop the drone and hold its position"
 
