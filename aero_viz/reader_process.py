@@ -1,8 +1,12 @@
-"""Reads a file in a process of its own, with limits on memory and time, so that the reader disturbs nobody else."""
+"""Calls functions that read files in a process of its own, with limits on memory and time.
+
+A reader disturbs nobody else then, and neither a crash nor an endless loop in a library ends the session.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import pickle
 import signal
@@ -16,13 +20,19 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from aero_viz.errors import UserError
+from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 
 __all__ = ["Limits", "ReadCancelled", "Reader", "ReaderProcess", "read_here"]
 
 T = TypeVar("T")
 
-_STARTED = b"s"
+_COUNT_BYTES = 8
 _NICENESS = 10
+_PATIENCE = 20  # wall time for a second of CPU time, on a busy machine
+_SINGLE_THREAD = {
+    # Threads of a library take memory, which is limited, and time from the session.
+    "MALLOC_ARENA_MAX": "2", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": "2",
+}  # fmt: skip
 
 
 class Reader(Protocol):
@@ -48,29 +58,40 @@ class ReadCancelled(UserError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What one reading may use."""
+    """What one call may use."""
 
     memory: int = 2_000_000_000
     """Memory of the process [bytes]."""
     seconds: float = 300.0
     """Time [s]."""
+    cpu_seconds: float = math.inf
+    """CPU time [s]."""
+
+    @classmethod
+    def for_file(cls, size: int) -> Limits:
+        """Return the limits of decoding a file of `size` bytes."""
+        cpu_seconds = math.ceil(TIME_BASE + TIME_PER_BYTE * size)
+        return cls(DECODER_MEMORY_BASE + DECODER_MEMORY_RATIO * size, _PATIENCE * (cpu_seconds + 10), cpu_seconds)
 
 
 class ReaderProcess:
-    """A `Reader` that starts a process for one call.
+    """A `Reader` whose calls run in a process of their own, with a lower priority than this one.
 
-    The function, its arguments and its result are pickled. The process has a lower priority than this one.
+    The function, its arguments and its result are pickled.
 
     Args:
-        limits: what the process may use; on Windows, only the time is limited.
+        limits: what a call may use; on Windows, only the time is limited.
+        is_kept: True keeps the process for further calls, until `close`, and forbids functions that start processes.
+            Otherwise every call starts one.
     """
 
-    def __init__(self, limits: Limits = Limits()) -> None:
+    def __init__(self, limits: Limits = Limits(), *, is_kept: bool = False) -> None:
         self._limits = limits
+        self._is_kept = is_kept
         self._process: subprocess.Popen[bytes] | None = None
         self._started = time.monotonic()
-        self._first_bytes: int | None = None
-        """Bytes that the process had read before the call, for its imports."""
+        self._first_bytes = 0
+        """Bytes that the process had read before the call, for its imports; 0 if that is not known."""
         self._verdict: UserError | None = None
         """Why the process was ended."""
         self._lock = threading.Lock()
@@ -82,67 +103,93 @@ class ReaderProcess:
             UserError: the function raised an error, exceeded a limit, or crashed.
             ReadCancelled: `cancel` was called.
         """
+        return self.call(self._limits, function, *arguments, **options)
+
+    def call(self, limits: Limits, function: Callable[..., T], /, *arguments: Any, **options: Any) -> T:
+        """Return the result of the function, called within limits of its own.
+
+        Raises:
+            UserError, ReadCancelled: as for `__call__`.
+        """
         process = self._start()
-        timer = threading.Timer(self._limits.seconds, self._end, [self._too_long()])
+        too_long = UserError(f"Reading it takes longer than {limits.seconds:g} s.")
+        timer = threading.Timer(limits.seconds, self._end, [too_long])
         timer.daemon = True
         timer.start()
+        answer = None
         try:
-            answer = self._exchange(process, pickle.dumps((function, arguments, options)))
+            answer = self._exchange(process, pickle.dumps((limits, function, arguments, options)))
         finally:
             timer.cancel()
-            _kill(process)
-            process.wait()
+            if answer is None or not self._is_kept:
+                self.close()
         if self._verdict is not None:
             raise self._verdict
-        if not answer:
-            code = process.returncode
-            raise UserError(f"The process that read it ended with code {code}; the file is probably damaged.")
-        kind, content = pickle.loads(answer)
+        if answer is None:
+            if process.returncode == -getattr(signal, "SIGXCPU", math.inf):
+                raise UserError(f"Reading it takes more than {limits.cpu_seconds:g} s of CPU time.")
+            raise UserError(
+                f"The process that read it ended with code {process.returncode}; the file is probably damaged."
+            )
+        kind, content = answer
         if kind == "error":
             raise UserError(content)
         if kind == "memory":
-            raise UserError(f"It needs more than {self._limits.memory / 1e9:.3g} GB of memory.")
+            raise UserError(f"It needs more than {limits.memory / 1e9:.3g} GB of memory.")
         return content
 
     @property
     def progress(self) -> str:
         """What has been done so far, such as "120 MB, 3 s"."""
         seconds = f"{time.monotonic() - self._started:.0f} s"
-        now, first = self._bytes_read(), self._first_bytes
-        return seconds if now is None or first is None else f"{(now - first) / 1e6:.0f} MB, {seconds}"
+        process, first = self._process, self._first_bytes
+        if process is None or not first:
+            return seconds
+        return f"{max(_bytes_read(process.pid) - first, 0) / 1e6:.0f} MB, {seconds}"
 
     def cancel(self) -> None:
         """End the reading; the call raises `ReadCancelled`."""
         self._end(ReadCancelled("It was cancelled."))
 
+    def close(self) -> None:
+        """End the process."""
+        with self._lock:
+            process, self._process = self._process, None
+        if process is not None:
+            _kill(process)
+            process.wait()
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    with contextlib.suppress(BrokenPipeError):
+                        pipe.close()
+
     def _start(self) -> subprocess.Popen[bytes]:
-        limits = (str(self._limits.memory), str(self._limits.seconds))
         # The process has to find the same modules, also those of a script's folder.
         path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         with self._lock:
             if self._verdict is not None:
                 raise self._verdict
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, *limits], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": path}, start_new_session=True,
-            )  # fmt: skip
+            if self._process is None:
+                # A kept process stays in the group of this one: it ends with it, also if that is itself a reader.
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL, env={**os.environ, **_SINGLE_THREAD, "PYTHONPATH": path},
+                    start_new_session=not self._is_kept,
+                )  # fmt: skip
             return self._process
 
-    def _exchange(self, process: subprocess.Popen[bytes], request: bytes) -> bytes:
-        """Return the pickled answer, empty if the process ended without one."""
+    def _exchange(self, process: subprocess.Popen[bytes], request: bytes) -> tuple[str, Any] | None:
+        """Return the answer, None if the process ended without one."""
         assert process.stdin is not None and process.stdout is not None
         try:
-            with process.stdin, process.stdout:
-                process.stdin.write(request)
-                process.stdin.close()
-                if process.stdout.read(1) != _STARTED:
-                    return b""
-                self._first_bytes = self._bytes_read()
-                answer = process.stdout.read()
-        except BrokenPipeError:
-            answer = b""
+            process.stdin.write(request)
+            process.stdin.flush()
+            self._first_bytes = int.from_bytes(process.stdout.read(_COUNT_BYTES), "little")
+            return pickle.load(process.stdout)
+        except (BrokenPipeError, EOFError, pickle.UnpicklingError):
+            pass
         process.wait()
-        return answer if process.returncode == 0 else b""
+        return None
 
     def _end(self, verdict: UserError) -> None:
         with self._lock:
@@ -150,63 +197,74 @@ class ReaderProcess:
             if self._process is not None:
                 _kill(self._process)
 
-    def _too_long(self) -> UserError:
-        return UserError(f"Reading it takes longer than {self._limits.seconds:g} s.")
 
-    def _bytes_read(self) -> int | None:
-        """Return how much the process has read from files, None where the system does not say."""
-        if self._process is None:
-            return None
-        try:
-            lines = Path(f"/proc/{self._process.pid}/io").read_text().splitlines()
-            return int(dict(line.split(": ") for line in lines)["rchar"])
-        except (OSError, KeyError, ValueError):
-            return None
+def _bytes_read(process: int) -> int:
+    """Return how much a process has read from files, 0 where the system does not say."""
+    try:
+        lines = Path(f"/proc/{process}/io").read_text().splitlines()
+        return int(dict(line.split(": ") for line in lines)["rchar"])
+    except (OSError, KeyError, ValueError):
+        return 0
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End a process and those that it has started."""
+    """End a process and, if it leads a group, those that it has started."""
     if process.returncode is not None:
         return
-    if os.name == "posix":
-        with contextlib.suppress(ProcessLookupError):
+    with contextlib.suppress(ProcessLookupError):
+        if os.name == "posix" and os.getpgid(process.pid) == process.pid:
             os.killpg(process.pid, signal.SIGKILL)
-    else:
-        process.kill()
+        else:
+            process.kill()
 
 
-def _limit_resources(memory: int, seconds: float) -> None:
-    """Limit this process; the parent may be gone before it ends."""
+def _limit_resources(limits: Limits) -> None:
+    """Limit this process for the next call; the parent may be gone before it ends."""
     if os.name != "posix":
         return
     import resource
 
-    os.nice(_NICENESS)
-    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.alarm(round(seconds) + 1)
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    values = {resource.RLIMIT_DATA: limits.memory, resource.RLIMIT_FSIZE: limits.memory, resource.RLIMIT_CORE: 0}
+    if math.isfinite(limits.cpu_seconds):
+        values[resource.RLIMIT_CPU] = math.ceil(usage.ru_utime + usage.ru_stime + limits.cpu_seconds)
+    for kind, value in values.items():
+        hard = resource.getrlimit(kind)[1]
+        resource.setrlimit(kind, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+    signal.alarm(math.ceil(limits.seconds) + 1)
+
+
+def _answer(request: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]) -> bytes:
+    """Call a function, and return its pickled result or error."""
+    function, arguments, options = request
+    try:
+        return pickle.dumps(("result", function(*arguments, **options)), protocol=pickle.HIGHEST_PROTOCOL)
+    except UserError as error:
+        return pickle.dumps(("error", str(error)))
+    except MemoryError:
+        return pickle.dumps(("memory", None))
+    except Exception as error:
+        return pickle.dumps(("error", f"{type(error).__name__}: {error}"))
 
 
 def _serve() -> None:
-    """Answer one request from stdin on stdout."""
-    answer = os.fdopen(os.dup(1), "wb")
+    """Answer the requests on stdin on stdout, one after the other."""
+    answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whatever a library prints is no answer
-    _limit_resources(int(sys.argv[1]), float(sys.argv[2]))
-    function, arguments, options = pickle.load(sys.stdin.buffer)
-    answer.write(_STARTED)
-    answer.flush()
-    try:
-        content = pickle.dumps(("result", function(*arguments, **options)), protocol=pickle.HIGHEST_PROTOCOL)
-    except UserError as error:
-        content = pickle.dumps(("error", str(error)))
-    except MemoryError:
-        content = pickle.dumps(("memory", None))
-    except Exception as error:
-        content = pickle.dumps(("error", f"{type(error).__name__}: {error}"))
-    answer.write(content)
-    answer.flush()
-    os._exit(0)  # the threads of a library must not hold up the end
+    if os.name == "posix":
+        os.nice(_NICENESS)
+    while True:
+        try:
+            limits, *request = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            os._exit(0)  # the threads of a library must not hold up the end
+        _limit_resources(limits)
+        answers.write(_bytes_read(os.getpid()).to_bytes(_COUNT_BYTES, "little"))
+        answers.flush()
+        answers.write(_answer((request[0], request[1], request[2])))
+        answers.flush()
+        if os.name == "posix":
+            signal.alarm(0)
 
 
 if __name__ == "__main__":

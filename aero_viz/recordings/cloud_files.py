@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator
@@ -11,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import open_user_file
+from aero_viz.errors import UserError
+from aero_viz.input_limits import SWEEP_POINTS_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
-from aero_viz.scenes.map_decoders import decode
+from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.map_files import read_points
 
-__all__ = ["CLOUD_SUFFIXES", "CloudFiles", "CloudSequence", "PacketClouds", "StampedCloud"]
+__all__ = ["CLOUD_SUFFIXES", "STAMP_END", "CloudFiles", "CloudSequence", "PacketClouds", "StampedCloud", "read_kitti"]
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
 """Names of files that hold one cloud each. KITTI's .bin has rows of four float32: x, y, z, intensity."""
@@ -24,9 +28,10 @@ _FRAME = "lidar"
 _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
 _KITTI_ROW = 16
-_FEET = {9002: 0.3048, 9003: 1200 / 3937}
-"""GeoTIFF codes of linear units: the international foot and the US survey foot [m]."""
-_UNIT_KEYS = (3076, 4099)  # ProjLinearUnitsGeoKey, VerticalUnitsGeoKey
+_TRIED = 5
+"""Files of a folder that may be damaged before one that is not."""
+STAMP_END = 10**9 << 31
+"""Times from here on do not fit into a header [ns]."""
 
 
 class StampedCloud(NamedTuple):
@@ -46,10 +51,12 @@ class CloudSequence(BagFile):
     Args:
         path: file or folder that the user named.
         topic: topic of the clouds.
+        size: size of the file, or of all files [bytes].
     """
 
-    def __init__(self, path: Path, topic: str) -> None:
+    def __init__(self, path: Path, topic: str, size: int) -> None:
         super().__init__(path)
+        self._size = size
         self._channel = self.channels[0] = Channel(topic, POINT_CLOUD2, "cdr")
         self.notices: list[str] = []
         """What was assumed, one sentence each."""
@@ -60,13 +67,17 @@ class CloudSequence(BagFile):
 
     @abstractmethod
     def _load(self, index: int) -> StampedCloud:
-        """Return a cloud. Raises ValueError if it is damaged."""
+        """Return a cloud. Raises ValueError or UserError if it is damaged."""
 
     def scan(self, types: Collection[str]) -> Iterator[Message]:
+        budget = ReadingBudget(self._size)
         for index, (stamp, count) in enumerate(self._index()):
             if POINT_CLOUD2 not in types:
                 yield Message(self._channel, stamp, index, 0, b"")
                 continue
+            if budget.is_late:
+                self.problems.append("too costly to read for its size: only what precedes is used")
+                return
             whole = encode_point_cloud2(np.zeros((count, 3), np.float32), stamp, _FRAME)
             yield Message(self._channel, stamp, index, len(whole), whole[:HEAD_BYTES])
 
@@ -76,91 +87,128 @@ class CloudSequence(BagFile):
 
 
 class CloudFiles(CloudSequence):
-    """One cloud per file.
+    """One cloud per file. One process decodes them all, and each within limits on memory and time.
 
     Args:
         path: the folder, or the only file.
         files: files in the order of time.
         stamps: their stamps [ns].
+
+    Raises:
+        UserError: the first files are all damaged.
     """
 
     def __init__(self, path: Path, files: list[Path], stamps: list[int]) -> None:
-        super().__init__(path, "/points")
+        super().__init__(path, "/points", sum(file.stat().st_size for file in files))
         self._files, self._stamps = files, stamps
-        # The first file is decoded with limits on memory and time. The others are of the same make, and a process for
-        # each of them would take longer than a sweep.
-        first = _read_points(files[0], apart=True)
-        centre = np.median(first, axis=0) if len(first) else np.zeros(3)
+        self._process = DecodingProcess()
+        try:
+            file, points = self._first_cloud()
+            is_las = file.suffix.lower() in (".las", ".laz")
+            unit = self._process.las_unit(file) if is_las else 1.0
+        except BaseException:
+            self._process.close()
+            raise
+        centre = np.median(points, axis=0) if len(points) else np.zeros(3)
         self._offset = np.round(centre) if np.abs(centre).max() > _FAR else np.zeros(3)
         if self._offset.any():
             x, y, z = self._offset
             self.notices.append(f"the cloud is in map coordinates: ({x:.0f}, {y:.0f}, {z:.0f}) m are subtracted")
-        unit = _las_unit(files[0])
         if unit != 1.0:
             self.notices.append(f"coordinates in feet are converted to metres, x {unit:.7f}")
         # The number of points only has to be more than zero before a file is read; most headers are not comparable.
-        self._count = max(len(first), 1)
+        self._count = max(len(points), 1)
+
+    def _first_cloud(self) -> tuple[Path, NDArray[np.float64]]:
+        """Return the first file that is not damaged, and its points."""
+        errors: list[UserError] = []
+        for file in self._files[:_TRIED]:
+            try:
+                return file, self._read_points(file)
+            except UserError as error:
+                errors.append(error)
+        raise errors[0]
 
     def _index(self) -> Iterator[tuple[int, int]]:
         return iter([(stamp, self._count) for stamp in self._stamps])
 
     def _load(self, index: int) -> StampedCloud:
-        points = _read_points(self._files[index], apart=len(self._files) == 1) - self._offset
+        points = self._read_points(self._files[index]) - self._offset
         return StampedCloud(self._stamps[index], points.astype(np.float32), None)
 
+    def _read_points(self, path: Path) -> NDArray[np.float64]:
+        return read_kitti(path) if path.suffix.lower() == ".bin" else read_points(path, self._process)
+
     def close(self) -> None:
-        """Do nothing: no file stays open."""
+        self._process.close()
 
 
-def _read_points(path: Path, *, apart: bool) -> NDArray[np.float64]:
-    if path.suffix.lower() != ".bin":
-        return (read_points(path) if apart else decode(path, "points")) * _las_unit(path)
-    data = path.read_bytes()
+def read_kitti(path: Path) -> NDArray[np.float64]:
+    """Return the points of a cloud of KITTI [n, 3] [m].
+
+    Raises:
+        UserError: the file cannot be read or has another size than such a cloud.
+    """
+    try:
+        with open_user_file(path) as file:
+            data = file.read(_KITTI_ROW * SWEEP_POINTS_MAX + 1)
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
     if not data or len(data) % _KITTI_ROW:
-        raise ValueError(f"{path} is not a KITTI cloud: its {len(data)} bytes are no rows of {_KITTI_ROW}")
+        size = path.stat().st_size
+        raise UserError(f"{path} is not a KITTI cloud: its {size} bytes are no rows of {_KITTI_ROW}, or too many.")
     return np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
-
-
-def _las_unit(path: Path) -> float:
-    """Return the length of the unit of a LAS or LAZ file [m], 1 for every other file and where it is not known."""
-    if path.suffix.lower() not in (".las", ".laz"):
-        return 1.0
-    import laspy
-
-    with laspy.open(path) as reader:
-        for record in reader.header.vlrs:
-            if record.record_id == 34735:  # GeoKeyDirectoryTag: rows of key, location, count, value
-                rows = np.frombuffer(record.record_data_bytes()[8:], "<u2")
-                for key, location, _, value in rows[: len(rows) // 4 * 4].reshape(-1, 4).tolist():
-                    if key in _UNIT_KEYS and location == 0 and value in _FEET:
-                        return _FEET[value]
-            elif record.record_id == 2112:  # OGC WKT
-                text = record.record_data_bytes().decode(errors="replace").lower()
-                if "us survey foot" in text or "foot_us" in text:
-                    return _FEET[9003]
-                if '"foot"' in text or "international foot" in text:
-                    return _FEET[9002]
-    return 1.0
 
 
 class PacketClouds(CloudSequence):
     """Sweeps decoded from packets once, and kept in a temporary file until `close`.
 
+    The temporary file is limited like that of a compressed recording.
+
     Args:
         path: the file of packets.
         topic: topic of the clouds.
-        sweeps: the sweeps; all are taken at once.
+        sweeps: the sweeps; all are taken at once. EOFError says that the file is truncated, and ValueError that it is
+            damaged.
+
+    Raises:
+        UserError: the temporary folder is too small.
     """
 
     def __init__(self, path: Path, topic: str, sweeps: Iterable[StampedCloud]) -> None:
-        super().__init__(path, topic)
+        super().__init__(path, topic, path.stat().st_size)
         self._spool = tempfile.TemporaryFile(prefix="aero-viz-")  # noqa: SIM115
         self._rows: list[tuple[int, int, int, bool]] = []  # stamp [ns], offset in the spool, points, times
+        try:
+            self._keep(sweeps)
+        except EOFError:
+            self.truncated = True
+        except (ValueError, LimitExceeded) as error:
+            self.problems.append(str(error))
+        except BaseException:
+            self._spool.close()
+            raise
+
+    def _keep(self, sweeps: Iterable[StampedCloud]) -> None:
+        folder, budget = tempfile.gettempdir(), ReadingBudget(self._size)
+        space = shutil.disk_usage(folder).free // 2
         for sweep in sweeps:
-            self._rows.append((sweep.stamp, self._spool.tell(), len(sweep.points), sweep.times is not None))
-            self._spool.write(np.ascontiguousarray(sweep.points, "<f4").tobytes())
+            budget.check_time()
+            if not 0 <= sweep.stamp < STAMP_END:
+                self.damaged += 1
+                continue
+            parts = [np.ascontiguousarray(sweep.points, "<f4").tobytes()]
             if sweep.times is not None:
-                self._spool.write(np.ascontiguousarray(sweep.times, "<u4").tobytes())
+                parts.append(np.ascontiguousarray(sweep.times, "<u4").tobytes())
+            here = self._spool.tell()
+            budget.take_bytes(sum(map(len, parts)))
+            if here + sum(map(len, parts)) > space:
+                raise UserError(
+                    f"{self.path} takes more than the {space >> 20} MiB that may be used in {folder}: set TMPDIR to a "
+                    "larger folder."
+                )
+            self._rows.append((sweep.stamp, here, len(sweep.points), sweep.times is not None))
+            self._spool.writelines(parts)
 
     def _index(self) -> Iterator[tuple[int, int]]:
         return ((stamp, count) for stamp, _, count, _ in self._rows)

@@ -214,7 +214,6 @@ class _Scanner:
         if len(message.head) == message.size:
             return message.head
         if len(self._padded) < message.size:
-            self._surplus = 0
-        self._padded = np.zeros(2 * message.size, np.uint8)  # pages that are never written take no memory
+            self._padded = np.zeros(2 * message.size, np.uint8)  # pages that are never written take no memory
         self._padded[: len(message.head)] = np.frombuffer(message.head, np.uint8)
         return self._padded[: message.size].data

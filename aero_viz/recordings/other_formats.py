@@ -6,8 +6,13 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
-from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, CloudFiles, CloudSequence, PacketClouds
+from aero_viz.input_limits import TEXT_MAX
+from aero_viz.recordings.bag_file import one_line
+from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, STAMP_END, CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.packets import (
     LVX_MAGIC,
     PCAP_MAGICS,
@@ -30,6 +35,8 @@ _ULOG = b"ULog"
 _SUBFOLDERS = ("", "velodyne", "velodyne_points/data", "points", "lidar", "clouds", "scans")
 _POSES = ("poses.txt", "pose.txt", "trajectory.txt", "groundtruth.txt", "gt.txt", "tum.txt")
 _TIMES = ("times.txt", "timestamps.txt")
+_NUMBER_MAX = 2.1e18
+"""Larger numbers in the names of files are no times [ns]."""
 _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
 """Smallest number that is a time since 1970 in ns, us, ms, s, and the length of its unit [ns]."""
 
@@ -107,9 +114,10 @@ def _order(file: Path) -> tuple[float, str]:
 
 def _number(file: Path) -> float | None:
     try:
-        return float(file.stem.replace("_", "."))
+        number = float(file.stem.replace("_", "."))
     except ValueError:
         return None
+    return number if abs(number) < _NUMBER_MAX else None
 
 
 def _stamps(files: list[Path], folders: list[Path]) -> tuple[list[int], str]:
@@ -121,19 +129,30 @@ def _stamps(files: list[Path], folders: list[Path]) -> tuple[list[int], str]:
     numbers = [_number(file) for file in files]
     if all(number is not None and number >= _UNITS[-1][0] for number in numbers):
         unit = next(length for least, length in _UNITS if numbers[0] is not None and numbers[0] >= least)
-        if unit == 1.0:
-            return [int(file.stem.replace("_", "")) for file in files], ""
-        return [round((number or 0.0) * unit) for number in numbers], ""
+        is_exact = unit == 1.0 and all(file.stem.isdecimal() for file in files)
+        stamps = [int(file.stem) if is_exact else round((_number(file) or 0.0) * unit) for file in files]
+        if max(stamps) < STAMP_END:
+            return stamps, ""
     notice = "no times are recorded: the clouds are assumed to be 0.1 s apart" if len(files) > 1 else ""
     return [_FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
 
 
 def _read_times(path: Path, count: int) -> list[int]:
     try:
-        values = [float(line.split()[0]) for line in path.read_text(encoding="ascii").splitlines() if line.strip()]
-    except (ValueError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} must hold one time in seconds per line ({error}); correct or remove it.") from error
+        text = read_user_text(path, limit=TEXT_MAX)
+        values = [float(line.split()[0]) for line in text.splitlines() if line.strip()]
+        if not np.isfinite(values).all():
+            raise ValueError("one of them is not finite")
+    except OSError as error:
+        raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        problem = one_line(error)[:200]
+        raise UserError(f"{path} must hold one time in seconds per line ({problem}); correct or remove it.") from error
     if len(values) != count:
         raise UserError(f"{path} holds {len(values)} times for {count} clouds; correct or remove it.")
     unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
-    return [max(round(value * unit), 0) + (0 if values[0] > 1.0 else _FIRST_STAMP) for value in values]
+    first = 0 if values[0] > 1.0 else _FIRST_STAMP
+    stamps = [max(round(value * unit), 0) + first for value in values]
+    if max(stamps) >= STAMP_END:
+        raise UserError(f"{path} holds a time that is beyond 2038; correct or remove it.")
+    return stamps

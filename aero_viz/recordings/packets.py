@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from aero_planner.onboard.livox import LivoxPacket, decode_points, parse_packet
+from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
+from aero_viz.input_limits import SWEEP_POINTS_MAX
+from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import StampedCloud
 
 __all__ = [
@@ -39,6 +44,9 @@ _VELODYNE = 1206
 _OUSTER_PORT = 7502
 _LINKS = {1: 14, 101: 0, 113: 16, 228: 0}
 """Length of the header before IPv4 [bytes]: Ethernet, raw, Linux cooked, IPv4."""
+_TIME_MAX = 2**32 - 1  # [ns]
+_FRAME_MAX = 1 << 18
+_PACKAGE_MAX = 1 << 20
 _PROBED = 2000
 
 
@@ -51,25 +59,29 @@ class _Datagram(NamedTuple):
 
 
 def udp_payloads(path: Path) -> Iterator[_Datagram]:
-    """Yield the UDP datagrams of a capture; ends where a truncated file ends. Fragments are left out.
+    """Yield the UDP datagrams of a capture. Fragments are left out.
 
     Raises:
         UserError: the capture has a link type that is not supported.
+        EOFError: it is truncated.
+        ValueError: it is damaged.
     """
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         head = file.read(24)
         order = "<" if head[:4] in (PCAP_MAGICS[0], PCAP_MAGICS[2]) else ">"
         unit = 1 if head[:4] in PCAP_MAGICS[2:] else 1000
         link = struct.unpack(f"{order}I", head[20:24])[0] & 0xFFFF if len(head) == 24 else 0
         if link not in _LINKS:
             raise UserError(f"{path} is a capture of link type {link}; capture on an Ethernet interface.")
-        while len(record := file.read(16)) == 16:
+        while record := file.read(16):
+            if len(record) < 16:
+                raise EOFError
             seconds, fraction, length, _ = struct.unpack(f"{order}4I", record)
-            if length > 1 << 18:
-                return
+            if length > _FRAME_MAX:
+                raise ValueError(f"damaged, a frame claims {length} bytes: only what precedes is used")
             frame = file.read(length)
             if len(frame) < length:
-                return
+                raise EOFError
             ip = frame[_LINKS[link] :]
             if link == 1 and frame[12:14] == b"\x81\x00":  # VLAN
                 ip = frame[18:]
@@ -87,11 +99,12 @@ def pcap_kind(path: Path) -> str:
         UserError: they are neither.
     """
     counts = {"livox": 0, "velodyne": 0, "ouster": 0}
-    for datagram in itertools.islice(udp_payloads(path), _PROBED):
-        payload = datagram.payload
-        counts["livox"] += isinstance(parse_packet(payload), LivoxPacket)
-        counts["velodyne"] += len(payload) == _VELODYNE and payload[:2] == b"\xff\xee"
-        counts["ouster"] += datagram.port == _OUSTER_PORT
+    with contextlib.suppress(EOFError, ValueError):  # reported once the sweeps are read
+        for datagram in itertools.islice(udp_payloads(path), _PROBED):
+            payload = datagram.payload
+            counts["livox"] += isinstance(parse_packet(payload), LivoxPacket)
+            counts["velodyne"] += len(payload) == _VELODYNE and payload[:2] == b"\xff\xee"
+            counts["ouster"] += datagram.port == _OUSTER_PORT
     kind = max(counts, key=lambda name: counts[name])
     if not counts[kind]:
         raise UserError(f"{path} has no packets of a Livox Mid-360 or a Velodyne: capture the sensor's UDP port.")
@@ -104,10 +117,17 @@ def pcap_kind(path: Path) -> str:
 
 
 def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
-    """Yield sweeps of 100 ms from the packets of a Livox, without the rays that returned nothing."""
+    """Yield sweeps of 100 ms from the packets of a Livox, without the rays that returned nothing.
+
+    Raises:
+        ValueError: a sweep has too many points.
+    """
     for _, group in itertools.groupby(packets, lambda packet: packet.stamp_ns // _SWEEP):
-        parts, times, start = [], [], None
+        parts, times, start, count = [], [], None, 0
         for packet in group:
+            count += packet.count
+            if count > SWEEP_POINTS_MAX:
+                raise ValueError(f"damaged, a sweep has more than {SWEEP_POINTS_MAX} points: what precedes is used")
             start = packet.stamp_ns if start is None else start
             points, _ = decode_points(packet.data_type, packet.payload)
             offsets = packet.stamp_ns - start + np.linspace(0.0, 1e9 * packet.interval, len(points))
@@ -127,31 +147,43 @@ def pcap_livox_packets(path: Path) -> Iterator[LivoxPacket]:
 
 
 def lvx2_packets(path: Path) -> Iterator[LivoxPacket]:
-    """Yield the point packets of a .lvx2 file; ends where a truncated or damaged file ends.
+    """Yield the point packets of a .lvx2 file.
 
     Raises:
         UserError: it is a file of Livox's older format.
+        EOFError: it is truncated.
+        ValueError: it is damaged.
     """
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         head = file.read(_LVX_HEADER)
         if len(head) < _LVX_HEADER or head[16] != 2:
             raise UserError(f"{path} is not an .lvx2 file (version 2); export it again with Livox Viewer 2.")
         file.seek(_LVX_HEADER + _LVX_DEVICE * head[28])
-        while len(frame := file.read(_LVX_FRAME)) == _LVX_FRAME:
+        while frame := file.read(_LVX_FRAME):
+            if len(frame) < _LVX_FRAME:
+                raise EOFError
             here, after, _ = struct.unpack("<3Q", frame)
             end = file.tell() - _LVX_FRAME + (after - here)
-            while file.tell() < end and len(header := file.read(_LVX_PACKAGE.size)) == _LVX_PACKAGE.size:
-                _, _, _, time_type, stamp, sequence, kind, length, _ = _LVX_PACKAGE.unpack(header)
-                size = _POINT_SIZES.get(kind)
-                if length > 1 << 20 or size is None or length % size:
-                    return
-                payload = file.read(length)
-                if len(payload) < length:
-                    return
-                count = length // size
-                if count:
-                    interval = 1e-9 * _POINT_INTERVAL * (count - 1)
-                    yield LivoxPacket(stamp, interval, count, sequence, kind, time_type, payload)
+            while file.tell() < end:
+                yield _lvx2_packet(file)
+
+
+def _lvx2_packet(file: BinaryIO) -> LivoxPacket:
+    header = file.read(_LVX_PACKAGE.size)
+    if len(header) < _LVX_PACKAGE.size:
+        raise EOFError
+    _, _, _, time_type, stamp, sequence, kind, length, _ = _LVX_PACKAGE.unpack(header)
+    size = _POINT_SIZES.get(kind)
+    if length > _PACKAGE_MAX or size is None or length % size:
+        raise ValueError(
+            f"damaged, a package claims {length} bytes of points of type {kind}: only what precedes is used"
+        )
+    payload = file.read(length)
+    if len(payload) < length:
+        raise EOFError
+    count = length // size
+    interval = 1e-9 * _POINT_INTERVAL * max(count - 1, 0)
+    return LivoxPacket(stamp, interval, count, sequence, kind, time_type, payload)
 
 
 def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
@@ -159,6 +191,7 @@ def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
 
     Raises:
         UserError: velodyne-decoder is not installed.
+        ValueError: the capture is damaged.
     """
     try:
         import velodyne_decoder as decoder
@@ -166,13 +199,22 @@ def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
         raise UserError(
             f"velodyne-decoder is not installed ({error}): pip install 'aero-viz[formats]' to read {path}"
         ) from error
-    with path.open("rb") as file:
-        config = decoder.Config()
-        config.timestamp_first_packet = True
-        for stamp, points in decoder.read_pcap(file, config):
+    config = decoder.Config()
+    config.timestamp_first_packet = True
+    with open_user_file(path) as file:
+        clouds = decoder.read_pcap(file, config)
+        while True:
+            try:
+                stamp, points = next(clouds)
+            except StopIteration:
+                return
+            except Exception as error:  # the decoder fails in many ways on damaged captures
+                raise ValueError(f"damaged ({one_line(error)}): only what precedes is used") from error
             table: Any = np.asarray(points)
             offsets = table[:, decoder.PointField.time].astype(np.float64)
             start = float(offsets.min()) if len(offsets) else 0.0
             host = float(getattr(stamp, "host", stamp))
-            times = np.round(1e9 * (offsets - start)).astype(np.uint32)
+            if not math.isfinite(host + start):
+                raise ValueError("damaged, a time is not finite: only what precedes is used")
+            times = np.clip(np.round(1e9 * (offsets - start)), 0, _TIME_MAX).astype(np.uint32)
             yield StampedCloud(round(1e9 * (host + start)), table[:, :3].astype(np.float32), times)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+from array import array
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,8 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import multiply, quaternion_of_matrix, rotate
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
+from aero_viz.reader_process import Limits, ReaderProcess
+from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.poses import RecordedPoses
 
 if TYPE_CHECKING:
@@ -19,7 +23,10 @@ if TYPE_CHECKING:
 __all__ = ["PoseTable", "add_poses", "read_pose_file"]
 
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
-_MAX_BYTES = 1 << 30
+_LINE_MAX = 4096  # [bytes]
+_NUMBERS_MAX = 1 << 26
+_LARGEST = 1e19
+"""Largest number in a table of poses, which is a time since 1970 [ns]."""
 _SQRT_HALF = float(np.sqrt(0.5))
 _NED_TO_ENU = np.array([0.0, _SQRT_HALF, _SQRT_HALF, 0.0])
 _FLU_TO_FRD = np.array([0.0, 1.0, 0.0, 0.0])
@@ -52,28 +59,24 @@ def read_pose_file(path: Path) -> PoseTable:
     """
     try:
         with open_user_file(path) as file:
-            start = file.read(len(_ULOG_MAGIC))
-            if start == _ULOG_MAGIC:
-                return _read_ulog(path)
-            text = (start + file.read(_MAX_BYTES)).decode("ascii")
+            size = os.fstat(file.fileno()).st_size
+            is_ulog = file.read(len(_ULOG_MAGIC)) == _ULOG_MAGIC
+            file.seek(0)
+            table = np.zeros((0, 0)) if is_ulog else _read_table(path, file)
     except OSError as error:
         raise UserError(f"Cannot read the poses {path}: {error.strerror or error}.") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path} holds no poses: give TUM or KITTI text, or a ULog of PX4.") from error
-    lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    widths = {len(line) for line in lines}
-    if len(widths) != 1 or widths not in ({8}, {12}):
-        raise UserError(
-            f"{path} holds no poses: every line must have 8 numbers (TUM: time x y z qx qy qz qw) or 12 (KITTI)."
-        )
-    try:
-        table = np.array(lines, dtype=np.float64)
-    except ValueError as error:
-        raise UserError(f"{path} holds something else than numbers: {error}.") from error
+    if is_ulog:
+        process = ReaderProcess(Limits.for_file(size), is_kept=True)  # hostile logs take gigabytes
+        try:
+            return process(_read_ulog, path)
+        finally:
+            process.close()
     finite = np.isfinite(table).all(axis=1)
     if not finite.all():
         raise UserError(f"{path} holds numbers that are not finite: see pose {int(np.argmin(finite)) + 1}.")
-    if widths == {12}:
+    if np.abs(table).max() > _LARGEST:
+        raise UserError(f"{path} holds impossible numbers: see pose {int(np.abs(table).max(axis=1).argmax()) + 1}.")
+    if table.shape[1] == 12:
         matrices = table.reshape(-1, 3, 4)
         rotation = matrices[:, :, :3]
         if np.abs(np.linalg.det(rotation) - 1.0).max() > 0.1:
@@ -85,6 +88,29 @@ def read_pose_file(path: Path) -> PoseTable:
         line = int(np.flatnonzero(np.abs(norms - 1.0) > 0.1)[0]) + 1
         raise UserError(f"{path} is not TUM text: the quaternion of pose {line} has the length {norms[line - 1]:.2f}.")
     return PoseTable("TUM", table[:, 0], table[:, 1:4], quaternions / norms[:, None], None)
+
+
+def _read_table(path: Path, file: BinaryIO) -> NDArray[np.float64]:
+    """Return the numbers in the lines of a text [n, 8] or [n, 12]."""
+    numbers, width = array("d"), 0
+    while line := file.readline(_LINE_MAX):
+        words = line.replace(b",", b" ").split()
+        if not words or line.startswith(b"#"):
+            continue
+        width = width or len(words)
+        if len(words) != width or width not in (8, 12):
+            raise UserError(
+                f"{path} holds no poses: every line must have 8 numbers (TUM: time x y z qx qy qz qw) or 12 (KITTI)."
+            )
+        try:
+            numbers.extend(map(float, words))
+        except ValueError as error:
+            raise UserError(f"{path} holds something else than numbers: {one_line(error)}.") from error
+        if len(numbers) > _NUMBERS_MAX:
+            raise UserError(f"{path} holds more than {_NUMBERS_MAX // width} poses; cut it.")
+    if not numbers:
+        raise UserError(f"{path} holds no poses: give TUM or KITTI text, or a ULog of PX4.")
+    return np.frombuffer(numbers, np.float64).reshape(-1, width)
 
 
 def _read_ulog(path: Path) -> PoseTable:

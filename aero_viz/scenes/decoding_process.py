@@ -1,97 +1,88 @@
-"""The process that decodes the file of a map, with limits on its memory and time."""
+"""The process that decodes the files of maps and clouds, with limits on its memory and time."""
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryFile
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
+from aero_viz.errors import UserError
+from aero_viz.reader_process import Limits, ReaderProcess
 
-__all__ = ["decode_apart", "main"]
+__all__ = ["DecodingProcess"]
 
-_CODE = "from aero_viz.scenes.decoding_process import main; main()"
-_PATIENCE = 20  # wall time for a second of CPU time, on a busy machine
+T = TypeVar("T")
 
 
-def decode_apart(path: Path, content: str) -> NDArray[np.float64]:
-    """Return what `aero_viz.scenes.map_decoders.decode` returns for the same arguments.
+class DecodingProcess:
+    """Decodes files one after the other in a process that the first of them starts; each has limits of its own."""
 
-    Raises:
-        ValueError: the file cannot be decoded within the limits; the text says why.
-    """
-    size = path.stat().st_size
-    memory, seconds = DECODER_MEMORY_BASE + DECODER_MEMORY_RATIO * size, int(TIME_BASE + TIME_PER_BYTE * size) + 1
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        # Each thread of a library takes address space, which is limited.
-        "MALLOC_ARENA_MAX": "2", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": "2",
-    }  # fmt: skip
-    with TemporaryFile(prefix="aero-viz-") as table:
-        arguments = [str(path), content, str(table.fileno()), str(memory), str(seconds)]
+    def __init__(self) -> None:
+        self._process = ReaderProcess(is_kept=True)
+
+    def decode(self, path: Path, content: str) -> NDArray[np.float64]:
+        """Return what `aero_viz.scenes.map_decoders.decode` returns for the same arguments.
+
+        Raises:
+            OSError: there is no such file.
+            ValueError: the file cannot be decoded within the limits; the text says why.
+        """
+        return self._run(path, _decode, content)
+
+    def las_unit(self, path: Path) -> float:
+        """Return the length of the unit of a LAS or LAZ file [m], 1 where the file does not say.
+
+        Raises:
+            OSError, ValueError: as for `decode`.
+        """
+        return self._run(path, _las_unit)
+
+    def _run(self, path: Path, function: Callable[..., T], *arguments: str) -> T:
         try:
-            done = subprocess.run(
-                [sys.executable, "-c", _CODE, *arguments], env=environment, pass_fds=[table.fileno()],
-                stdin=subprocess.DEVNULL, capture_output=True, timeout=_PATIENCE * (seconds + 10),
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise ValueError("decoding it does not end; it may be damaged") from None
-        if done.returncode == -signal.SIGXCPU:
-            raise ValueError(f"decoding it takes more than {seconds} s, too long for its size; it may be damaged")
-        answer = json.loads(done.stdout.splitlines()[-1]) if done.returncode == 0 and done.stdout else {}
-        if "shape" not in answer:
-            raise ValueError(answer.get("error") or "its data are damaged, and its decoder crashed")
-        table.seek(0)
-        return np.fromfile(table, dtype=np.float64).reshape(answer["shape"])
+            return self._process.call(Limits.for_file(path.stat().st_size), function, path, *arguments)
+        except UserError as error:
+            text = str(error)
+            raise ValueError(text[:1].lower() + text[1:]) from error
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.close()
+
+    def __enter__(self) -> DecodingProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
-def main() -> None:
-    """Decode a file in this process, write the table to a file descriptor and its shape, or an error, to stdout."""
-    path, content, descriptor, memory, seconds = sys.argv[1:]
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # libraries print
-    _limit(int(memory), int(seconds))
+def _decode(path: Path, content: str) -> NDArray[np.float64]:
+    from aero_viz.scenes.map_decoders import decode
+
+    with _one_sentence():
+        return np.ascontiguousarray(decode(path, content), dtype=np.float64)
+
+
+def _las_unit(path: Path) -> float:
+    from aero_viz.scenes.las import read_las_unit
+
+    with _one_sentence():
+        return read_las_unit(path)
+
+
+@contextmanager
+def _one_sentence() -> Iterator[None]:
+    """Turn whatever a damaged file leads a parser to into a UserError."""
     try:
-        from aero_viz.scenes.map_decoders import decode
-
-        table = decode(Path(path), content)
-        with os.fdopen(int(descriptor), "wb", closefd=False) as file:
-            np.ascontiguousarray(table, dtype=np.float64).tofile(file)
-        answer = {"shape": table.shape}
+        yield
     except MemoryError:
-        answer = {"error": f"it takes more than {int(memory) >> 20} MiB of memory, too much for its size"}
+        raise
     except OSError as error:
-        answer = {"error": error.strerror or str(error)}
-    except Exception as error:  # the parsers raise whatever a damaged file leads them to
+        raise UserError(error.strerror or str(error)) from error
+    except Exception as error:
         text = "".join(letter if letter.isprintable() else "?" for letter in " ".join(str(error).split())[:300])
-        is_ours = type(error) is ValueError
-        answer = {"error": text if text and is_ours else f"its data are damaged ({type(error).__name__}: {text})"}
-    answers.write(json.dumps(answer) + "\n")
-    answers.flush()
-    os._exit(0)  # the destructors of a library that read a damaged file may crash
-
-
-def _limit(memory: int, seconds: int) -> None:
-    """Limit what this process may take beyond what it has taken so far."""
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
-    with_libraries = 0
-    status = Path("/proc/self/statm")
-    if status.exists():
-        with_libraries = int(status.read_text().split()[0]) * resource.getpagesize()
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    used = int(usage.ru_utime + usage.ru_stime)
-    limits = {resource.RLIMIT_AS: with_libraries + memory, resource.RLIMIT_CPU: used + seconds, resource.RLIMIT_CORE: 0}
-    for kind, limit in limits.items():
-        hard = resource.getrlimit(kind)[1]
-        limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
-        resource.setrlimit(kind, (limit, hard))
+        is_ours = type(error) is ValueError and text
+        raise UserError(text if is_ours else f"its data are damaged ({type(error).__name__}: {text})") from error

@@ -8,7 +8,6 @@ is allocated, and with what was read.
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from aero_viz.input_limits import MAP_POINTS_MAX
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
+from aero_viz.scenes.las import read_las
 from aero_viz.scenes.mesh_decoder import read_triangles
 from aero_viz.scenes.pcd import read_pcd
 
@@ -24,8 +24,6 @@ __all__ = ["decode"]
 
 Points = NDArray[np.float64]
 
-_LAS_CHUNK = 1_000_000  # points decoded at once
-_LAS_HEADER_MAX = 375  # [bytes]
 _PLY_SIZES = {"char": 1, "short": 2, "int": 4, "float": 4, "double": 8} | {"int8": 1, "int16": 2, "int32": 4}
 _PLY_SIZES |= {f"u{name}": size for name, size in _PLY_SIZES.items()} | {"float32": 4, "float64": 8}
 
@@ -63,47 +61,6 @@ def _read_npy(path: Path) -> Points:
         table = np.fromfile(file, dtype, shape[0] * shape[1])
     table = table.reshape(shape[::-1]).T if is_fortran else table.reshape(shape)
     return table[:, :3].astype(np.float64)
-
-
-def _read_las(path: Path) -> Points:
-    import laspy
-
-    with path.open("rb") as file:
-        header = file.read(_LAS_HEADER_MAX).ljust(_LAS_HEADER_MAX, b"\0")
-    if header[:4] != b"LASF":
-        raise ValueError("it does not start with LASF")
-    size = path.stat().st_size
-    first_point, records = struct.unpack_from("<II", header, 96)
-    extended_records = struct.unpack_from("<I", header, 243)[0] if header[25] >= 4 else 0
-    # laspy would read billions of empty variable-length records beyond the end of the file.
-    if first_point > size or 54 * records > first_point or 60 * extended_records > size:
-        raise ValueError("its header is damaged: it declares more records than the file holds")
-    declared = struct.unpack_from("<Q", header, 247)[0] if header[25] >= 4 else struct.unpack_from("<I", header, 107)[0]
-    record = struct.unpack_from("<H", header, 105)[0]
-    check_count(declared, declared if header[104] & 0x80 else (size - first_point) // max(record, 1))
-    if header[104] & 0x80:
-        _check_laz_chunks(path, first_point, size)
-    with laspy.open(path) as reader:
-        declared = reader.header.point_count
-        chunks = [np.array([c.x, c.y, c.z], dtype=np.float64).T for c in reader.chunk_iterator(_LAS_CHUNK)]
-    points = np.vstack(chunks) if chunks else np.zeros((0, 3))
-    check_count(declared, len(points))
-    return points
-
-
-def _check_laz_chunks(path: Path, first_point: int, size: int) -> None:
-    """Refuse a chunk table that does not fit into a LAZ file: lazrs aborts the process if it cannot allocate it."""
-    with path.open("rb") as file:
-        file.seek(first_point)
-        table = struct.unpack("<q", file.read(8))[0]
-        if table == -1:  # written at the end by a writer that could not seek
-            file.seek(-8, 2)
-            table = struct.unpack("<q", file.read(8))[0]
-        if not 0 < table <= size - 8:
-            raise ValueError("its compressed data are truncated or damaged")
-        file.seek(table + 4)
-        if struct.unpack("<I", file.read(4))[0] > size:
-            raise ValueError("its compressed data are damaged")
 
 
 def _read_text(path: Path) -> Points:
@@ -169,8 +126,8 @@ def _read_with_open3d(path: Path) -> Points:
 _READERS: dict[str, Callable[[Path], Points]] = {
     ".pcd": read_pcd,
     ".ply": _read_ply,
-    ".las": _read_las,
-    ".laz": _read_las,
+    ".las": read_las,
+    ".laz": read_las,
     ".npy": _read_npy,
     ".xyz": _read_text,
     ".xyzn": _read_text,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
-from aero_viz.scenes.decoding_process import decode_apart
+from aero_viz.scenes.decoding_process import DecodingProcess
 
 __all__ = ["MAP_SUFFIXES", "MESH_SUFFIXES", "read_map", "read_mesh", "read_points"]
 
@@ -25,11 +25,15 @@ MAP_SUFFIXES = (*_POINTS, *MESH_SUFFIXES)
 """File name suffixes that `read_points` and `read_mesh` read."""
 
 
-def read_points(path: str | Path) -> Points:
+def read_points(path: str | Path, process: DecodingProcess | None = None) -> Points:
     """Return the points of a file [m], float64 [n, 3], without rows that are not finite.
 
     Formats: PCD (ascii, binary, binary_compressed), PLY, LAS, LAZ, NPY with rows x, y, z, .., and XYZ, XYZN, XYZRGB and
     PTS texts.
+
+    Args:
+        path: the file.
+        process: decodes it; None starts one for this file.
 
     Raises:
         UserError: the file cannot be read, is damaged or truncated, or holds no points.
@@ -37,7 +41,7 @@ def read_points(path: str | Path) -> Points:
     path = Path(path)
     if path.suffix.lower() not in _POINTS:
         raise UserError(f"{path} is not a map: its name must end in one of {', '.join(MAP_SUFFIXES)}.")
-    return _points(path, _decode(path, "map", "points"))
+    return _points(path, _decode(path, "map", "points", process))
 
 
 def read_mesh(path: str | Path) -> Points:
@@ -68,13 +72,16 @@ def read_map(path: str | Path) -> Points:
     return _points(path, table) if table.shape[1] == 3 else _triangles(path, table)
 
 
-def _decode(path: Path, noun: str, content: str) -> Points:
+def _decode(path: Path, noun: str, content: str, process: DecodingProcess | None = None) -> Points:
     try:
         with open_user_file(path) as file:
             is_empty = not file.read(1)
         if is_empty:
             raise ValueError("it is empty")
-        return decode_apart(path, content)
+        if process is not None:
+            return process.decode(path, content)
+        with DecodingProcess() as own:
+            return own.decode(path, content)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UserError(f"Cannot read the {noun} {path}: {reason.rstrip('.')}.") from error

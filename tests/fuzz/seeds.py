@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import bags
+import captures
 import laspy
 import numpy as np
 import trimesh
+from mcap.writer import CompressionType
 
 __all__ = ["SEEDS", "mutable_files"]
 
@@ -57,6 +59,44 @@ def _bag(name: str) -> Callable[[Path], Any]:
     return write
 
 
+def _clouds(path: Path) -> None:
+    """Write a folder of clouds with times and poses."""
+    path.mkdir()
+    for k in range(4):
+        np.column_stack([_POINTS, np.ones(len(_POINTS))]).astype("<f4").tofile(path / f"{k}.bin")
+    np.savetxt(path / "times.txt", 0.1 * np.arange(4))
+    np.savetxt(path / "poses.txt", [[0.1 * k, k, 0, 1, 0, 0, 0, 1] for k in range(4)], fmt="%.3f")
+
+
+def _tum(path: Path) -> None:
+    np.savetxt(path, [[0.1 * k, k, 0, 1, 0, 0, 0, 1] for k in range(20)], fmt="%.4f", header="time x y z")
+
+
+def _kitti(path: Path) -> None:
+    np.savetxt(path, [np.hstack([np.eye(3), [[0.1 * k], [0], [1]]]).reshape(-1) for k in range(20)])
+
+
+def _foxglove(path: Path) -> None:
+    from foxglove import open_mcap
+    from foxglove.channels import PointCloudChannel
+    from foxglove.mcap import MCAPWriteOptions
+    from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud, Timestamp
+
+    kind, data = PackedElementFieldNumericType.Float32, _POINTS.astype("<f4").tobytes()
+    fields = [PackedElementField(name=axis, offset=4 * i, type=kind) for i, axis in enumerate("xyz")]
+    with open_mcap(str(path), writer_options=MCAPWriteOptions(compression=None)):
+        channel = PointCloudChannel(f"/{path.stem}")
+        for k in range(3):
+            stamp = Timestamp(sec=1_700_000_000, nsec=100_000_000 * k)
+            cloud = PointCloud(timestamp=stamp, frame_id="lidar", point_stride=12, fields=fields, data=data)
+            channel.log(cloud, log_time=1_700_000_000_000_000_000 + 100_000_000 * k)
+        channel.close()
+
+
+def _scans(path: Path) -> None:
+    bags.write_mcap(path, [captures.laser_scan(0.1 * k) for k in range(4)], compression=CompressionType.NONE)
+
+
 SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     **{f"{name}.bagfolder": ("recording", _bag(name)) for name in bags.FORMATS},
     **{f"{version}.{suffix}": ("points", _las(version)) for version in ("1.2", "1.4") for suffix in ("las", "laz")},
@@ -75,6 +115,15 @@ SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "ascii.stl": ("points", _mesh(file_type="stl_ascii")),
     "a.glb": ("points", _mesh()),
     "a.off": ("points", _mesh()),
+    "mid360.pcap": ("recording", captures.write_mid360),
+    "vlp16.pcap": ("recording", captures.write_vlp16),
+    "mid360.lvx2": ("recording", lambda path: captures.write_lvx2(path, captures.livox_packets(3))),
+    "foxglove.mcap": ("recording", _foxglove),
+    "scans.mcap": ("recording", _scans),
+    "kitti.clouds": ("recording", _clouds),
+    "tum.txt": ("poses", _tum),
+    "kitti.txt": ("poses", _kitti),
+    "flight.ulg": ("poses", lambda path: captures.write_ulog(path, 20, utc=1.7e9)),
     "a.json": ("world", lambda path: path.write_text(json.dumps(_WORLD))),
     "a.yaml": ("config", lambda path: path.write_text(_CONFIG)),
 }

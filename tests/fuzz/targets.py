@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import time
 from collections.abc import Callable
 from itertools import islice
@@ -45,6 +46,19 @@ def points(path: Path) -> None:
     found = read_mesh(path)
     found = found if len(found) else read_points(path)
     assert np.isfinite(found).all()
+
+
+def poses(path: Path) -> None:
+    """Play a recording with the poses of a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        clouds = Path(folder)
+        for k in range(20):
+            np.ones((5, 4), "<f4").tofile(clouds / f"{k}.bin")
+        with open_recording(clouds, poses=path) as opened:
+            assert opened.poses is not None
+            for time in opened.sweep_times:
+                pose = opened.poses.interpolate(float(time))
+                assert np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()
 
 
 def world(path: Path) -> None:
@@ -99,6 +113,7 @@ TARGETS: dict[str, Callable[[Path], None]] = {
     "report": report,
     "points": points,
     "map": map_world,
+    "poses": poses,
     "world": world,
     "config": config,
     # Failures that the tests of the harness cause:

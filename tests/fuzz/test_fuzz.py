@@ -9,7 +9,7 @@ from fuzz.mutation import write_case
 from fuzz.seeds import SEEDS, mutable_files
 from fuzz.worker import Worker
 
-CASES = {"recording": 10, "points": 1, "world": 40, "config": 40}
+CASES = {"recording": 10, "points": 1, "poses": 10, "world": 40, "config": 40}
 """Cases for each seed. Maps are decoded in a process for each case, and take the longest."""
 
 

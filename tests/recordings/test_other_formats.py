@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,15 @@ import bags
 import laspy
 import numpy as np
 import pytest
+from captures import laser_scan, livox_packets, write_lvx2, write_mid360, write_pcap, write_ulog, write_vlp16
 from command_line import run, run_json, run_refused
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
 
-from aero_planner.onboard.livox import encode_packet
 from aero_viz.errors import UserError
 from aero_viz.recordings import open_recording
 from aero_viz.recordings.pose_files import read_pose_file
 
-dpkt = pytest.importorskip("dpkt", reason="the extra 'formats' is not installed")
+pytest.importorskip("dpkt", reason="the extra 'formats' is not installed")
 
 WALL = bags.wall(500)
 
@@ -111,21 +110,6 @@ def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path:
     np.testing.assert_allclose(points - points.mean(axis=0), WALL - WALL.mean(axis=0), atol=2e-3)
 
 
-def write_pcap(path: Path, datagrams: list[tuple[float, int, bytes]]) -> Path:
-    with path.open("wb") as file:
-        writer = dpkt.pcap.Writer(file)
-        for time, port, payload in datagrams:
-            udp = dpkt.udp.UDP(sport=port, dport=port, data=payload, ulen=8 + len(payload))
-            ip = dpkt.ip.IP(src=b"\x7f\0\0\1", dst=b"\x7f\0\0\1", p=17, data=udp, len=28 + len(payload))
-            writer.writepkt(bytes(dpkt.ethernet.Ethernet(data=ip)), ts=time)
-    return path
-
-
-def livox_packets(sweeps: int) -> list[tuple[int, np.ndarray]]:
-    """Return stamps [ns] and points of packets of 50 points, 5 ms apart."""
-    return [(1_700_000_000_000_000_000 + 5_000_000 * i, WALL[:50] + 0.001 * i) for i in range(20 * sweeps)]
-
-
 def check_livox(path: Path, name: str) -> None:
     with open_recording(path) as recording:
         assert recording.format == name
@@ -137,31 +121,12 @@ def check_livox(path: Path, name: str) -> None:
 
 
 def test_a_capture_of_a_mid360(tmp_path: Path) -> None:
-    datagrams = [(0.0, 56401, b"imu"), (0.0, 53, b"")]
-    for i, (stamp, points) in enumerate(livox_packets(3)):
-        packet = encode_packet(points, stamp_ns=stamp, interval=245e-6, sequence=i)
-        datagrams.append((stamp * 1e-9, 56301, packet))
-    path = write_pcap(tmp_path / "mid360.pcap", datagrams)
+    path = write_mid360(tmp_path / "mid360.pcap")
     check_livox(path, "livox-pcap")
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])  # a truncated capture plays up to the cut
     with open_recording(path) as recording:
         assert 1 <= len(recording.sweep_times) <= 2
-
-
-def write_lvx2(path: Path, packets: list[tuple[int, np.ndarray]]) -> Path:
-    """Write the layout of Livox's "LVX2 Specifications": headers, one device, frames of ten packages."""
-    data = bytearray(b"livox_tech".ljust(16, b"\0") + bytes([2, 0, 0, 0]) + struct.pack("<I", 0xAC0EA767))
-    data += struct.pack("<IB", 50, 1) + bytes(63)
-    for first in range(0, len(packets), 10):
-        frame = bytearray()
-        for i, (stamp, points) in enumerate(packets[first : first + 10]):
-            payload = b"".join(struct.pack("<iiiBB", *map(int, np.rint(1000.0 * point)), 9, 0) for point in points)
-            frame += struct.pack("<BIBBQHBIB4x", 0, 7, 9, 0, stamp, i, 1, len(payload), 0) + payload
-        here = len(data)
-        data += struct.pack("<3Q", here, here + 24 + len(frame), first // 10) + frame
-    path.write_bytes(data)
-    return path
 
 
 def test_an_lvx2_file(tmp_path: Path) -> None:
@@ -171,21 +136,8 @@ def test_an_lvx2_file(tmp_path: Path) -> None:
         open_recording(tmp_path / "old.lvx")
 
 
-def velodyne_packet(azimuth: int, microseconds: int, distance: float) -> bytes:
-    """Return a packet of a VLP-16: twelve blocks of 2 x 16 channels, 0.4 deg apart."""
-    blocks = b""
-    for block in range(12):
-        channel = struct.pack("<HB", round(distance / 0.002), 10)
-        blocks += struct.pack("<HH", 0xEEFF, (azimuth + 40 * block) % 36000) + 32 * channel
-    return blocks + struct.pack("<IBB", microseconds, 0x37, 0x22)
-
-
 def test_a_capture_of_a_velodyne(tmp_path: Path) -> None:
-    datagrams = []
-    for i in range(3 * 75 + 10):
-        time = 1327e-6 * i
-        datagrams.append((1_700_000_000.0 + time, 2368, velodyne_packet(480 * i, round(1e6 * time), 8.0)))
-    with open_recording(write_pcap(tmp_path / "vlp16.pcap", datagrams)) as recording:
+    with open_recording(write_vlp16(tmp_path / "vlp16.pcap")) as recording:
         assert recording.format == "velodyne-pcap" and len(recording.sweep_times) >= 3
         sweep = recording.sweep(1)
         np.testing.assert_allclose(np.linalg.norm(sweep.points, axis=1), 8.0, atol=0.1)
@@ -237,22 +189,6 @@ def test_a_cloud_of_foxglove(tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.sweep(2).points, WALL + 0.2, atol=1e-5)
 
 
-def laser_scan(seconds: float) -> bags.Item:
-    """Return a scan of a circle of 3 m, of which every tenth range is out of its limits."""
-    stamp = bags.START + round(seconds * 1e9)
-    ranges = np.full(90, 3.0, np.float32)
-    ranges[::10] = np.inf
-
-    def build(store, ros1):
-        return bags.make(
-            store, "sensor_msgs/msg/LaserScan", header=bags.header(store, ros1, stamp, "laser"), angle_min=-1.0,
-            angle_max=1.0, angle_increment=2.0 / 89, time_increment=1e-3, scan_time=0.1, range_min=0.1, range_max=10.0,
-            ranges=ranges, intensities=np.zeros(0, np.float32),
-        )  # fmt: skip
-
-    return bags.Item("/scan", "sensor_msgs/msg/LaserScan", stamp, build)
-
-
 def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]) -> None:
     items = [bags.transform(0.0, "base", "laser", (0.5, 0.0, 0.2), topic="/tf_static")]
     for k in range(5):
@@ -262,33 +198,6 @@ def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]) -> None
         assert len(sweep.points) == 81 and recording.pose_topic == "/tf"
         np.testing.assert_allclose(np.linalg.norm(sweep.points - [0.5, 0.0, 0.2], axis=1), 3.0, atol=1e-5)
         assert sweep.point_times is not None and float(np.ptp(sweep.point_times)) == pytest.approx(0.087, abs=2e-3)
-
-
-def write_ulog(path: Path, rows: int, *, utc: float | None) -> Path:
-    """Write a ULog: north at 2 m/s at a height of 3 m, heading east, 50 Hz."""
-
-    def message(kind: bytes, body: bytes) -> bytes:
-        return struct.pack("<H", len(body)) + kind + body
-
-    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-    data += message(b"B", bytes(40))
-    formats = [
-        b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;",
-        b"vehicle_attitude:uint64_t timestamp;float[4] q;",
-        b"sensor_gps:uint64_t timestamp;uint64_t time_utc_usec;",
-    ]
-    data += b"".join(message(b"F", text) for text in formats)
-    for number, name in enumerate([b"vehicle_local_position", b"vehicle_attitude", b"sensor_gps"]):
-        data += message(b"A", struct.pack("<BH", 0, number) + name)
-    half = np.sqrt(0.5)
-    for i in range(rows):
-        time = 5_000_000 + 20_000 * i
-        place = struct.pack("<HQ6f", 0, time, 0.04 * i, 0.0, -3.0, 2.0, 0.0, 0.0)
-        data += message(b"D", struct.pack("<HQ4f", 1, time, half, 0.0, 0.0, half)) + message(b"D", place)
-        if utc is not None:
-            data += message(b"D", struct.pack("<HQQ", 2, time, round(1e6 * (utc + 1e-6 * time))))
-    path.write_bytes(data)
-    return path
 
 
 def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callable[[list[bags.Item]], Path]) -> None:
