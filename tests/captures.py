@@ -1,4 +1,4 @@
-"""Small captures of sensor packets, scans and logs of PX4, for the tests of recordings."""
+"""Small captures of sensor packets, scans, clouds and logs of PX4, for the tests of recordings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from pathlib import Path
 
 import bags
 import dpkt
+import laspy
 import numpy as np
+from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
 
 from aero_planner.onboard.livox import encode_packet
 
@@ -112,3 +114,17 @@ def write_vlp16(path: Path) -> Path:
         time = 1327e-6 * i
         datagrams.append((1_700_000_000.0 + time, 2368, velodyne_packet(480 * i, round(1e6 * time), 8.0)))
     return write_pcap(path, datagrams)
+
+
+def write_las(path: Path, points: np.ndarray, *, unit: int | None = None) -> None:
+    """Write a LAS or LAZ file, with a GeoTIFF code of the unit."""
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.scales, header.offsets = np.full(3, 1e-4), points.min(axis=0)
+    if unit is not None:
+        keys = GeoKeyDirectoryVlr()
+        keys.geo_keys = [GeoKeyEntryStruct(3076, 0, 1, unit)]
+        keys.geo_keys_header.number_of_keys = 1
+        header.vlrs.append(keys)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = points.T
+    las.write(str(path))

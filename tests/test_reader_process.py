@@ -61,6 +61,31 @@ def test_reading_can_be_cancelled():
         reader(time.sleep, 600.0)
 
 
+def test_a_kept_process_serves_many_calls_and_is_replaced_after_a_crash():
+    reader = ReaderProcess(is_kept=True)
+    first = reader(os.getpid)
+    assert reader(os.getpid) == first
+    with pytest.raises(UserError, match="ZeroDivisionError"):
+        reader(divmod, 1, 0)
+    assert reader(os.getpid) == first
+    with pytest.raises(UserError, match="ended with code"):
+        reader(os.abort)
+    assert reader(os.getpid) != first
+    reader.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit the memory of a process")
+def test_every_call_of_a_kept_process_has_its_own_limits():
+    reader = ReaderProcess(is_kept=True)
+    with pytest.raises(UserError, match=r"more than 0\.3 GB"):
+        reader.call(Limits(memory=300_000_000), bytearray, 400_000_000)
+    assert len(reader.call(Limits(memory=2_000_000_000), bytes, 400_000_000)) == 400_000_000
+    with pytest.raises(UserError, match=r"more than 1 s of CPU time"):
+        reader.call(Limits(cpu_seconds=1.0), pow, 3, 10**9)
+    assert reader(divmod, 7, 2) == (3, 1)
+    reader.close()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not count what a process reads")
 def test_progress_counts_what_was_read(tmp_path):
     (tmp_path / "large").write_bytes(bytes(30_000_000))

@@ -152,7 +152,6 @@ def _read_times(path: Path, count: int) -> list[int]:
         raise UserError(f"{path} holds {len(values)} times for {count} clouds; correct or remove it.")
     unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
     first = 0 if values[0] > 1.0 else _FIRST_STAMP
-    stamps = [max(round(value * unit), 0) + first for value in values]
-    if max(stamps) >= STAMP_END:
+    if max(values) * unit >= STAMP_END - first:
         raise UserError(f"{path} holds a time that is beyond 2038; correct or remove it.")
-    return stamps
+    return [max(round(value * unit), 0) + first for value in values]

@@ -18,7 +18,7 @@ from fuzz.worker import Outcome, Worker
 
 _GUIDED = {"mcap-plain.bagfolder": "recording", "rosbag1.bagfolder": "recording", "db3.bagfolder": "recording"}
 _GUIDED |= {"binary.pcd": "decoder", "compressed.pcd": "decoder", "a.npy": "decoder", "a.off": "decoder"}
-_GUIDED |= {name: "recording" for name in ("mid360.pcap", "mid360.lvx2", "foxglove.mcap", "scans.mcap", "kitti.clouds")}
+_GUIDED |= {name: "recording" for name in ("mid360.pcap", "mid360.lvx2", "foxglove.mcap", "scans.mcap")}
 _GUIDED |= {"tum.txt": "poses", "kitti.txt": "poses"}
 """Seeds of the parsers written by hand, which atheris explores by coverage."""
 

@@ -12,7 +12,6 @@ import captures
 import laspy
 import numpy as np
 import trimesh
-from mcap.writer import CompressionType
 
 __all__ = ["SEEDS", "mutable_files"]
 
@@ -84,7 +83,7 @@ def _foxglove(path: Path) -> None:
 
     kind, data = PackedElementFieldNumericType.Float32, _POINTS.astype("<f4").tobytes()
     fields = [PackedElementField(name=axis, offset=4 * i, type=kind) for i, axis in enumerate("xyz")]
-    with open_mcap(str(path), writer_options=MCAPWriteOptions(compression=None)):
+    with open_mcap(str(path), writer_options=MCAPWriteOptions(use_chunks=False, calculate_data_section_crc=False)):
         channel = PointCloudChannel(f"/{path.stem}")
         for k in range(3):
             stamp = Timestamp(sec=1_700_000_000, nsec=100_000_000 * k)
@@ -94,7 +93,7 @@ def _foxglove(path: Path) -> None:
 
 
 def _scans(path: Path) -> None:
-    bags.write_mcap(path, [captures.laser_scan(0.1 * k) for k in range(4)], compression=CompressionType.NONE)
+    bags.write_mcap(path, [captures.laser_scan(0.1 * k) for k in range(4)], chunked=False)
 
 
 SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import bags
+import captures
 import numpy as np
 import pytest
 import zstandard
@@ -324,3 +325,57 @@ def test_thousands_of_topics_and_endless_names_cost_little(worker, tmp_path):
     assert worker.run("report", path).kind == "done"
     path.write_bytes(mcap(schema, message(1, "/t" * 1_000_000)))
     assert worker.run("recording", path).kind == "refused"
+
+
+def test_a_capture_that_expands_or_ends_early_says_so(worker, tmp_path):
+    packages = b"".join(
+        struct.pack("<BIBBQHBIB4x", 0, 7, 9, 0, i * 10**8, 0, 2, 8, 0) + bytes([1] * 8) for i in range(60_000)
+    )
+    head = b"livox_tech".ljust(16, b"\0") + bytes([2, 0, 0, 0]) + struct.pack("<IIB", 0xAC0EA767, 50, 0)
+    content = head + struct.pack("<3Q", 0, 24 + len(packages), 0) + packages
+    path = tmp_path / "a.lvx2"
+    path.write_bytes(content)
+    assert worker.run("recording", path).kind in ("done", "refused")
+    path.write_bytes(content[: 29 + 24 + 100 * 35 + 5])
+    assert any("is truncated: 99 messages precede the cut" in problem for problem in inspect(path).problems)
+    path.write_bytes(content[: 29 + 24 + 100 * 35] + bytes([9] * 36))
+    assert any("is damaged, a package claims" in problem for problem in inspect(path).problems)
+
+
+def test_the_file_of_a_capture_in_the_temporary_folder_is_limited(tmp_path, monkeypatch):
+    path = captures.write_lvx2(tmp_path / "a.lvx2", captures.livox_packets(3))
+    usage = type("Usage", (), {"free": 20_000})
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: usage)
+    with pytest.raises(UserError, match=r"a\.lvx2 takes more than the 0 MiB that may be used in .*TMPDIR"):
+        inspect(path)
+
+
+def test_damaged_clouds_of_a_folder_play_without_points(tmp_path):
+    for k in range(8):
+        np.save(tmp_path / f"{k}.npy", bags.wall())
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3), }\n"
+    hostile = b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header
+    for k in (0, 5):
+        (tmp_path / f"{k}.npy").write_bytes(hostile)
+    with open_recording(tmp_path) as recording:
+        assert [len(recording.sweep(k).points) for k in range(8)] == [0, 200, 200, 200, 200, 0, 200, 200]
+        assert recording.damage is not None and "2 of 8 sweeps could not be read" in recording.damage
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [("0\nnan\n", "not finite"), ("0\n1e300\n", "beyond 2038"), ("0\n", "1 times for 2 clouds")],
+)
+def test_impossible_times_of_clouds_are_refused(tmp_path, times, message):
+    for k in range(2):
+        np.save(tmp_path / f"{k}.npy", bags.wall())
+    (tmp_path / "times.txt").write_text(times)
+    with pytest.raises(UserError, match=rf"times\.txt.*{message}"):
+        open_recording(tmp_path)
+
+
+def test_names_that_are_no_times_are_only_names(tmp_path):
+    for name in ("inf", "1e300", "1e17"):
+        np.save(tmp_path / f"{name}.npy", bags.wall())
+    with open_recording(tmp_path) as recording:
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2])

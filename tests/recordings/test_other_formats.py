@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import bags
-import laspy
 import numpy as np
 import pytest
-from captures import laser_scan, livox_packets, write_lvx2, write_mid360, write_pcap, write_ulog, write_vlp16
+from captures import laser_scan, livox_packets, write_las, write_lvx2, write_mid360, write_pcap, write_ulog, write_vlp16
 from command_line import run, run_json, run_refused
-from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import open_recording
@@ -28,19 +26,6 @@ def write_open3d(path: Path, points: np.ndarray, **options: Any) -> None:
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     assert open3d.io.write_point_cloud(path, cloud, **options)
-
-
-def write_las(path: Path, points: np.ndarray, *, unit: int | None = None) -> None:
-    header = laspy.LasHeader(point_format=3, version="1.2")
-    header.scales, header.offsets = np.full(3, 1e-4), points.min(axis=0)
-    if unit is not None:
-        keys = GeoKeyDirectoryVlr()
-        keys.geo_keys = [GeoKeyEntryStruct(3076, 0, 1, unit)]
-        keys.geo_keys_header.number_of_keys = 1
-        header.vlrs.append(keys)
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = points.T
-    las.write(str(path))
 
 
 WRITERS: dict[str, Callable[[Path, np.ndarray], object]] = {

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import captures
 import laspy
 import numpy as np
 import open3d
@@ -223,6 +224,12 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, name, content, expe
     path = tmp_path / name
     path.write_bytes(content)
     assert expected in refusal(path)
+
+
+def test_a_las_map_in_feet_becomes_metres(tmp_path: Path) -> None:
+    path = tmp_path / "feet.las"
+    captures.write_las(path, POINTS / 0.3048, unit=9002)
+    np.testing.assert_allclose(read_points(path), POINTS, atol=1e-3)
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])
