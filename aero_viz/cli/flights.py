@@ -70,6 +70,7 @@ def fly(
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")
         config = config_flags.load(speed=speed)
         opener = flight_opener(world, world_flags, flight_flags, config, lidar=lidar, device=device)
+        config = flight_flags.complete(config, lidar=lidar)
         return serve(world, opener, config, page_flags, seed=seed, device=device, log=log)
     if page_flags != PageFlags():
         raise UserError("--host, --port, --open and --paused apply to the page; add --no-headless, or leave them out.")

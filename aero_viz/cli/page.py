@@ -86,7 +86,7 @@ def demo(
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
-    config = config_flags.load()
+    config = flight_flags.complete(config_flags.load(), lidar=lidar)
     opener = flight_opener(scene, world_flags, flight_flags, config, lidar=lidar, device=device)
     serve(scene, opener, config, page_flags, seed=seed, device=device, log=log)
 

@@ -29,10 +29,11 @@ from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector, slerp
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, FlightSource
+from aero_viz.flight.known_drone import config_for_drone
 from aero_viz.flight.metrics import FlightResult
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes import World
-from aero_viz.sensors import LidarModel
+from aero_viz.sensors import LIDARS, LidarModel
 from aero_viz.session import Session
 
 __all__ = ["SensorLogOptions", "write_sensor_log"]
@@ -92,10 +93,12 @@ def write_sensor_log(
     """
     config, rules, options = config or PlannerConfig(), rules or FlightRules(), options or SensorLogOptions()
     config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+    lidar, vehicle = lidar or LIDARS["mid360"], VehicleModel.from_config(config)
+    config = config_for_drone(config, lidar=lidar, vehicle=vehicle)
     source = FlightSource(
         world,
         lidar=lidar,
-        vehicle=VehicleModel.from_config(config),
+        vehicle=vehicle,
         rules=rules,
         control_step=config.sampling.dt,
         seed=seed,

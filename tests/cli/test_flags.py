@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_viz.cli.flags import ConfigFlags
+from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags
 from aero_viz.cli.renamed_flags import replace_renamed_flags
 
 
@@ -46,3 +46,10 @@ def test_flags_of_renamed_parameters_keep_their_old_spelling(
     assert replace_renamed_flags(["--costs.old_name=3"]) == ["--costs.q-track=3"]
     assert "costs.old_name is now costs.q_track" in caplog.text
     assert "costs.gone is ignored: it had no effect" in caplog.text
+
+
+def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():
+    flight = FlightFlags(drone=DroneFlags(latency=0.05))
+    config = flight.complete(PlannerConfig(), lidar="full-sphere")
+    assert (config.partition.view_min, config.partition.view_max, config.vehicle.delay) == (-90.0, 90.0, 0.05)
+    assert FlightFlags().complete(PlannerConfig(), lidar="mid360") == PlannerConfig()

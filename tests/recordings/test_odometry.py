@@ -58,8 +58,9 @@ def test_the_estimate_follows_the_true_motion_and_is_cached(blind: Path, flight:
     done: list[int] = []
     with open_recording(blind, odometry=method, progress=lambda i, _: done.append(i)) as recording:  # type: ignore[arg-type]
         assert recording.pose_topic == f"odometry by {method}"
-        assert error(recording, flight) < 0.1
-        if method == "rko-lio":  # kiss-icp lags behind the first acceleration, and says so
+        # kiss-icp has no IMU: it lags behind the first acceleration, and says so.
+        assert error(recording, flight) < (0.1 if method == "rko-lio" else 0.2)
+        if method == "rko-lio":
             assert not [problem for problem in recording.problems if "probably" in problem]
     assert done == list(range(1, 21))
     with open_recording(blind, odometry=method, progress=lambda i, _: done.append(i)) as again:  # type: ignore[arg-type]
