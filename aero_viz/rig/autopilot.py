@@ -43,7 +43,7 @@ _POSITION_STD, _VELOCITY_STD = 0.2, 0.05  # [m], [m/s]; reported while the posit
 # reported variance from 0.04 to 31 m^2.
 _DRIFT = np.array([0.05, 0.05, 0.0])  # acceleration of the error [m/s^2]
 _POSITION_STD_GROWTH, _VELOCITY_STD_GROWTH = 0.032, 0.065  # both [m/s^2], the first with the square of the time
-_HOLD_ACCELERATION = 6.0  # [m/s^2], the largest that HOLD asks for
+_HOLD_ACCELERATION = 2.0  # [m/s^2], the largest that HOLD asks for; PX4 limits the jerk as well
 _PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
 
 
