@@ -22,12 +22,14 @@ from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 
-__all__ = ["SWEEPS", "BatchProgress", "FlightBatch"]
+__all__ = ["SWEEPS", "WHOLE_SWEEPS", "BatchProgress", "FlightBatch"]
 
 wp.set_module_options({"enable_backward": False})
 
 SWEEPS = 30
 """Number of sweeps in the cloud of the planner, three seconds of a Mid-360: what it has seen stays while it matters."""
+WHOLE_SWEEPS = 10
+"""Number of newest sweeps of which all points are in the cloud; of older ones it is one in five."""
 BatchProgress = Callable[[int, int, float], None]
 """Called with the number of finished flights, the number of all flights, and the simulated time [s]."""
 _TIMED_PLANS = 5
@@ -145,7 +147,7 @@ class FlightBatch:
             device=device,
             noise=noise,
         )
-        self.planner.reserve_sweeps(SWEEPS, SWEEPS * self.simulator.lidar.model.points_per_sweep)
+        self.planner.reserve_sweeps(SWEEPS, SWEEPS * self.simulator.lidar.model.points_per_sweep, whole=WHOLE_SWEEPS)
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
         self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
         self._observe()

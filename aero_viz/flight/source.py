@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
-from aero_viz.flight.batch import SWEEPS
+from aero_viz.flight.batch import SWEEPS, WHOLE_SWEEPS
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import goal_problem
 from aero_viz.flight.metrics import FlightResult, flight_results
@@ -286,7 +286,7 @@ class FlightSource:
     def _set_sweeps(self, sweeps: tuple[_Sweep, ...]) -> None:
         """Make the cloud of these sweeps, oldest first."""
         self._sweeps = sweeps
-        self._cloud = Sweeps(self._sweep_points(sweep) for sweep in sweeps)
+        self._cloud = Sweeps((self._sweep_points(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
         self._observation = None
 
     def _sweep_points(self, sweep: _Sweep) -> Cloud:

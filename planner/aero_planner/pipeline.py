@@ -140,13 +140,17 @@ class Pipeline(LaunchSequence):
         return [
             self.side_branch("anchors", *self._place_anchors()),  # beside the scan of the cloud
             self._scan_points(),
-            self.serial("partition", self._finish_fine_cells(), self._continue_surfaces(), self.join),
+            self.serial("partition", self._finish_fine_cells()),
+            self._continue_surfaces(),
+            self.serial("partition", self.join),
             self.serial("grid", self.fork),  # until the first clearance query
             self._build_clearance_grid(),
             self.serial("guides", self.end_fork, self._make_guides()),
             self._optimize(),
             self.side_branch("partition", self._pool_coarse_cells()),  # only shown: no later stage needs it
-            self.serial("stage2", *self._evaluate_instances(), self._commit_plan(), self.join),
+            self.serial("stage2", *self._evaluate_instances()),
+            self._prove_stops(),
+            self.serial("stage2", self._commit_plan(), self.join),
         ]
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
@@ -210,14 +214,18 @@ class Pipeline(LaunchSequence):
             outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
         )
 
-    def _continue_surfaces(self) -> Callable[[], Any]:
-        i, o, w = self._inputs, self._outputs, self._work
-        return self.record(
-            continuation.continue_surfaces,
-            (self._sizes.B, self._sizes.F),
-            inputs=[i.position, i.quaternion, self._params, self._sizes.F1, w.fine_directions],
-            outputs=[o.fine_range, o.occupied, o.filtered_points],
-        )
+    def _continue_surfaces(self) -> list[Chunk]:
+        """Fill cells that the sensor does not see; every worker fills its share."""
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        return [
+            self.serial("partition", self.record(
+                continuation.continue_surfaces,
+                (sizes.B, -(-sizes.F // sizes.W)),
+                inputs=[worker, sizes.W, i.position, i.quaternion, self._params, sizes.F1, w.fine_directions],
+                outputs=[o.fine_range, o.occupied, o.filtered_points],
+            ))[0]
+            for worker in range(sizes.W)
+        ]  # fmt: skip
 
     def _build_clearance_grid(self) -> list[Chunk]:
         """Sort the filtered cloud into the grid; every worker sorts the layers that are its own."""
@@ -367,25 +375,38 @@ class Pipeline(LaunchSequence):
             outputs=[self._costs, w.instance_scores],
             block_dim=32,
         )
-        roll_out_stops = self.record(
+        return [roll_out, evaluate, score]
+
+    def _prove_stops(self) -> list[Chunk]:
+        """Roll out the stops of all candidates and find their clearance, for a slice of the stops per chunk."""
+        stop_count, workers = self._sizes.M * self._sizes.J, self._sizes.W
+        bounds = [stop_count * chunk // workers for chunk in range(workers + 1)]
+        return [
+            self.serial("stage2", *self._prove_slice(first, end - first))[0]
+            for first, end in itertools.pairwise(bounds)
+        ]
+
+    def _prove_slice(self, first: int, count: int) -> list[Callable[[], Any]]:
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        roll_out = self.record(
             stops.roll_out_stops,
-            (sizes.B, sizes.M * sizes.J),
-            inputs=[self._drone, self._params, w.plan_period, self._rollouts],
+            (sizes.B, count),
+            inputs=[first, self._drone, self._params, w.plan_period, self._rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
             block_dim=32,
         )
-        evaluate_stops = self.record(
+        evaluate = self.record(
             stops.evaluate_stops(self._batch_tuning),
-            (sizes.B, sizes.M * sizes.J, 4 * sizes.N, threads),
+            (sizes.B, count, 4 * sizes.N, self._batch_tuning.threads_per_query),
             inputs=[
-                i.position, i.quaternion, i.ground_height, self._params, sizes.Q - sizes.N, self._duplicate_rows,
+                first, i.position, i.quaternion, i.ground_height, self._params, sizes.Q - sizes.N, self._duplicate_rows,
                 sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period,
                 w.cell_ends, w.point_packs, w.stop_positions, w.state_terms,
             ],
             outputs=[w.stop_clearance],
             block_dim=32,
         )  # fmt: skip
-        return [roll_out, evaluate, score, roll_out_stops, evaluate_stops]
+        return [roll_out, evaluate]
 
     def _commit_plan(self) -> Callable[[], Any]:
         i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes

@@ -219,9 +219,13 @@ class Planner:
         self._inputs.upload()
         self._scan(self._cloud.arrays)
 
-    def reserve_sweeps(self, sweeps: int, points: int) -> None:
-        """Make room for sweeps with `points` points per drone in all, and plan from them. There are none yet."""
-        self._memory = SweepMemory(self._inputs.arrays.position, self._params, sweeps=sweeps, points=points)
+    def reserve_sweeps(self, sweeps: int, points: int, *, whole: int | None = None) -> None:
+        """Make room for sweeps with `points` points per drone in all, and plan from them. There are none yet.
+
+        Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`.
+        """
+        position = self._inputs.arrays.position
+        self._memory = SweepMemory(position, self._params, sweeps=sweeps, points=points, whole=whole)
         self._scan(self._memory.arrays)
 
     def store_sweep(self, index: int, points: wp.array) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from aero_planner.array_memory import PackedArrays, allocate
 from aero_planner.arrays import CloudArrays, SweepTable
-from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep
+from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep, thin_sweep
 from aero_planner.sweeps import Sweeps
 
 __all__ = ["SweepMemory"]
@@ -47,12 +47,15 @@ class SweepMemory:
         params: live parameters, shape [B].
         sweeps: S, largest number of sweeps.
         points: P, room for the points of all sweeps of a drone.
+        whole: number of newest sweeps that `store` keeps whole, as in `Sweeps`; None keeps all.
 
     Attributes:
         arrays: the sweeps on the device.
     """
 
-    def __init__(self, position: wp.array, params: wp.array, *, sweeps: int, points: int) -> None:
+    def __init__(
+        self, position: wp.array, params: wp.array, *, sweeps: int, points: int, whole: int | None = None
+    ) -> None:
         device = wp.get_device(str(position.device))
         self._device = device
         self._sizes = sizes = _Sizes(len(position), sweeps, max(points, 1))
@@ -60,6 +63,8 @@ class SweepMemory:
         arrays = allocate(CloudArrays, sizes, device)
         self.arrays = dataclasses.replace(arrays, **vars(self._table.arrays))
         self._entries: deque[_Entry] = deque()
+        self._whole = whole
+        self._thinned: set[int] = set()  # rows
         self._arrived: list[_Entry] = []  # sweeps to order
         self._ordered: list[_Entry] = []  # sweeps whose order the table does not mention yet
         self._held: Sweeps | None = None
@@ -77,6 +82,7 @@ class SweepMemory:
             size = (B, 1) if is_per_point else (B,)
             command = wp.launch(kernel, size, inputs=inputs, outputs=[cloud], device=device, record_cmd=True)
             self._commands.append((command, is_per_point))
+        self._thin: Any = wp.launch(thin_sweep, (B, 1), inputs=[0], outputs=[cloud], device=device, record_cmd=True)
 
     def has_room(self, sweeps: Sweeps) -> bool:
         """Return True if the sweeps fit into the ring, wherever the oldest one begins."""
@@ -85,12 +91,15 @@ class SweepMemory:
     def hold(self, sweeps: Sweeps) -> None:
         """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room."""
         self._mark_ordered()
+        aged: list[_Entry] = []
         if sweeps is not self._held:
-            self._take_over(list(sweeps))
+            aged = self._take_over(list(sweeps), sweeps.thinned)
             self._held = sweeps
         if self._is_changed:
             self._table.upload()
             self._is_changed = False
+        for entry in aged:
+            self._thin_points(entry.row, len(entry.points))
 
     def order_arrived(self) -> None:
         """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.
@@ -109,15 +118,23 @@ class SweepMemory:
             self._is_changed = True
         self._ordered = []
 
-    def _take_over(self, sweeps: list[NDArray[np.float32]]) -> None:
-        """Drop the sweeps that left, and copy those that arrived."""
+    def _take_over(self, sweeps: list[NDArray[np.float32]], thinned: int) -> list[_Entry]:
+        """Drop the sweeps that left and copy those that arrived; return those of the oldest `thinned` still to thin."""
         kept = self._count_kept(sweeps)
         while len(self._entries) > kept:
             self._entries.popleft()
-        self._arrived = self._place(sweeps[kept:])
+        if any(entry.row in self._thinned for entry in list(self._entries)[thinned:]):
+            self._entries.clear()  # their other points are needed again
+            kept = 0
+        arrived = self._place(sweeps[kept:])
+        self._thinned -= {entry.row for entry in arrived}
+        aged = [entry for entry in list(self._entries)[:thinned] if entry.row not in self._thinned]
+        copied = {entry.row for entry in arrived}
+        self._arrived = arrived + [entry for entry in aged if entry.row not in copied]
         self._write_table()
-        for entry in self._arrived:
+        for entry in arrived:
             self._copy(entry)
+        return aged
 
     def store(self, row: int, points: wp.array) -> None:
         """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
@@ -138,6 +155,11 @@ class SweepMemory:
             host["count"][:, row], host["start"][row], host["is_ordered"][row] = size, start, 1
             self._table.upload()
         self._order(row, size)
+        if self._whole is not None:
+            aged = (row - self._whole) % self._sizes.S
+            if host["count"][0, aged]:
+                self._thin_points(aged, size)
+                self._order(aged, size)
 
     def _count_kept(self, sweeps: list[NDArray[np.float32]]) -> int:
         """Return how many of the newest sweeps in the ring are the first of `sweeps`."""
@@ -201,6 +223,13 @@ class SweepMemory:
         staging[entry.start : entry.end] = entry.points
         wp.copy(points, self._host_points, entry.start, entry.start, len(entry.points))
         self._device.stream.record_event(self._copied)
+
+    def _thin_points(self, row: int, count: int) -> None:
+        self._thinned.add(row)
+        if count:
+            self._thin.set_param_at_index(0, row)
+            self._thin.set_dim((self._sizes.B, count))
+            self._thin.launch()
 
     def _order(self, row: int, count: int) -> None:
         """Order the points of a sweep by distance."""

@@ -8,7 +8,12 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Sweeps", "as_constant", "is_constant"]
+__all__ = ["HASH_FACTORS", "THINNING", "Sweeps", "as_constant", "is_constant"]
+
+THINNING = 5
+"""Of an older sweep one point in five is kept."""
+HASH_FACTORS = (2654435761, 2246822519, 3266489917)
+"""Odd factors of the bits of x, y and z, whose sum chooses the points that are kept: it depends on the point alone."""
 
 
 class Sweeps:
@@ -20,13 +25,16 @@ class Sweeps:
     Args:
         sweeps: points [m], shape [n, 3] each. A read-only float32 array that owns its memory is used as it is, others
             are copied.
+        whole: number of newest sweeps of which all points are kept; of older ones one in `THINNING` is, which
+            remembers surfaces for longer at little cost. None keeps all points of all sweeps.
 
     Raises:
         ValueError: a sweep has the wrong shape or type.
     """
 
-    def __init__(self, sweeps: Iterable[NDArray[np.float32]] = ()) -> None:
+    def __init__(self, sweeps: Iterable[NDArray[np.float32]] = (), *, whole: int | None = None) -> None:
         self._sweeps = tuple(map(as_constant, sweeps))
+        self._whole = whole
 
     def __len__(self) -> int:
         return len(self._sweeps)
@@ -36,19 +44,32 @@ class Sweeps:
 
     def add(self, sweep: NDArray[np.float32], *, limit: int = 10) -> Sweeps:
         """Return the newest `limit` sweeps, of which `sweep` is the last."""
-        return Sweeps((*self._sweeps, sweep)[-limit:])
+        return Sweeps((*self._sweeps, sweep)[-limit:], whole=self._whole)
+
+    @property
+    def thinned(self) -> int:
+        """Number of oldest sweeps of which only one point in `THINNING` is kept."""
+        return 0 if self._whole is None else max(len(self._sweeps) - self._whole, 0)
 
     @functools.cached_property
     def points(self) -> NDArray[np.float32]:
         """The joined cloud [m], shape [P, 3], read-only; joined when it is first read."""
-        points = np.concatenate(self._sweeps) if self._sweeps else np.zeros((0, 3), dtype=np.float32)
+        older, newer = self._sweeps[: self.thinned], self._sweeps[self.thinned :]
+        kept = [*map(_thin, older), *newer]
+        points = np.concatenate(kept) if kept else np.zeros((0, 3), dtype=np.float32)
         points.flags.writeable = False
         return points
 
     @property
     def point_count(self) -> int:
-        """P, the number of points of all sweeps."""
+        """P, the number of points of all sweeps, those of older ones that are not kept included."""
         return sum(map(len, self._sweeps))
+
+
+def _thin(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the points that are kept of an older sweep, as `kernels.shells.thin_sweep` does."""
+    digest = (points.view(np.uint32) * np.array(HASH_FACTORS, dtype=np.uint32)).sum(axis=1, dtype=np.uint32)
+    return points[(digest >> 16) % THINNING == 0]
 
 
 def is_constant(points: object) -> bool:

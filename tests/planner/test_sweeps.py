@@ -61,6 +61,23 @@ def test_a_larger_range_reaches_points_that_were_out_of_range(device: str):
     assert len(planner.plan(STATE, GOAL, sweeps).filtered_points) == 2
 
 
+@pytest.mark.parametrize("whole", [0, 1, 3])
+def test_older_sweeps_are_thinned_as_in_the_joined_cloud(device: str, whole: int):
+    rng = np.random.default_rng(whole)
+    ring, joined = (Planner(config_of(), device=device, seed=1) for _ in range(2))
+    sweeps, history = Sweeps(whole=whole), []
+    for tick in range(30):
+        # Sometimes the sweeps go back in time, or begin again.
+        sweeps = history[-4] if tick % 9 == 8 else sweeps.add(random_sweep(rng, np.zeros(3)), limit=6)
+        history.append(sweeps)
+        state = VehicleState(rng.normal(size=3), rng.normal(size=3), random_case(tick).quaternion)
+        plan, expected = ring.plan(state, GOAL, sweeps), joined.plan(state, GOAL, sweeps.points)
+        np.testing.assert_array_equal(plan.filtered_points, expected.filtered_points)
+        np.testing.assert_array_equal(plan.controls, expected.controls)
+    assert sweeps.thinned == 6 - whole
+    assert 0.1 < len(Sweeps(sweeps, whole=0).points) / sweeps.point_count < 0.3
+
+
 def test_any_sweeps_may_follow_any_others(device: str):
     """A session that goes back in time returns to earlier sweeps."""
     rng = np.random.default_rng(0)

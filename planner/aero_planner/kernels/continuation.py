@@ -18,6 +18,9 @@ _ROWS_INSIDE = wp.constant(2)
 
 @wp.kernel
 def continue_surfaces(
+    # share of the cells
+    worker: int,
+    workers: int,
     # problem
     position: wp.array(dtype=wp.vec3),
     quaternion: wp.array(dtype=wp.vec4),
@@ -35,9 +38,13 @@ def continue_surfaces(
 
     Below the field of view the nearest point above continues straight down, by at most continue_below. Above it, the
     nearest point below continues horizontally, if it is at most continue_above higher than the drone. Filled cells are
-    marked by `occupied` = 2. Launched over [B, fine cells].
+    marked by `occupied` = 2. Workers run at the same time: a cell is filled from cells that are not. Launched over
+    [B, fine cells / workers, rounded up].
     """
-    b, cell = wp.tid()
+    b, i = wp.tid()
+    cell = i * workers + worker
+    if cell >= fine_range.shape[1]:
+        return
     c = params[b]
     if occupied[b, cell] == 1 or (c.continue_below <= 0.0 and c.continue_above <= 0.0):
         return
@@ -58,16 +65,17 @@ def continue_surfaces(
     ahead = wp.vec3(d[0] / flat, d[1] / flat, 0.0)
     start = wp.atan2(d[2], flat)
     side = wp.where(below, 1.0, -1.0)
+    lowest = wp.sin(wp.radians(c.view_min))
+    highest = wp.sin(wp.radians(c.view_max))
     inside = int(0)
     for k in range(1, rows // 2):
         angle = start + side * float(k) * height
         if inside < _ROWS_INSIDE and wp.abs(angle) < 0.5 * wp.PI:
             body = quat_inverse_rotate(q, wp.cos(angle) * ahead + wp.vec3(0.0, 0.0, wp.sin(angle)))
-            body_elevation = wp.asin(wp.clamp(body[2], -1.0, 1.0))
-            if body_elevation >= wp.radians(c.view_min) and body_elevation <= wp.radians(c.view_max):
+            if body[2] >= lowest and body[2] <= highest:
                 inside += 1
-            i, j = cell_of_direction(body, rows, columns)
-            source = i * columns + j
+            source_row, source_column = cell_of_direction(body, rows, columns)
+            source = source_row * columns + source_column
             if occupied[b, source] == 1:
                 inside = _ROWS_INSIDE
                 offset = filtered_points[b, source] - p

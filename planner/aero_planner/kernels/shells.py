@@ -12,8 +12,18 @@ import warp as wp
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.warp_ops import claim_slot
+from aero_planner.sweeps import HASH_FACTORS, THINNING
 
-__all__ = ["COUNTERS", "SHELLS", "begin_shells", "count_shells", "fill_shells", "last_shell", "start_sweep"]
+__all__ = [
+    "COUNTERS",
+    "SHELLS",
+    "begin_shells",
+    "count_shells",
+    "fill_shells",
+    "last_shell",
+    "start_sweep",
+    "thin_sweep",
+]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,6 +33,8 @@ COUNTERS = wp.constant(9)
 """Counters of a sweep: the end of each shell in its list, then the number of points that are not finite."""
 SHELL_WIDTH = 1.5
 """Thickness of a shell [m]."""
+_THINNING = wp.constant(wp.uint32(THINNING))
+_FACTOR_X, _FACTOR_Y, _FACTOR_Z = (wp.constant(wp.uint32(factor)) for factor in HASH_FACTORS)
 
 
 @wp.func
@@ -103,3 +115,19 @@ def fill_shells(
     if shell < SHELLS:
         slot = claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
         cloud.order[b, first + slot] = first + i
+
+
+@wp.kernel
+def thin_sweep(
+    sweep: int,
+    # in and out
+    cloud: CloudSweeps,
+):
+    """Remove all points of a sweep but one in `THINNING`. Launched over [B, points of the sweep]."""
+    b, i = wp.tid()
+    index = cloud.start[sweep] + i
+    x = cloud.points[b, index]
+    digest = wp.cast(x[0], wp.uint32) * _FACTOR_X + wp.cast(x[1], wp.uint32) * _FACTOR_Y
+    digest += wp.cast(x[2], wp.uint32) * _FACTOR_Z
+    if (digest >> wp.uint32(16)) % _THINNING != wp.uint32(0):
+        cloud.points[b, index] = wp.vec3(wp.NAN)

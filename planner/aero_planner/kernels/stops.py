@@ -79,6 +79,8 @@ def control_at_step(
 
 @wp.kernel(enable_backward=False)
 def roll_out_stops(
+    # share of the stops
+    first: int,
     # problem
     drone: DroneState,
     # configuration
@@ -91,8 +93,9 @@ def roll_out_stops(
     stop_positions: wp.array3d(dtype=wp.vec3),
     stop_clearance: wp.array2d(dtype=float),
 ):
-    """Roll out the braking manoeuvre of each stop. Launched over [B, M STOPS]."""
+    """Roll out the braking manoeuvre of stops from `first` on. Launched over [B, stops]."""
     b, i = wp.tid()
+    i += first
     c = params[b]
     if c.prove_stop == 0:
         return
@@ -139,6 +142,8 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate_stops(
+        # share of the stops
+        first: int,
         # problem
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
@@ -160,12 +165,13 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         # in and out
         stop_clearance: wp.array2d(dtype=float),
     ):
-        """Lower the clearance of each stop to the least of its N states and N midpoints, and to that of the part of
-        the candidate before the switch.
+        """Lower the clearance of stops from `first` on to the least of their states and midpoints.
 
-        Launched over [B, M STOPS, 4 N, threads per query].
+        The states of the candidate before the switch count as well.
+        Launched over [B, stops, 4 N, threads per query].
         """
         b, i, row, thread = wp.tid()
+        i += first
         c = params[b]
         if c.prove_stop == 0:
             return
