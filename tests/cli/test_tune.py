@@ -14,7 +14,7 @@ from aero_planner.config.file import load_config
 from aero_viz.scenes import scene
 
 SMALL = ["--sampling.samples", "16", "--lidar.points-per-sweep", "1000"]
-CRIPPLED = ["--anchors.lookahead", "1", "--over", "anchors.lookahead=1:8", *SMALL]
+CRIPPLED = ["--vehicle.speed-limit", "1", "--over", "vehicle.speed_limit=1:8", *SMALL]
 FEW = ["--flights", "2", "--rungs", "1", "--trials", "3", "--check", "1", "--storage", "memory"]
 
 
@@ -25,8 +25,8 @@ def test_the_result_is_printed_written_and_can_be_flown(
     code, text, error = run(capsys, "tune", short_poles, *CRIPPLED, *FEW, "--seed", "1", "--output", str(path))
     assert (code, error) == (0, "")
     found = load_config(path)
-    assert found.anchors.lookahead > 2.0 and found.sampling.samples == 16
-    assert f"As flags: --anchors.lookahead {found.anchors.lookahead:g}\n{path}\n" in text
+    assert found.vehicle.speed_limit > 2.0 and found.sampling.samples == 16
+    assert f"As flags: --vehicle.speed-limit {found.vehicle.speed_limit:g}\n{path}\n" in text
     assert "incumbent, fresh worlds  1 " in text and "best, fresh worlds       1 " in text
     assert "Warning: the difference is not significant" in text  # of a single flight
     assert run_json(capsys, "fly", short_poles, "--config", str(path), *SMALL)["flight_time_s"] < 4.0
@@ -85,7 +85,7 @@ def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Pa
     )
     assert code == 130 and "Traceback" not in shown
     assert "Warning: the search was interrupted before the check" in printed and printed.endswith(f"{path}\n")
-    assert load_config(path).anchors.lookahead > 1.0
+    assert load_config(path).vehicle.speed_limit > 1.0
 
 
 @pytest.mark.parametrize(

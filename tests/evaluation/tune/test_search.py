@@ -16,9 +16,9 @@ from aero_viz.flight import FlightRules
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 
-CRIPPLED = small_config().replace({"anchors.lookahead": 1.0})
-"""With a look-ahead of 1 m the planner asks for a seventh of the speed that the drone can fly."""
-RANGE = ParameterRange("anchors.lookahead", 1.0, 8.0)
+CRIPPLED = small_config().replace({"vehicle.speed_limit": 1.0})
+"""The planner asks for a seventh of the speed that the drone can fly."""
+RANGE = ParameterRange("vehicle.speed_limit", 1.0, 8.0)
 SPARSE = LidarModel("sparse", points_per_sweep=1000)
 SHORT = FlightRules(time_limit=0.1)
 """No flight arrives, so that all candidates are equal."""
@@ -42,7 +42,7 @@ def search(world: World, *, flights: int = 2, check: int = 1, **options: Any) ->
 
 def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World) -> None:
     result = search(poles, check=6, seed=1)
-    assert result.best and result.best.trial is not None and result.chosen.anchors.lookahead > 2.0
+    assert result.best and result.best.trial is not None and result.chosen.vehicle.speed_limit > 2.0
     assert result.check is not None and result.check.verdict == "better" and result.check.paired.faster_b == 6
     times = [score.flight_time_s for score in (result.check.incumbent, result.check.best)]
     assert times[0] and times[1] and times[1] < 0.7 * times[0]
@@ -53,8 +53,8 @@ def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World) -> None
 
 def test_worse_candidates_are_given_up_after_a_rung(poles: World) -> None:
     """The incumbent is good here, and most values of a wide range are bad."""
-    good = small_config().replace({"anchors.lookahead": 5.0})
-    ranges = [ParameterRange("anchors.lookahead", 0.5, 5.0)]
+    good = small_config().replace({"vehicle.speed_limit": 7.0})
+    ranges = [ParameterRange("vehicle.speed_limit", 0.5, 7.0)]
     how = SearchOptions(trials=4, generation=4, rungs=2, seed=3)
     result = tune(good, ranges, [poles] * 8, [poles], search=how, flight=FlightOptions(lidar=SPARSE))
     flown = [len(candidate.flights) for candidate in result.candidates]
@@ -93,7 +93,7 @@ def test_the_incumbent_stays_the_best_if_no_candidate_is_better(poles: World) ->
 
 
 def test_an_incumbent_outside_the_ranges_is_compared_too(poles: World) -> None:
-    result = search(poles, ranges=[ParameterRange("anchors.lookahead", 2.0, 8.0)], trials=2, generation=2)
+    result = search(poles, ranges=[ParameterRange("vehicle.speed_limit", 2.0, 8.0)], trials=2, generation=2)
     assert result.candidates[0].config == CRIPPLED and result.best is not None and result.best.trial is not None
 
 
@@ -115,7 +115,7 @@ def test_every_sampler_proposes_candidates_within_the_ranges(poles: World, sampl
     result = search(poles, ranges=ranges, sampler=sampler, trials=6, generation=3, flights=1, rules=SHORT)
     values = {tuple(result.values(candidate.config).values()) for candidate in result.candidates[1:]}
     assert len(result.candidates) == 7 and len(values) > 2
-    assert all(1.0 <= lookahead <= 8.0 and 1.0 <= q <= 100.0 for lookahead, q in values)
+    assert all(1.0 <= speed <= 8.0 and 1.0 <= q <= 100.0 for speed, q in values)
 
 
 def test_contradictory_values_are_proposed_again(poles: World) -> None:
