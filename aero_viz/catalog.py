@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from aero_planner.config import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Reader, read_here
-from aero_viz.session.source import Source
+from aero_viz.session.source import Conditions, Source
 
 if TYPE_CHECKING:
     from aero_viz.scenes import World
@@ -83,6 +83,7 @@ def open_source(
     as_recording: bool = False,
     recording_options: Mapping[str, Any] = MappingProxyType({}),
     read: Reader = read_here,
+    conditions: Conditions | None = None,
 ) -> Source:
     """Open a scene, a world's JSON file, a map, or a recording.
 
@@ -97,6 +98,7 @@ def open_source(
         as_recording: True opens a file of points as a recording of one sweep, not as a map to fly through.
         recording_options: other arguments of `aero_viz.recordings.open_recording`.
         read: reads a file, here or in another process.
+        conditions: conditions of a flight, which replace `count` and `lidar`; None leaves them.
 
     Raises:
         UserError: the source does not exist or cannot be used, or no flight in it can arrive.
@@ -105,15 +107,23 @@ def open_source(
 
     is_path = "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
     if not as_recording and (spec in SCENES or spec.endswith(".json") or is_map(spec) or not is_path):
-        from aero_viz.flight import FlightRules, FlightSource
+        from aero_viz.flight import FlightRules, FlightSource, VehicleModel
+        from aero_viz.flight.conditions import with_conditions
         from aero_viz.flight.explanation import refuse_impossible
         from aero_viz.sensors import lidar_model
 
         load = read_here if spec in SCENES else read
+        options: dict[str, Any] = {
+            "lidar": lidar_model(lidar),
+            "vehicle": VehicleModel.from_config(PlannerConfig()),
+            "noise": None,
+        }
+        if conditions is not None:
+            count, options = conditions.count, with_conditions(options, conditions)
         world = load(load_world, spec, seed=seed, count=count)
         # The configuration is not known yet: refuse only what no configuration can reach.
         refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
-        return FlightSource(world, lidar=lidar_model(lidar), seed=seed, device=device)
+        return FlightSource(world, seed=seed, device=device, **options)
     from aero_viz.logs.replay import FlightReplay, is_flight_log
     from aero_viz.recordings import RecordingSource, open_recording
     from aero_viz.recordings.index import index_recording, open_indexed

@@ -18,7 +18,7 @@ from aero_viz.cli.flags import (
     flight_rules,
 )
 from aero_viz.cli.output import print_report, progress_bar
-from aero_viz.cli.page import PageFlags, flight_opener, serve
+from aero_viz.cli.page import PageFlags, serve_flight
 from aero_viz.errors import UserError
 
 __all__ = ["fly", "score"]
@@ -68,10 +68,8 @@ def fly(
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")
-        config = config_flags.load(speed=speed)
-        opener = flight_opener(world, world_flags, flight_flags, config, lidar=lidar, device=device)
-        config = flight_flags.complete(config, lidar=lidar)
-        return serve(world, opener, config, page_flags, seed=seed, device=device, log=log)
+        flags = (world_flags, flight_flags, config_flags.load(speed=speed), page_flags)
+        return serve_flight(world, *flags, lidar=lidar, seed=seed, device=device, log=log)
     if page_flags != PageFlags():
         raise UserError("--host, --port, --open and --paused apply to the page; add --no-headless, or leave them out.")
     from aero_viz.flight import FlightInterrupted

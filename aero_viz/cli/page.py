@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import signal
 import threading
 import webbrowser
@@ -31,9 +32,9 @@ if TYPE_CHECKING:
     from aero_viz.dashboard import Dashboard
     from aero_viz.reader_process import Reader
     from aero_viz.session import Session
-    from aero_viz.session.source import Opener, Source
+    from aero_viz.session.source import Conditions, Opener, Source
 
-__all__ = ["PageFlags", "connect", "demo", "flight_opener", "play", "serve", "shutdown_event", "wait_for"]
+__all__ = ["PageFlags", "connect", "demo", "flight_opener", "play", "serve_flight", "shutdown_event", "wait_for"]
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,8 @@ def demo(
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
-    config = flight_flags.complete(config_flags.load(), lidar=lidar)
-    opener = flight_opener(scene, world_flags, flight_flags, config, lidar=lidar, device=device)
-    serve(scene, opener, config, page_flags, seed=seed, device=device, log=log)
+    flags = (world_flags, flight_flags, config_flags.load(), page_flags)
+    serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log)
 
 
 def play(
@@ -129,9 +129,9 @@ def play(
             raise UserError(f"{recording} is a scene, not a recording; fly it with: aero-viz demo {recording}")
         open_recording(recording)
 
-    def opener(spec: str, *, seed: int, read: Reader = read_here) -> Source:
+    def opener(spec: str, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
         if not _is_same(spec, recording):
-            return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead, read=read)
+            return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead, read=read, conditions=conditions)
         with progress_bar("estimating the motion", enabled=recording_flags.odometry != "none") as update_bar:
             options = recording_flags.options()
             options["progress"] = lambda done, total: update_bar(done, total, f"{done} of {total} sweeps")
@@ -178,6 +178,27 @@ def connect(
         wait_for(shutdown)
 
 
+def serve_flight(
+    spec: str,
+    world_flags: WorldFlags,
+    flight_flags: FlightFlags,
+    config: PlannerConfig,
+    page_flags: PageFlags,
+    *,
+    lidar: str,
+    seed: int,
+    device: str,
+    log: OptionalPath,
+) -> None:
+    """Serve the page of a flight until Ctrl-C or SIGTERM. The page offers the conditions of the flags at first."""
+    from aero_viz.flight.conditions import conditions_of
+
+    config = flight_flags.complete(config, lidar=lidar)
+    opener = flight_opener(spec, world_flags, flight_flags, config, lidar=lidar, device=device)
+    conditions = conditions_of(flight_flags.options(config, lidar=lidar), count=world_flags.count)
+    serve(spec, opener, config, page_flags, seed=seed, device=device, log=log, conditions=conditions)
+
+
 def flight_opener(
     spec: str,
     world_flags: WorldFlags,
@@ -194,19 +215,23 @@ def flight_opener(
     """
     from aero_viz.catalog import is_map, open_source
     from aero_viz.flight import FlightSource
+    from aero_viz.flight.conditions import with_conditions
     from aero_viz.flight.explanation import refuse_impossible
     from aero_viz.scenes import SCENES
 
     options = flight_flags.options(config, lidar=lidar)
 
-    def opener(name: str, *, seed: int, read: Reader = read_here) -> Source:
+    def opener(name: str, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
         is_first = _is_same(name, spec)
         if not is_first and not (name in SCENES or name.endswith(".json") or is_map(name)):
             return open_source(name, seed=seed, device=device, read=read)
         load = read_here if name in SCENES else read
-        world = load((world_flags if is_first else WorldFlags()).load, name, seed=seed)
+        flags, chosen = world_flags if is_first else WorldFlags(), options
+        if conditions is not None:
+            flags, chosen = dataclasses.replace(flags, count=conditions.count), with_conditions(options, conditions)
+        world = load(flags.load, name, seed=seed)
         refuse_impossible(world, rules=options["rules"], speed_limit=config.vehicle.speed_limit)
-        return FlightSource(world, seed=seed, device=device, control_step=config.sampling.dt, **options)
+        return FlightSource(world, seed=seed, device=device, control_step=config.sampling.dt, **chosen)
 
     return opener
 
@@ -225,12 +250,14 @@ def serve(
     seed: int,
     device: str,
     log: OptionalPath = None,
+    conditions: Conditions | None = None,
 ) -> None:
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import shipped_recordings
     from aero_viz.dashboard import Dashboard
     from aero_viz.scenes import SCENES
     from aero_viz.session import Session
+    from aero_viz.session.source import Conditions
 
     with contextlib.ExitStack() as stack:
         session = Session(opener(spec, seed=seed), config=config, device=device, seed=seed)
@@ -247,6 +274,7 @@ def serve(
             ],
             seed=seed,
             opened=spec,
+            conditions=conditions or Conditions(),
             folders=_folders(spec, page_flags),
             allowed_hosts=page_flags.allow_host,
         )

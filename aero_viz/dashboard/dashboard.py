@@ -25,7 +25,7 @@ from aero_viz.dashboard.update_rate import UpdateRateLimiter
 from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame, Notice
-from aero_viz.session.source import Opener, SourceInfo
+from aero_viz.session.source import Conditions, Opener, SourceInfo
 
 __all__ = ["Dashboard"]
 
@@ -46,6 +46,7 @@ class Dashboard:
         choices: sources on offer, each a label and the argument of `open_source`.
         seed: first value of the seed that the page passes to `open_source`.
         opened: argument of `open_source` for the session's source; the page may open it again.
+        conditions: first values of the conditions that the page passes to `open_source`; None does not offer them.
         layers: layers to draw, in the order of the page; to add one, pass (*LAYERS, MyLayer).
         panels: show the panels; without them the page loads in half the time.
         folders: folders whose files the page may open, besides `choices`.
@@ -65,6 +66,7 @@ class Dashboard:
         choices: Sequence[tuple[str, str]] = (),
         seed: int = 0,
         opened: str = "",
+        conditions: Conditions | None = None,
         layers: Sequence[type[Layer]] = LAYERS,
         panels: bool = True,
         folders: Sequence[str | Path] = (),
@@ -100,6 +102,7 @@ class Dashboard:
                 seed=seed,
                 folders=Folders(folders),
                 opened=opened,
+                conditions=conditions,
             )
         else:
             self._camera = CameraPanel(self._page)

@@ -26,10 +26,15 @@ class StateNoise(ParameterSection, section="noise"):
         ValueError: a parameter is outside its bounds.
     """
 
-    position: float = live(0.0, "m", 0.0, 100.0, "Standard deviation of the position error.")
-    velocity: float = live(0.0, "m/s", 0.0, 100.0, "Standard deviation of the velocity error.")
+    position: float = live(0.0, "m", 0.0, 100.0, "Standard deviation of the position error.", label="Position error")
+    velocity: float = live(0.0, "m/s", 0.0, 100.0, "Standard deviation of the velocity error.", label="Velocity error")
     attitude: float = live(
-        0.0, "deg", 0.0, 180.0, "Standard deviation of the attitude error, a rotation vector in body axes."
+        0.0,
+        "deg",
+        0.0,
+        180.0,
+        "Standard deviation of the attitude error, a rotation vector in body axes.",
+        label="Attitude error",
     )
     correlation_time: float = live(1.0, "s", 1e-3, 1e9, "Time in which an error decays to 1/e.")
 

@@ -15,7 +15,7 @@ from aero_viz.reader_process import Reader, read_here
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["Observation", "Opener", "RecordedPlan", "Source", "SourceInfo"]
+__all__ = ["Conditions", "Observation", "Opener", "RecordedPlan", "Source", "SourceInfo"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,16 +152,31 @@ class Source(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions of a simulated flight that a user chooses besides world and seed."""
+
+    count: int | None = None
+    """Number of obstacles of a scene; None is its own."""
+    lidar: str | None = None
+    """Name of the LiDAR model; None is that of the program's flags."""
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """Parameters of noise and drone by path, such as "noise.position"; the others are those of the program's flags."""
+
+
 class Opener(Protocol):
     """Opens a source by name or path."""
 
-    def __call__(self, spec: str, /, *, seed: int, read: Reader = read_here) -> Source:
+    def __call__(
+        self, spec: str, /, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None
+    ) -> Source:
         """Open a recording, a world or a scene.
 
         Args:
             spec: name or path.
             seed: seed of the scene, the LiDAR and all noise.
             read: calls the functions that read files, here or in another process.
+            conditions: conditions of a flight; None are those of the program's flags.
 
         Raises:
             UserError: it does not exist or cannot be used.

@@ -21,7 +21,7 @@ from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
-from aero_viz.session.source import Opener, Source
+from aero_viz.session.source import Conditions, Opener, Source
 from tests.browser.pictures import Image, differing, project
 
 __all__ = ["Desk", "open_desk"]
@@ -165,7 +165,7 @@ def open_desk(
         session.tick()
     session.start(play=False)
     choices = [(f"{name}: {kind.description}", name) for name, kind in SCENES.items()]
-    dashboard = Dashboard(session, port=0, open_source=opener, choices=choices, folders=["/"])
+    dashboard = Dashboard(session, port=0, open_source=opener, choices=choices, folders=["/"], conditions=Conditions())
     dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
     context.set_default_timeout(1e3 * TIMEOUT)

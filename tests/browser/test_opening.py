@@ -10,14 +10,14 @@ from playwright.sync_api import Browser
 
 from aero_viz.catalog import open_source
 from aero_viz.reader_process import Reader, read_here
-from aero_viz.session.source import Source
+from aero_viz.session.source import Conditions, Source
 from tests.browser.desk import Desk, open_desk
 
 
-def open_slowly(spec: str, /, *, seed: int, read: Reader = read_here) -> Source:
+def open_slowly(spec: str, /, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
     """Open a source after an hour."""
     read(time.sleep, 3600.0)
-    return open_source(spec, seed=seed)
+    return open_source(spec, seed=seed, conditions=conditions)
 
 
 @pytest.fixture

@@ -196,3 +196,35 @@ def test_a_source_that_is_opened_after_a_flight_has_ended_plays(fresh_desk, tmp_
     choose(desk, "forest")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("forest"), "the forest")
     desk.wait_for(lambda: desk.session.playing, "the flight to start")
+
+
+def type_number(desk: Desk, label: str, value: str) -> None:
+    field = desk.control(label).locator("input")
+    field.click(click_count=3)
+    field.press_sequentially(value)
+
+
+def test_a_scene_is_opened_with_the_obstacles_lidar_noise_and_wind_of_the_page(fresh_desk):
+    desk = fresh_desk
+    obstacles = desk.control("Obstacles").locator("input")
+    assert obstacles.input_value() == "100", "the forest's own"
+    type_number(desk, "Obstacles", "40")
+    desk.control("LiDAR").locator("input").first.click()
+    desk.page.get_by_role("option", name="spinning64", exact=True).click()
+    desk.open_folder("Noise and wind", "Gust speed w [m/s]")
+    type_number(desk, "Position error [m]", "0.05")
+    type_number(desk, "Gust speed w [m/s]", "2")
+    desk.page.get_by_role("button", name="Open", exact=True).click()
+    desk.refusal("set drone.drag too").wait_for()
+    assert desk.session.frame.source.name == "forest-100-0"
+    type_number(desk, "Drag k [1/s]", "0.3")
+    desk.page.get_by_role("button", name="Open", exact=True).click()
+    desk.wait_for(lambda: desk.session.frame.source.name == "forest-40-0", "a forest of 40 trees")
+    settings = desk.session.frame.source.settings
+    assert settings["lidar"]["name"] == "spinning64"
+    assert settings["noise"]["position"] == 0.05
+    assert (settings["drone"]["drag"], settings["drone"]["gust_speed"]) == (0.3, 2.0)
+    assert obstacles.input_value() == "40"
+    choose(desk, "wall")
+    desk.wait_for(lambda: desk.session.frame.source.name.startswith("wall"), "the wall")
+    assert obstacles.is_disabled()

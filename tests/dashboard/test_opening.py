@@ -19,7 +19,7 @@ from aero_viz.errors import UserError
 from aero_viz.reader_process import Reader, read_here
 from aero_viz.scenes import World
 from aero_viz.session import Session
-from aero_viz.session.source import Source
+from aero_viz.session.source import Conditions, Source
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 SECRET = "hunter2"
@@ -42,10 +42,10 @@ def world() -> World:
     return found
 
 
-def slow_or_real(spec: str, /, *, seed: int, read: Reader = read_here) -> Source:
+def slow_or_real(spec: str, /, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
     if spec == "slow":
         read(time.sleep, 600.0)
-    return open_source(spec, seed=seed, read=read)
+    return open_source(spec, seed=seed, read=read, conditions=conditions)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import viser
 from aero_planner.config import ParameterInfo, Value
 from aero_viz.dashboard.layers import Change
 
-__all__ = ["Control", "SliderControl", "add_control"]
+__all__ = ["Control", "SliderControl", "add_control", "add_number"]
 
 ChangeCallback = Callable[[viser.ClientHandle], None]
 """Called with the client after a user has changed the value of a control."""
@@ -132,6 +132,13 @@ def add_control(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
     if isinstance(info.default, int):
         return _SingleControl(info, gui.add_number(info.title, int(value), step=1, hint=hint))
     return SliderControl(gui, info, float(value))
+
+
+def add_number(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
+    """Add a number field without a slider, for a parameter without a usual range."""
+    number = gui.add_number(info.title, float(value), step=0.01, hint=_hint(info))
+    number.precision = _DECIMALS
+    return _SingleControl(info, number)
 
 
 def _on_user_change(handle: Any, callback: ChangeCallback) -> None:

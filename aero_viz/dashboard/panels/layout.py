@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import viser
 
@@ -17,7 +18,7 @@ from aero_viz.dashboard.panels.parameters import LiveParameterPanel, ParameterTa
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
-from aero_viz.session.source import Opener
+from aero_viz.session.source import Conditions, Opener
 
 __all__ = ["build"]
 
@@ -30,6 +31,7 @@ def build(
     seed: int,
     folders: Folders,
     opened: str = "",
+    conditions: Conditions | None = None,
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
@@ -44,7 +46,8 @@ def build(
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if controls is not None and open_source is not None:
             with gui.add_folder("Source"):
-                panels.append(SourcePanel(page, controls, open_source, choices, folders, seed=seed, opened=opened))
+                options: dict[str, Any] = {"seed": seed, "opened": opened, "conditions": conditions}
+                panels.append(SourcePanel(page, controls, open_source, choices, folders, **options))
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))

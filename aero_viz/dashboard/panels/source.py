@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from pathlib import Path
+from typing import Any
 
 import viser
 
@@ -16,12 +17,13 @@ from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
+from aero_viz.dashboard.panels.conditions import ConditionControls
 from aero_viz.dashboard.server import notify
 from aero_viz.errors import UserError
 from aero_viz.reader_process import ReadCancelled, ReaderProcess
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
-from aero_viz.session.source import Opener, Source
+from aero_viz.session.source import Conditions, Opener, Source
 
 __all__ = ["SourcePanel"]
 
@@ -44,6 +46,7 @@ class SourcePanel(Panel):
         folders: folders whose files the page may open, besides `choices`.
         seed: first value of the seed.
         opened: argument of `open_source` for the source that is open at first; empty if it is not known.
+        conditions: first values of the conditions; None does not offer them.
     """
 
     def __init__(
@@ -56,11 +59,13 @@ class SourcePanel(Panel):
         *,
         seed: int,
         opened: str = "",
+        conditions: Conditions | None = None,
     ) -> None:
         self._controls = controls
         self._open_source = open_source
         self._folders = folders
         self._first_seed = seed
+        self._first_conditions = conditions
         # A dropdown cuts off long entries: it gets the names, and a line below it gets the descriptions.
         split = [(*label.partition(": "), spec) for label, spec in choices]
         self._choices = {name: (description, spec) for name, _, description, spec in split}
@@ -80,6 +85,10 @@ class SourcePanel(Panel):
         self._seed = gui.add_number("Seed", self._first_seed, min=0, step=1, hint=hint)
         if self._choices:
             self._add_choice(gui)
+        self._conditions: ConditionControls | None = None
+        if self._first_conditions is not None:
+            self._conditions = ConditionControls(gui, self._first_conditions)
+            self._conditions.offer(self._opened, count=self._first_conditions.count)
         hint = "Path of a recording or a world in the folders that the page may open, or the name of a scene."
         with gui.add_form(None) as form:
             path = gui.add_text("Path", "", hint=hint)
@@ -106,7 +115,10 @@ class SourcePanel(Panel):
 
         @self._choice.on_update
         async def _(_: viser.GuiEvent) -> None:
-            description.content = markup.note(self._choices[self._choice.value][0])
+            text, spec = self._choices[self._choice.value]
+            description.content = markup.note(text)
+            if self._conditions is not None:
+                self._conditions.offer(spec)
 
         @open_choice.on_click
         async def _(event: viser.GuiEvent) -> None:
@@ -141,21 +153,30 @@ class SourcePanel(Panel):
         if not spec:
             notify(self.page.server, "Enter the path of a recording or a world first.", level="error", client=client)
             return
+        options: dict[str, Any] = {"seed": int(self._seed.value)}
+        if self._conditions is not None:
+            try:
+                options["conditions"] = self._conditions.read(spec)
+            except ValueError as error:
+                notify(self.page.server, str(error), level="error", client=client)
+                return
         with self._lock:
             if self._reader is not None:
                 notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
                 return
             self._reader = ReaderProcess()
         threading.Thread(
-            target=self._open, args=(self._reader, spec, client), name="aero-viz-open", daemon=True
+            target=self._open, args=(self._reader, spec, options, client), name="aero-viz-open", daemon=True
         ).start()
 
-    def _open(self, reader: ReaderProcess, spec: str, client: viser.ClientHandle | None) -> None:
+    def _open(
+        self, reader: ReaderProcess, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
+    ) -> None:
         """Open a source by name or path and make it the session's; problems are shown to `client`."""
         self._cancel.visible = True
         try:
             with self._progress_notification(f"Opening {spec} ..", reader, client):
-                source = self._read(reader, spec, client)
+                source = self._read(reader, spec, options, client)
                 if source is not None:
                     self._use(source, spec)
         finally:
@@ -177,7 +198,9 @@ class SourcePanel(Panel):
                 self.session.play()
             self._opened, self._is_listed = spec, False
 
-    def _read(self, reader: ReaderProcess, spec: str, client: viser.ClientHandle | None) -> Source | None:
+    def _read(
+        self, reader: ReaderProcess, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
+    ) -> Source | None:
         """Return the source, or None if it cannot be opened."""
         try:
             path = spec if spec in self._offered else str(self._folders.find(spec))
@@ -185,7 +208,7 @@ class SourcePanel(Panel):
             notify(self.page.server, str(error), level="error", client=client)
             return None
         try:
-            return self._open_source(path, seed=int(self._seed.value), read=reader)
+            return self._open_source(path, read=reader, **options)
         except ReadCancelled:
             notify(self.page.server, f"{spec} was not opened, since that was cancelled.", client=client)
         except Exception as error:

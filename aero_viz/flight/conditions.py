@@ -1,0 +1,54 @@
+"""Conditions of a flight that a user chooses before it is opened: the LiDAR, the noise and the wind."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from aero_planner.config import ParameterInfo
+from aero_viz.flight.estimate import StateNoise
+from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.sensors.lidar import LIDARS, lidar_model
+from aero_viz.session.source import Conditions
+
+__all__ = ["OFFERED", "conditions_of", "with_conditions"]
+
+_NAMES = {StateNoise: ("position", "velocity", "attitude"), VehicleModel: ("drag", "gust_speed")}
+OFFERED: tuple[ParameterInfo, ...] = tuple(
+    info for section, names in _NAMES.items() for info in section.parameters() if info.name in names
+)
+"""The parameters of the noise and of the drone that `Conditions.values` may hold."""
+
+
+def conditions_of(options: Mapping[str, Any], *, count: int | None = None) -> Conditions:
+    """Return the conditions of a flight with these arguments lidar, vehicle and noise of `FlightSource`."""
+    sections = {"noise": options["noise"] or StateNoise(), "drone": options["vehicle"]}
+    values = {info.path: getattr(sections[info.section], info.name) for info in OFFERED}
+    return Conditions(count=count, lidar=options["lidar"].name, values=values)
+
+
+def with_conditions(options: Mapping[str, Any], conditions: Conditions) -> dict[str, Any]:
+    """Return arguments of `FlightSource` whose lidar, vehicle and noise are those of the conditions.
+
+    Args:
+        options: arguments of `FlightSource`, with lidar, vehicle and noise.
+        conditions: what replaces them. The LiDAR of `options` stays, with its changes, if its name is asked for.
+
+    Raises:
+        ValueError: a value is out of its bounds, contradicts another one, or cannot be chosen.
+        UserError: there is no such LiDAR.
+    """
+    lidar = options["lidar"] or LIDARS["mid360"]
+    if conditions.lidar not in (None, lidar.name):
+        lidar = lidar_model(conditions.lidar)
+    known = {info.path: info for info in OFFERED}
+    changes: dict[str, dict[str, Any]] = {"noise": {}, "drone": {}}
+    for path, value in conditions.values.items():
+        if path not in known:
+            raise ValueError(f"{path} is no condition of a flight; give one of {', '.join(known)}.")
+        changes[known[path].section][known[path].name] = value
+    noise = dataclasses.replace(options["noise"] or StateNoise(), **changes["noise"])
+    is_exact = not any((noise.position, noise.velocity, noise.attitude))
+    vehicle = dataclasses.replace(options["vehicle"], **changes["drone"])
+    return {**options, "lidar": lidar, "vehicle": vehicle, "noise": None if is_exact else noise}
