@@ -6,7 +6,7 @@ from aero_planner import PlannerConfig
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.sensors.lidar import LidarModel
 
-__all__ = ["config_for_drone"]
+__all__ = ["config_for_drone", "config_for_next_lidar"]
 
 _UPRIGHT, _INVERTED = (0.0, 0.0), (180.0, 0.0)
 
@@ -31,3 +31,13 @@ def config_for_drone(config: PlannerConfig, *, lidar: LidarModel, vehicle: Vehic
         "vehicle.delay": min(vehicle.latency + unmodelled_lag, 0.5),
     }
     return config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})
+
+
+def config_for_next_lidar(config: PlannerConfig, *, before: LidarModel, after: LidarModel) -> PlannerConfig:
+    """Return `config` with the field of view of the LiDAR `after` where it has that of `before`."""
+    vehicle = VehicleModel.from_config(config)
+    old, new = (config_for_drone(PlannerConfig(), lidar=lidar, vehicle=vehicle) for lidar in (before, after))
+    paths = ("partition.view_min", "partition.view_max")
+    if any(config.get(path) != old.get(path) for path in paths):
+        return config  # chosen by the user
+    return config.replace({path: new.get(path) for path in paths})
