@@ -143,3 +143,16 @@ def test_the_drone_stands_on_the_ground_until_it_is_armed_and_the_node_notes_its
         assert rig.node.ground.source is GroundSource.STANDING and abs(rig.node.ground.height) < 0.2
         assert rig.take_over()
         assert rig.autopilot.position[2] > 1.7
+
+
+def test_a_node_that_continues_after_it_was_handed_back_sends_nothing(planner: Planner):
+    # The messages that waited for it still say that the drone obeys it.
+    with LockstepRig(planner, avenue(), seed=7) as rig:
+        at_full_speed(rig)
+        rig.node_runs = False
+        rig.run(4.0)
+        assert rig.autopilot.mode is Mode.HOLD
+        sent = len(rig.autopilot.setpoints)
+        rig.node_runs = True
+        rig.run(1.0)
+        assert rig.node.state is State.HANDED_BACK and len(rig.autopilot.setpoints) == sent

@@ -26,10 +26,12 @@ from aero_planner.onboard.failsafe_process import Failsafe, takeover_time
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
     COMMANDING,
+    Cause,
     Inputs,
     Reaction,
     State,
     blind_time_left,
+    cause_applies,
     is_inside_fence,
 )
 from aero_planner.onboard.goal_tracker import GoalTracker
@@ -208,7 +210,14 @@ class Node:
         command = self._choose_command(now, reaction, inputs, motion)
         if command is not None:
             self._send(command)
-        elif previous_state in COMMANDING and self.state is State.HANDED_BACK and is_obeyed and motion is not None:
+        elif (
+            previous_state in COMMANDING
+            and self.state is State.HANDED_BACK
+            and is_obeyed
+            and motion is not None
+            # After that, the watchdog or the failsafe process has sent it, and the reported mode may be an old one.
+            and not cause_applies(Cause.LOOP_TIMEOUT, inputs, self.config.limits)
+        ):
             # The autopilot follows the last command until it notices the silence, so that must be a level hover.
             self._send(self._stop_controller.level(motion))
         obeyed = command.control if command is not None and is_obeyed else None
