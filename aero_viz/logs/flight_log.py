@@ -14,7 +14,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from aero_planner import VehicleState
+from aero_planner import Sweeps, VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, goal_message, plan_messages, pose_messages, sweep
@@ -24,7 +24,7 @@ from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["FlightLog", "flight_recorder", "new_points", "record"]
+__all__ = ["FlightLog", "flight_recorder", "new_sweeps", "record"]
 
 _log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ class FlightLog:
         self._sources = 0
         self._pose: tuple[int, float, VehicleState] | None = None  # epoch, time [s] and state of the last pose
         self._failed = False
-        self._cloud: NDArray[np.float32] | None = None  # of the last frame
+        self._sweeps: Sweeps | None = None  # of the last frame
         try:
             self._file = self.path.open("wb")
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -145,20 +145,19 @@ class FlightLog:
         if self._last is not None and frame.epoch != self._last.epoch:
             self._base += self._stamp + _JUMP_STEP - stamp
             stamp = self._stamp + _JUMP_STEP
-            self._cloud = None
+            self._sweeps = None
         self._stamp = stamp
         return stamp
 
     def _write_sweeps(self, frame: Frame, stamp: int) -> None:
-        cloud = frame.observation.points
-        if cloud is self._cloud:
+        sweeps = frame.observation.sweeps
+        if sweeps is self._sweeps:
             return
-        added, is_whole = new_points(self._cloud, cloud)
-        self._cloud = cloud
-        parts = np.array_split(added, max(frame.observation.sweep_count, 1)) if is_whole else [added]
-        for i, part in enumerate(parts):
-            if len(part):
-                self._add(_sweep_message(frame, part, stamp + i * _SWEEP_STEP), stamp + i * _SWEEP_STEP)
+        added = new_sweeps(self._sweeps, sweeps)
+        self._sweeps = sweeps
+        for i, points in enumerate(added):
+            if len(points):
+                self._add(_sweep_message(frame, points, stamp + i * _SWEEP_STEP), stamp + i * _SWEEP_STEP)
 
     def _add(self, message: Encoded, stamp: int) -> None:
         if message.topic not in self._channels:
@@ -199,22 +198,21 @@ def _sweep_message(frame: Frame, points: NDArray[np.float32], stamp: int) -> Enc
     return sweep(in_body.astype(np.float32), stamp)
 
 
-def new_points(before: NDArray[np.float32] | None, cloud: NDArray[np.float32]) -> tuple[NDArray[np.float32], bool]:
-    """Return the points of a cloud that are not in the previous cloud, and True if these are all its points.
+def new_sweeps(before: Sweeps | None, sweeps: Sweeps) -> list[NDArray[np.float32]]:
+    """Return the sweeps [m], [n, 3] each, that joined since the previous cloud; all of them if the two share none.
 
-    A cloud consists of sweeps, oldest first. From one cloud to the next, sweeps leave at the front and join at the end.
+    From one cloud to the next, sweeps leave at the front and join at the end.
 
     Args:
-        before: previous cloud [m], [P, 3]; None if there is none.
-        cloud: [m], [Q, 3].
+        before: previous cloud; None if there is none.
+        sweeps: present cloud.
     """
-    if before is None or not len(before) or not len(cloud):
-        return cloud, True
-    for first in np.flatnonzero((before == cloud[0]).all(axis=1)):
-        shared = len(before) - first
-        if shared <= len(cloud) and np.array_equal(before[first:], cloud[:shared]):
-            return cloud[shared:], False
-    return cloud, True
+    held, present = list(before or ()), list(sweeps)
+    for shared in range(min(len(held), len(present)), 0, -1):
+        pairs = zip(held[-shared:], present, strict=False)
+        if all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in pairs):
+            return present[shared:]
+    return present
 
 
 @contextlib.contextmanager

@@ -15,12 +15,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from aero_planner import PlannerConfig
+from aero_planner import PlannerConfig, Sweeps
 from aero_planner.config.file import load_config
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource, fly
 from aero_viz.logs import FlightLog, flight_log, flight_recorder, record
-from aero_viz.logs.flight_log import new_points
+from aero_viz.logs.flight_log import new_sweeps
 from aero_viz.recordings import RecordingSource, inspect, open_recording
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
@@ -109,7 +109,7 @@ def test_each_sweep_is_written_once_in_the_body_frame(session, tmp_path):
     sweeps = decoded(tmp_path / "a.mcap")["/sweep"]
     assert len(sweeps) == 32  # thirty at the start, two new
     sizes = [cloud.width for _, cloud in sweeps]
-    assert sum(sizes[:30]) == len(frames[0].observation.points)
+    assert sum(sizes[:30]) == frames[0].observation.sweeps.point_count
     for index, sweep in ((5, sweeps[30]), (10, sweeps[31])):
         _, cloud = sweep
         assert cloud.header.frame_id == "body"
@@ -122,21 +122,25 @@ def test_each_sweep_is_written_once_in_the_body_frame(session, tmp_path):
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), expected, atol=1e-4)
 
 
-def test_new_points():
+def test_new_sweeps_are_those_that_joined_at_the_end():
     rng = np.random.default_rng(0)
-    sweeps = [rng.normal(size=(n, 3)).astype(np.float32) for n in (5, 3, 4, 6)]
-    joined = np.concatenate
-    added, whole = new_points(joined(sweeps[:3]), joined(sweeps[1:]))
-    assert not whole
-    np.testing.assert_array_equal(added, sweeps[3])
-    assert len(new_points(joined(sweeps[:3]), joined(sweeps[:3]))[0]) == 0
-    np.testing.assert_array_equal(new_points(sweeps[0], joined(sweeps[:2]))[0], sweeps[1])  # none has left yet
-    np.testing.assert_array_equal(new_points(joined(sweeps[:3]), joined(sweeps[2:]))[0], sweeps[3])  # two have
-    twice = joined([sweeps[1], sweeps[1]])
-    np.testing.assert_array_equal(new_points(joined([sweeps[0], twice]), joined([twice, sweeps[2]]))[0], sweeps[2])
-    for before in (None, sweeps[0]):
-        points, whole = new_points(before, sweeps[1])
-        assert whole and points is sweeps[1]
+    a, b, c, d = Sweeps([rng.normal(size=(n, 3)).astype(np.float32) for n in (5, 3, 4, 6)])
+    copy = b.copy()  # a live drone sends its sweeps again
+    cases = [
+        ([a, b, c], [b, c, d], [d]),
+        ([a, b, c], [copy, c, d], [d]),
+        ([a, b, c], [a, b, c], []),
+        ([a], [a, b], [b]),  # none has left yet
+        ([a, b, c], [c, d], [d]),  # two have
+        ([a, b, b], [b, b, c], [c]),
+        ([a], [b, c], [b, c]),  # a jump
+        (None, [a, b], [a, b]),
+    ]
+    for before, after, expected in cases:
+        added = new_sweeps(None if before is None else Sweeps(before), Sweeps(after))
+        assert len(added) == len(expected)
+        for points, wanted in zip(added, expected, strict=True):
+            np.testing.assert_array_equal(points, wanted)
 
 
 def test_configurations_world_and_settings_are_attached(session, tmp_path):
