@@ -123,8 +123,11 @@ class ReaderProcess:
             timer.cancel()
             if answer is None or not self._is_kept:
                 self.close()
-        if self._verdict is not None:
-            raise self._verdict
+        verdict = self._verdict
+        if verdict is not None:
+            if self._is_kept and not isinstance(verdict, ReadCancelled):
+                self._verdict = None  # the next call starts a process
+            raise verdict
         if answer is None:
             if process.returncode == -getattr(signal, "SIGXCPU", math.inf):
                 raise UserError(f"Reading it takes more than {limits.cpu_seconds:g} s of CPU time.")

@@ -82,6 +82,8 @@ def test_every_call_of_a_kept_process_has_its_own_limits():
     assert len(reader.call(Limits(memory=2_000_000_000), bytes, 400_000_000)) == 400_000_000
     with pytest.raises(UserError, match=r"more than 1 s of CPU time"):
         reader.call(Limits(cpu_seconds=1.0), pow, 3, 10**9)
+    with pytest.raises(UserError, match=r"longer than 0\.5 s"):
+        reader.call(Limits(seconds=0.5), time.sleep, 60.0)
     assert reader(divmod, 7, 2) == (3, 1)
     reader.close()
 
