@@ -12,9 +12,12 @@ from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.conditions import ConditionControls
 from aero_viz.dashboard.panels.configuration import parse_upload
 from aero_viz.dashboard.panels.controls import SliderControl, add_control
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.scenes import SCENES
+from aero_viz.session.source import Conditions
 
 
 @pytest.fixture(scope="module")
@@ -78,3 +81,18 @@ def test_an_uploaded_file_is_read_and_a_bad_one_is_named():
 
 def test_names_from_outside_are_escaped_in_markup():
     assert "<script>" not in markup.block(markup.pill("<script>", (1, 2, 3)), markup.heading("<script>", "<script>"))
+
+
+def test_the_number_of_obstacles_is_that_of_each_scene_and_a_wrong_one_is_refused(server):
+    controls = ConditionControls(server.gui, Conditions())
+    count = next(c for c in server.gui._gui_input_handle_from_uuid.values() if c.label == "Obstacles")
+    for name, kind in SCENES.items():
+        controls.offer(name)
+        assert count.disabled != kind.counted
+        assert (count.value > 0) == kind.counted
+        assert controls.read(name).count is None, "the scene's own number"
+    for wrong in (-1, 20_001):
+        controls.offer("forest")
+        count.value = wrong
+        with pytest.raises(ValueError, match=f"obstacles is {wrong}; it must be"):
+            controls.read("forest")

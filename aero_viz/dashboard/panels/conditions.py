@@ -30,7 +30,7 @@ class ConditionControls:
 
     def __init__(self, gui: viser.GuiApi, first: Conditions) -> None:
         self._spec = ""
-        self._count = gui.add_number("Obstacles", 0, min=0, max=COUNT_MAX, step=1, hint=f"Number of them. {_HINT}")
+        self._count = gui.add_number("Obstacles", 0, step=1, hint=f"Number of them. {_HINT}")
         names = tuple(dict.fromkeys([first.lidar or "mid360", *LIDARS]))
         self._lidar = gui.add_dropdown("LiDAR", names, initial_value=names[0], hint=f"Model of the LiDAR. {_HINT}")
         with gui.add_folder("Noise and wind", expand_by_default=False):
@@ -54,6 +54,8 @@ class ConditionControls:
             ValueError: a value is out of its bounds or contradicts another one; says how to correct it.
         """
         own, count = _own_count(spec), int(self._count.value)
+        if not 0 <= count <= COUNT_MAX:  # no bounds of the field: the browser would silently replace the number
+            raise ValueError(f"The number of obstacles is {count}; it must be a whole number in [0, {COUNT_MAX}].")
         conditions = Conditions(
             count=None if own is None or spec != self._spec or count == own else count,
             lidar=self._lidar.value,
