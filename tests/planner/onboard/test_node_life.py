@@ -105,6 +105,7 @@ class StandingLink:
         self.failing = False
         self.velocity = np.zeros(3)
         self.peer = None
+        self.min_signing_time = 0
         self.last = np.zeros(4)
         """The newest command."""
 
