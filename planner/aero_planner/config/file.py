@@ -39,6 +39,7 @@ Config = TypeVar("Config", bound=SectionedConfig)
 ONBOARD = "onboard"
 """Key of the settings of the node."""
 
+_YAML_WORDS = {"on", "off", "yes", "no", "true", "false", "null"}
 _MAX_BYTES = 2**20
 
 
@@ -207,7 +208,8 @@ def _format_value(info: ParameterInfo, value: Value) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return f"'{value}'" if info.pattern else value  # a text may look like a number
+        # A text may look like a number, and YAML 1.1 reads some words as booleans.
+        return f"'{value}'" if info.pattern or value in _YAML_WORDS else value
     text = repr(value)
     # YAML 1.1 reads 1e-05 as a text: its numbers with an exponent need a point.
     return text.replace("e", ".0e") if "e" in text and "." not in text else text

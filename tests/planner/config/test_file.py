@@ -23,6 +23,15 @@ def test_saved_files_round_trip_and_read_the_same_with_any_yaml_reader(tmp_path:
     assert os.listdir(tmp_path) == ["config.yaml"]
 
 
+def test_words_that_yaml_reads_as_booleans_are_quoted(tmp_path: Path):
+    path = tmp_path / "config.yaml"
+    save_config(PlannerConfig().replace({"candidates.prove_stop": "off"}), path)
+    assert yaml.safe_load(path.read_text())["candidates"]["prove_stop"] == "off"
+    assert load_config(path).candidates.prove_stop == "off"
+    path.write_text("candidates:\n  prove_stop: off\n")
+    assert load_config(path).candidates.prove_stop == "off"
+
+
 @pytest.mark.parametrize("value", [1e-5, 1e-300, 5e-324, 0.1 + 0.2, 1e3, 123.456789012345])
 def test_floats_round_trip_exactly(tmp_path: Path, value: float):
     path = tmp_path / "config.yaml"
