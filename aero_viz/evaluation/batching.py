@@ -9,19 +9,15 @@ import warp as wp
 from aero_planner.warp_init import init_warp
 from aero_viz.errors import UserError
 
-__all__ = ["Progress", "batch_progress", "default_batch"]
+__all__ = ["Progress", "batch_status", "default_batch"]
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of finished flights, the total number, and a description of the current work."""
 
 
-def batch_progress(report: Progress, label: str, *, before: int, total: int) -> Callable[[int, int, float], None]:
-    """Return a progress callback for one batch of `total` flights, of which `before` finished in earlier batches."""
-
-    def update(finished: int, flights: int, seconds: float) -> None:
-        report(before + finished, total, f"{label}: {seconds:.1f} s, {finished} of {flights} finished")
-
-    return update
+def batch_status(label: str, finished: int, flights: int, seconds: float) -> str:
+    """Return the description of a batch of flights, of which some have finished after a simulated time [s]."""
+    return f"{label}: {seconds:.1f} s, {finished} of {flights} finished"
 
 
 def default_batch(device: str) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, default_batch
+from aero_viz.evaluation.batching import Progress, batch_status, default_batch
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.evaluation.executor import Executor, LocalExecutor
@@ -205,8 +205,7 @@ def _fly_shards(run: Run, folder: Path, shards: Sequence[_Shard], executor: Exec
             report(len(run.flights), run.total, f"{shard.label}: building {len(shard.flights)} worlds")
 
     def follow(finished: int, flights: int, seconds: float) -> None:
-        text = f"{shards[ended].label}: {seconds:.1f} s, {finished} of {flights} finished"
-        report(len(run.flights) + finished, run.total, text)
+        report(len(run.flights) + finished, run.total, batch_status(shards[ended].label, finished, flights, seconds))
 
     try:
         describe()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from aero_planner import PlannerConfig
-from aero_viz.evaluation.batching import Progress
+from aero_viz.evaluation.batching import Progress, batch_status
 from aero_viz.evaluation.executor import Executor
 from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
@@ -95,8 +95,7 @@ class CandidateFlights:
         self._report(self.done, self.total, label)
 
         def follow(finished: int, flights: int, seconds: float) -> None:
-            text = f"{label}: {seconds:.1f} s, {finished} of {flights} finished"
-            self._report(self.done + finished, self.total, text)
+            self._report(self.done + finished, self.total, batch_status(label, finished, flights, seconds))
 
         for index, (flown, interrupted) in self._executor.map(_fly_shard, shards, progress=follow):
             if interrupted:
