@@ -60,9 +60,9 @@ def open_study(
     definition = json.loads(json.dumps(definition))
     digest = hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()[:8]
     pruner = optuna.pruners.WilcoxonPruner(p_threshold=_GIVE_UP_AT)
-    if storage is not None and storage.startswith("sqlite:///"):
-        Path(storage.removeprefix("sqlite:///")).absolute().parent.mkdir(parents=True, exist_ok=True)
     try:
+        if storage is not None and storage.startswith("sqlite:///"):
+            Path(storage.removeprefix("sqlite:///")).absolute().parent.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
             storage=storage,
             sampler=_make_sampler(sampler, generation=generation, seed=seed, count=len(objectives)),

@@ -183,6 +183,7 @@ def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path) -> None
         ({"device": "cuda:77"}, "'cuda:77' is not available"),
         ({"sampler": "cmaes", "objectives": ("time", "clearance")}, "CMA-ES has one objective only"),
         ({"storage": "nonsense://x"}, "Cannot open the storage nonsense://x"),
+        ({"storage": "sqlite:////dev/null/below/tune.db"}, "Cannot open the storage sqlite:////dev/null/below/tune.db"),
     ],
 )
 def test_options_out_of_range_are_refused(poles: World, options: dict[str, Any], message: str) -> None:
