@@ -208,6 +208,8 @@ class SweepMemory:
 
     def _copy(self, entry: _Entry) -> None:
         """Copy a sweep to its place, on CUDA through pinned memory and without waiting."""
+        if len(entry.points) == 0:
+            return  # wp.copy takes a count of 0 for the whole array
         points = self.arrays.points
         if self._device.is_cpu:
             host: Any = points.numpy()
