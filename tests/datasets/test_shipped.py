@@ -19,7 +19,7 @@ from aero_viz.session import Session
 def test_shipped_recordings_play_with_poses_and_are_small() -> None:
     shipped = shipped_recordings()
     assert list(shipped) == ["forest_mid360", "room_mid360"]
-    assert sum(path.stat().st_size for path, _ in shipped.values()) < 1_000_000
+    assert sum(path.stat().st_size for path, _ in shipped.values()) < 300_000
     for path, _ in shipped.values():
         session = Session(open_source(str(path)))
         assert all(session.tick().plan.status == PlanStatus.OK for _ in range(3))
