@@ -6,7 +6,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -14,6 +14,9 @@ from aero_planner import PlannerConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Source
+
+if TYPE_CHECKING:
+    from aero_viz.session.comparison import Comparison
 
 __all__ = ["BaseSession", "Publisher", "SessionControls"]
 
@@ -49,6 +52,27 @@ class SessionControls(Protocol):
 
     def redo(self) -> PlannerConfig:
         """Return to the configuration that `undo` left."""
+        ...
+
+    @property
+    def comparison(self) -> Comparison:
+        """State of the comparison with a pinned configuration, A."""
+        ...
+
+    def pin(self) -> Future[Any]:
+        """Pause, and make the present configuration A, with which every later configuration, B, is compared."""
+        ...
+
+    def unpin(self) -> Future[Any]:
+        """Compare nothing any more."""
+        ...
+
+    def compare_with(self, config: PlannerConfig) -> Future[Any]:
+        """Use `config` as B, beside the configuration that is pinned; without one, the present one is pinned first."""
+        ...
+
+    def fly_both(self) -> Future[Any]:
+        """Pause, let A fly from the present tick to its end, and then play B from there."""
         ...
 
 

@@ -221,6 +221,7 @@ class Engine:
             trail=self._timeline.trail(),
             epoch=self._epoch,
             source=self.source.info,
+            checkpoint=self._timeline.current,
         )
         return self._publish(frame)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig
 from aero_viz.session.source import Observation, SourceInfo
+from aero_viz.session.timeline import Checkpoint
 
 __all__ = ["Frame", "Notice"]
 
@@ -48,6 +49,8 @@ class Frame:
     """Changes when time jumps or another source starts."""
     source: SourceInfo
     """The source of the observation; another object means another source."""
+    checkpoint: Checkpoint | None = None
+    """What repeats this tick, also with another configuration; None where the tick cannot be repeated."""
 
 
 @dataclass(frozen=True)

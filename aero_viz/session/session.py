@@ -16,6 +16,7 @@ from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession, SessionControls
 from aero_viz.session.clock import Clock
+from aero_viz.session.comparison import Comparison
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
 from aero_viz.session.frame import Frame
@@ -49,6 +50,8 @@ class Session(BaseSession):
         self._configs = ConfigHistory(config or PlannerConfig())
         super().__init__()
         self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
+        self.comparison = Comparison(self._engine, device=device, seed=seed, config=lambda: self.config)
+        """State of the comparison with a pinned configuration, A."""
         self._clock = Clock()
         self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
@@ -209,6 +212,43 @@ class Session(BaseSession):
         self._post(self._replan_if_changed)
         return config
 
+    def pin(self) -> Future[Any]:
+        """Pause, and make the present configuration A, with which every later configuration, B, is compared."""
+
+        def command() -> None:
+            self._set_playing(False)
+            self.comparison.pin()
+
+        return self._post(command)
+
+    def unpin(self) -> Future[Any]:
+        """Compare nothing any more."""
+        return self._post(self.comparison.unpin)
+
+    def compare_with(self, config: PlannerConfig) -> Future[Any]:
+        """Use `config` as B, beside the configuration that is pinned; without one, the present one is pinned first."""
+
+        def command() -> None:
+            self._set_playing(False)
+            if self.comparison.pinned is None:
+                self.comparison.pin()
+            self._configs.change(config)
+            self._replan_if_changed()
+
+        return self._post(command)
+
+    def fly_both(self) -> Future[Any]:
+        """Pause, let A fly from the present tick to its end, and then play B from there.
+
+        The future is done when A departs; it has a UserError if nothing is pinned or the session is at its end.
+        """
+
+        def command() -> None:
+            self._set_playing(False)
+            self.comparison.depart(when_over=self.play)
+
+        return self._post(command)
+
     def _post(self, command: Callable[[], Any], *, quiet: bool = False) -> Future[Any]:
         """Run `command` between two ticks: immediately if the session has no thread and nobody is ticking it."""
         future: Future[Any] = Future()
@@ -242,6 +282,8 @@ class Session(BaseSession):
                 while self._thread is None and not self._commands.empty():
                     if (command := self._commands.get()) is not None:
                         command()
+                        while self.comparison.has_work and not self._playing and not self._closed:
+                            self._compare()
             finally:
                 self._lock.release()
 
@@ -304,16 +346,32 @@ class Session(BaseSession):
             self._set_playing(True)
             self._clock.restart(self._engine.next_time)
         while True:
-            delay = self._clock.delay_until(self._engine.next_time) if self._playing else None
             try:
-                command = self._commands.get(timeout=delay)
+                command = self._commands.get(timeout=self._idle_time())
             except queue.Empty:
-                self._keep_up()
-                self._try_tick()
+                if self._playing:
+                    self._keep_up()
+                    self._try_tick()
+                else:
+                    self._compare()
                 continue
             if command is None:
                 return
             command()
+
+    def _idle_time(self) -> float | None:
+        """Return the time until there is work besides commands [s]; None for ever."""
+        if self._playing:
+            return self._clock.delay_until(self._engine.next_time)
+        return 0.0 if self.comparison.has_work else None
+
+    def _compare(self) -> None:
+        """Work on the comparison. If it fails, it ends."""
+        try:
+            self.comparison.work()
+        except Exception as error:
+            self.comparison.unpin()
+            self._report(error)
 
     def _try_tick(self) -> bool:
         try:
@@ -342,6 +400,7 @@ class Session(BaseSession):
             self._thread.join(timeout=10.0)
         self.close_sinks()
         if self._thread is None or not self._thread.is_alive():
+            self.comparison.close()
             self._engine.close()  # never while a thread still plans with it
 
 
