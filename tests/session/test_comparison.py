@@ -80,7 +80,7 @@ def test_a_flies_as_the_session_itself_would_and_leaves_it_where_it_is(session):
     wait_for(lambda: session.playing)
     assert session.frame is before, "the session has not moved"
     wait_for(lambda: events[-1].frame is not None and events[-1].frame.outcome is not None)
-    flown = [event.frame for event in events if event.kind == "flown"]
+    flown: list[Any] = [event.frame for event in events if event.kind == "flown"]
     assert [frame.time for frame in flown] == pytest.approx([frame.time for frame in expected[7:]])
     for mine, theirs in zip(flown, expected[7:], strict=True):
         np.testing.assert_array_equal(mine.observation.state.position, theirs.observation.state.position)
