@@ -152,6 +152,7 @@ class FlightSource:
                 sweeps=self._cloud,
                 ground_height=self._world.ground_height,
                 true_state=self._true_state,
+                sweep_times=self._sweep_times,
             )
         return self._observation
 
@@ -287,6 +288,8 @@ class FlightSource:
         """Make the cloud of these sweeps, oldest first."""
         self._sweeps = sweeps
         self._cloud = Sweeps((self._sweep_points(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
+        numbers = np.array([sweep.scans[-1].sweep for sweep in sweeps])
+        self._sweep_times = (numbers + 1) / self.simulator.lidar.model.sweep_rate
         self._observation = None
 
     def _sweep_points(self, sweep: _Sweep) -> Cloud:

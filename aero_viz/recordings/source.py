@@ -139,7 +139,8 @@ class RecordingSource:
         first, last = self._window(time)
         age = time - float(self.recording.sweep_times[last - 1])
         goal = Goal(self._goal_at(time, pose))
-        return Observation(time, state, goal, self._sweeps(first, last), cloud_age=max(age, 0.0))
+        sweeps, sweep_times = self._sweeps(first, last), self.recording.sweep_times[first:last]
+        return Observation(time, state, goal, sweeps, cloud_age=max(age, 0.0), sweep_times=sweep_times)
 
     def advance(self, plan: Plan | None = None) -> None:
         """Go to the next tick; the plan is ignored. After the last tick the outcome is "end"."""

@@ -45,6 +45,7 @@ class Engine:
         self._configs = configs
         self._config = configs.current[0]
         self._planner = Planner(self._config, device=device, seed=seed)
+        self._seed = seed
         self._publish_frame = publish
         self._timeline = Timeline()
         self._tick_ends: deque[float] = deque(maxlen=200)
@@ -222,6 +223,8 @@ class Engine:
             epoch=self._epoch,
             source=self.source.info,
             checkpoint=self._timeline.current,
+            seed=self._seed,
+            device=self._planner.device,
         )
         return self._publish(frame)
 

@@ -36,6 +36,8 @@ class Observation:
     """Height of the flat ground [m], world frame; None where there is none or it is unknown."""
     true_state: VehicleState | None = None
     """True state of a simulated vehicle; None for a recording."""
+    sweep_times: NDArray[np.float64] | None = None
+    """Time at the end of each sweep [s], oldest first; None where it is unknown."""
 
     @property
     def points(self) -> NDArray[np.float32]:

@@ -1,0 +1,219 @@
+"""The costs S1 and S2 term by term and step by step, in float64 NumPy after the equations of the kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from aero_planner import PlannerConfig
+from aero_planner.kernels.mppi import PROBES
+from aero_planner.quaternions import conjugate, multiply, rotate
+
+__all__ = ["STAGE1", "STAGE2", "Obstacles", "Problem", "Rollouts", "roll_out", "stage1_terms", "stage2_terms"]
+
+Array = NDArray[np.float64]
+
+STAGE2 = (
+    "goal position", "goal height", "goal velocity", "goal attitude", "obstacles", "speed limit", "blocked path",
+    "escape",
+)  # fmt: skip
+"""Names of the terms of S2: the parts of J_goal, J_col, and the options."""
+STAGE1 = ("guide tracking", "speed", "control effort", "control change", *STAGE2)
+"""Names of the terms of S1: J_track, J_vnorm, the parts of J_ctrl, and S2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """States after each of N controls, world frame; any leading axes."""
+
+    positions: Array
+    """[m], shape [.., N, 3]."""
+    velocities: Array
+    """[m/s], shape [.., N, 3]."""
+    quaternions: Array
+    """w x y z, body to world, shape [.., N, 4]."""
+
+
+class Obstacles:
+    """Distances as the planner measures them: to the filtered cloud, to the ground and to the band of heights.
+
+    Args:
+        points: filtered cloud [m], shape [P, 3].
+        ground_height: [m]; None where it is unknown.
+        config: configuration of the planner.
+    """
+
+    def __init__(self, points: NDArray[np.float32], ground_height: float | None, config: PlannerConfig) -> None:
+        self.points = points
+        self._tree = KDTree(points) if len(points) else None
+        self._ground = -np.inf if ground_height is None or not config.costs.use_ground else ground_height
+        self._band = config.costs.height_min, config.costs.height_max
+
+    def distance(self, positions: Array) -> Array:
+        """Return the distance of each position [m], shape [.., 3], to the nearest obstacle [m]."""
+        height = positions[..., 2]
+        level = np.minimum(np.minimum(height - self._band[0], self._band[1] - height), height - self._ground)
+        return np.minimum(self._nearest(positions)[0], np.maximum(level, 0.0))
+
+    def nearest_point(self, position: Array) -> NDArray[np.float32] | None:
+        """Return the nearest point of the cloud [m], shape [3]; None where the ground or the band is nearer."""
+        distance, row = self._nearest(position)
+        return self.points[int(row)] if np.isfinite(distance) and distance <= self.distance(position) else None
+
+    def _nearest(self, positions: Array) -> tuple[Array, NDArray[np.int64]]:
+        if self._tree is None:
+            return np.full(positions.shape[:-1], np.inf), np.zeros(positions.shape[:-1], dtype=np.int64)
+        distance, row = self._tree.query(positions)
+        return np.asarray(distance), np.asarray(row, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What the costs of all rollouts have in common."""
+
+    config: PlannerConfig
+    goal: tuple[Array, Array, Array]
+    """Position [m], velocity [m/s] and quaternion."""
+    obstacles: Obstacles
+    places: Array
+    """Places without progress that were remembered [m], shape [n, 3]."""
+
+
+def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: Array | None = None) -> Array:
+    """Return the terms `STAGE2` at each step, shape [terms, .., N]; their sum is S2.
+
+    The blocked path and the escape term depend on the final state and count at the last step.
+
+    Args:
+        x: rollouts.
+        waypoint: waypoint of the cost-to-go [m], shape [.., 3].
+        problem: goal, obstacles and weights.
+        collision: J_col at each step, shape [.., N]; None computes it.
+    """
+    c, speed_limit = problem.config.costs, problem.config.vehicle.speed_limit
+    p_goal, v_goal, q_goal = problem.goal
+    if collision is None:
+        collision = collision_cost(problem.obstacles.distance(x.positions), problem.config)
+    error = multiply(x.quaternions, conjugate(q_goal))
+    excess = np.maximum(np.linalg.norm(x.velocities, axis=-1) - speed_limit, 0.0)
+    end = x.positions[..., -1, :]
+    at_end = np.zeros((2, *x.positions.shape[:-1]))
+    at_end[0, ..., -1] = _blocked_cost(end, waypoint, problem)
+    depth = problem.config.escape.radius - np.linalg.norm(end[..., None, :] - problem.places, axis=-1)
+    at_end[1, ..., -1] = problem.config.escape.q_escape * np.maximum(depth, 0.0).sum(axis=-1)
+    return np.stack(
+        (
+            c.q_position * np.linalg.norm(x.positions - p_goal, axis=-1),
+            c.q_height * np.abs(x.positions[..., 2] - p_goal[2]),
+            c.q_velocity * np.linalg.norm(x.velocities - v_goal, axis=-1),
+            c.q_attitude * np.sqrt(8.0) * np.linalg.norm(error[..., 1:], axis=-1),
+            collision,
+            c.q_speed * excess**2,
+            *at_end,
+        )
+    )
+
+
+def stage1_terms(
+    x: Rollouts,
+    controls: Array,
+    guide: Array | None,
+    command: Array,
+    waypoint: Array,
+    problem: Problem,
+    *,
+    collision: Array | None = None,
+) -> Array:
+    """Return the terms `STAGE1` at each step, shape [terms, .., N]; their sum is S1.
+
+    Args:
+        x: rollouts.
+        controls: F_t [N] and omega [rad/s], shape [.., N, 4].
+        guide: guide at the times of the states [m], shape [N, 3]; None for the previous plan, which has no J_track.
+        command: control that is being flown, shape [4].
+        waypoint, problem, collision: as in `stage2_terms`.
+    """
+    c = problem.config.costs
+    before = np.concatenate((np.broadcast_to(command, (*controls.shape[:-2], 1, 4)), controls[..., :-1, :]), axis=-2)
+    weight = np.full(controls.shape[-2], c.q_control_rate)
+    weight[0], weight[-1] = c.q_control_jump, 0.0
+    change = weight * ((controls - before) ** 2).sum(axis=-1)
+    effort = c.q_control * (controls**2).sum(axis=-1)
+    effort[..., -1] = 0.0
+    track = np.zeros(x.positions.shape[:-1])
+    if guide is not None:
+        track = c.q_track * np.linalg.norm(x.positions - guide, axis=-1)
+    vnorm = c.q_vnorm * (x.velocities**2).sum(axis=-1)
+    return np.concatenate(
+        (np.stack((track, vnorm, effort, change)), stage2_terms(x, waypoint, problem, collision=collision))
+    )
+
+
+def collision_cost(distance: Array, config: PlannerConfig) -> Array:
+    """Return J_col at each clearance [m]."""
+    c = config.costs
+    if c.shape == "exponential":
+        cost = c.penalty * np.exp(-c.decay * np.maximum(distance - c.distance_min, 0.0))
+    else:
+        soft = c.soft_weight * min(1.0, config.vehicle.speed_limit / c.soft_speed)
+        inside = c.penalty * (2.0 - distance / max(c.distance_min, 1e-9))
+        share = (c.distance_max - distance) / (c.distance_max - c.distance_min)
+        cost = np.where(distance < c.distance_min, inside, soft * share**2)
+    return np.where(distance < c.distance_max, cost, 0.0)
+
+
+def _blocked_cost(end: Array, waypoint: Array, problem: Problem) -> Array:
+    """Return the cost-to-go of each final position [m], shape [.., 3]."""
+    c, goal = problem.config.costs, problem.goal[0]
+    if c.q_blocked == 0.0:
+        return np.zeros(end.shape[:-1])
+    first = np.linalg.norm(waypoint - end, axis=-1)[..., None]
+    second = np.linalg.norm(goal - waypoint, axis=-1)[..., None]
+    length = np.minimum(c.blocked_range, first + second)
+    s = ((np.arange(int(PROBES)) + 0.5) / int(PROBES) * length)[..., None]
+    first, second, waypoint, end = first[..., None], second[..., None], waypoint[..., None, :], end[..., None, :]
+    before = end + s / np.maximum(first, 1e-6) * (waypoint - end)
+    after = waypoint + (s - first) / np.maximum(second, 1e-6) * (goal - waypoint)
+    blocked = problem.obstacles.distance(np.where(s <= first, before, after)) < c.blocked_radius
+    return c.q_blocked * length[..., 0] * blocked.mean(axis=-1)
+
+
+def roll_out(start: tuple[Array, Array, Array], control: Array, controls: Array, config: PlannerConfig) -> Rollouts:
+    """Roll out controls by the model of the planner: RK4, with the lags of the vehicle.
+
+    Args:
+        start: position [m], velocity [m/s] and unit quaternion.
+        control: control in effect at the start, shape [4].
+        controls: F_t [N] and omega [rad/s], shape [.., N, 4].
+        config: configuration of the planner.
+    """
+    vehicle, dt = config.vehicle, config.sampling.dt
+    lags = np.array([vehicle.thrust_lag, vehicle.rate_xy_lag, vehicle.rate_xy_lag, vehicle.rate_z_lag])
+    left = np.where(lags > 0.0, np.exp(-dt / np.maximum(lags, 1e-6)), 0.0)
+    mean_left = lags * (1.0 - left) / dt
+    shape = controls.shape[:-2]
+    p, v, q = (np.broadcast_to(part, (*shape, len(part))) for part in start)
+    states: list[tuple[Array, Array, Array]] = []
+    for t in range(controls.shape[-2]):
+        u = controls[..., t, :]
+        mean, control = u + mean_left * (control - u), u + left * (control - u)
+
+        def derivative(q: Array, u: Array = mean) -> tuple[Array, Array]:
+            rate = np.concatenate((np.zeros((*shape, 1)), u[..., 1:]), axis=-1)
+            thrust = u[..., :1] / vehicle.mass * rotate(q, np.array([0.0, 0.0, 1.0]))
+            return thrust - [0.0, 0.0, vehicle.gravity], 0.5 * multiply(q, rate)
+
+        a1, d1 = derivative(q)
+        a2, d2 = derivative(q + 0.5 * dt * d1)
+        a3, d3 = derivative(q + 0.5 * dt * d2)
+        a4, d4 = derivative(q + dt * d3)
+        p = p + dt * v + dt * dt / 6.0 * (a1 + a2 + a3)
+        v = v + dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+        q = q + dt / 6.0 * (d1 + 2.0 * d2 + 2.0 * d3 + d4)
+        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+        states.append((p, v, q))
+    positions, velocities, quaternions = (np.stack(part, axis=-2) for part in zip(*states, strict=True))
+    return Rollouts(positions, velocities, quaternions)

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.catalog import open_source
+from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.session import Session
+
+
+@pytest.fixture(scope="session")
+def replan() -> Iterator[Replanner]:
+    replanner = Replanner()
+    yield replanner
+    replanner.close()
+
+
+@functools.cache
+def evidence_of(scene: str, ticks: int, every: int, preset: str = "default") -> tuple[Evidence, ...]:
+    """Return the evidence of every n-th plan of the beginning of a flight."""
+    session, replanner = Session(open_source(scene, seed=0), config=PlannerConfig.preset(preset)), Replanner()
+    frames = [session.tick() for _ in range(ticks)][every - 1 :: every]
+    session.close()
+    evidence = tuple(map(replanner, frames))
+    replanner.close()
+    return evidence

@@ -1,0 +1,71 @@
+"""Costs by term add up to those of the planner, and the safe instances are those that it chooses from."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from aero_planner import PlanStatus
+from aero_viz.errors import UserError
+from aero_viz.explain.terms import STAGE1, STAGE2
+from aero_viz.explain.verdict import verdict
+from tests.explain.conftest import evidence_of
+
+FLIGHTS = (("forest", 60, 15, "default"), ("double_wall_trap", 36, 12, "default"), ("verticals", 80, 20, "paper"))
+
+
+@pytest.mark.parametrize("flight", FLIGHTS)
+def test_terms_add_up_to_the_costs_of_the_planner(flight):
+    for evidence in evidence_of(*flight):
+        plan = evidence.frame.plan
+        assert evidence.is_exact
+        assert evidence.terms.shape == (len(STAGE2), *plan.controls.shape[:2])
+        np.testing.assert_allclose(evidence.terms.sum(axis=(0, 2)), plan.stage2_cost, rtol=1e-5)
+        np.testing.assert_allclose(evidence.terms[:4].sum(axis=(0, 2)), plan.goal_cost, rtol=1e-5)
+        collision = evidence.terms[STAGE2.index("obstacles")].sum(axis=1)
+        np.testing.assert_allclose(collision, plan.collision_cost, rtol=1e-4, atol=0.01)
+        for instance in (0, len(plan.kinds) - 1):
+            stage1, cost = evidence.stage1(instance), plan.stage1_cost[instance]
+            assert len(stage1.terms) == len(STAGE1)
+            np.testing.assert_allclose(stage1.terms.sum(axis=(0, 2)), cost, rtol=3e-4)
+            assert stage1.best == cost.argmin() and 1.0 <= stage1.effective_samples <= len(cost)
+
+
+@pytest.mark.parametrize("flight", FLIGHTS)
+def test_the_planner_chooses_the_cheapest_safe_instance(flight):
+    prefers_safe = flight[-1] == "default"
+    for evidence in evidence_of(*flight):
+        plan, best = evidence.frame.plan, int(evidence.frame.plan.best)
+        if plan.status == PlanStatus.OK:
+            assert evidence.is_safe[best]
+            assert best == np.where(evidence.is_safe | (not prefers_safe), plan.stage2_cost, np.inf).argmin()
+        elif prefers_safe:
+            assert not evidence.is_safe.any()
+
+
+@pytest.mark.parametrize("flight", FLIGHTS)
+def test_every_instance_has_its_sentence(flight):
+    for evidence in evidence_of(*flight):
+        plan, best = evidence.frame.plan, int(evidence.frame.plan.best)
+        sentences = [verdict(evidence, m) for m in range(len(plan.kinds))]
+        if plan.status == PlanStatus.OK:
+            assert f"Instance {best} won" in sentences.pop(best)
+            assert all(f"lost to {best}: " in sentence or "is unsafe: " in sentence for sentence in sentences)
+        else:
+            assert all("No candidate is safe" in sentence for sentence in sentences)
+
+
+def test_a_sentence_names_term_time_and_obstacle():
+    """At the first wall, instance 1 loses by its obstacle term while it crosses box 0."""
+    evidence = evidence_of(*FLIGHTS[1])[0]
+    assert verdict(evidence, 1).startswith("Instance 1 lost to 15: 608229 more for obstacles between 0.50 and 0.70 s, ")
+    assert verdict(evidence, 1).endswith("m from box 0.")
+    assert evidence.distance[1, 10:14].max() < 0.3 < evidence.distance[1, 9]
+
+
+def test_a_plan_of_a_drone_cannot_be_explained(replan):
+    frame = evidence_of(*FLIGHTS[1])[0].frame
+    with pytest.raises(UserError, match="own log"):
+        replan(dataclasses.replace(frame, checkpoint=None))
