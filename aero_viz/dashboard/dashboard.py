@@ -24,6 +24,7 @@ from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
 from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession
+from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Conditions, Opener, SourceInfo
 
@@ -113,6 +114,9 @@ class Dashboard:
             session.subscribe_notices(self._notify),
             session.subscribe_playing(lambda _: self.refresh()),
         ]
+        self._comparison = None if session.controls is None else session.controls.comparison
+        if self._comparison is not None:
+            self._comparison_sink = self._comparison.subscribe(self._follow_comparison, name="comparison")
         self.server.on_client_connect(self._welcome)
 
     @property
@@ -186,6 +190,8 @@ class Dashboard:
         for sink in (self._sink, *self._event_sinks):
             if sink is not None:
                 self._session.unsubscribe(sink)
+        if self._comparison is not None:
+            self._comparison.unsubscribe(self._comparison_sink)
         for panel in self.panels:
             panel.close()
         self.server.stop()
@@ -229,6 +235,13 @@ class Dashboard:
         if self._panels_outdated and not playing:
             self._page.refresh_after(_PANEL_PERIOD)
         time.sleep(self._limiter.delay(ended))
+
+    def _follow_comparison(self, event: ComparisonEvent) -> None:
+        self.history.compare(event)
+        if event.kind != "flown" or event.frame is None or event.frame.outcome is not None:
+            self.refresh()
+        elif self._sink is not None:
+            self._sink.put(None)
 
     def _notify(self, notice: Notice) -> None:
         notify(self.server, notice.text, level=notice.level)

@@ -1,4 +1,4 @@
-"""Figures and events of every tick of a source, and of the future that was left when the flight forked."""
+"""Figures and events of every tick of a source, and of the flight that it is compared with, the ghost."""
 
 from __future__ import annotations
 
@@ -10,17 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig, PlanStatus
+from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
-__all__ = ["CLEARANCE_MAX", "COLUMNS", "Event", "FlightHistory", "Past", "effective_samples", "true_clearance"]
+__all__ = [
+    "CLEARANCE_MAX",
+    "COLUMNS",
+    "Event",
+    "FlightHistory",
+    "Past",
+    "effective_samples",
+    "first_difference",
+    "true_clearance",
+]
 
 CLEARANCE_MAX = 5.0
 """Largest clearance that is told apart [m]."""
 COLUMNS = (
-    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "samples", "x", "y", "z",
+    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "samples", "best",
+    "x", "y", "z",
 )  # fmt: skip
 """Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
-candidates, effective number of samples of the chosen instance, position [m]."""
+candidates, effective number of samples of the chosen instance, number of that instance, position [m]."""
 _SOLIDS_MAX = 3000
 """Number of solids up to which the exact clearance is computed at every tick; more take too long."""
 _SAME = 1e-4
@@ -47,11 +58,24 @@ class Past:
     """One row for each tick so far, in the order of time, with the columns `COLUMNS`."""
     events: tuple[Event, ...]
     ghost: Rows
-    """Rows of the future that was left when the flight last forked; empty if it never did."""
+    """Rows of the ghost: the flight of configuration A, or the future that was left when the flight last forked. Empty
+    without either."""
     ghost_outcome: str | None
-    """Outcome of that future; None if it was left while running."""
+    """Outcome of the ghost; None if it was left while running."""
+    ghost_name: str
+    """"A", or "before" for the future that was left."""
     differs_at: float | None
-    """First time at which the flight differs from that future [s]; None as long as it does not."""
+    """First time at which the flight differs from the ghost [s]; None as long as it does not. In a recording, whose
+    motion is given, another instance is chosen."""
+    pinned: PlannerConfig | None
+    """Configuration A; None while nothing is compared."""
+    alternative: Frame | None
+    """Newest plan of configuration A, which may be that of another tick; see `alternative_to`."""
+
+    def alternative_to(self, frame: Frame) -> Frame | None:
+        """Return the plan of configuration A for the tick of `frame`; None if there is none."""
+        a = self.alternative
+        return a if a is not None and a.source is frame.source and a.time == frame.time else None
 
 
 class FlightHistory:
@@ -59,6 +83,9 @@ class FlightHistory:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self._pinned: PlannerConfig | None = None
+        self._alternative: Frame | None = None
+        self._ghost_name = "before"
         self._clear()
 
     def add(self, frame: Frame) -> None:
@@ -76,30 +103,56 @@ class FlightHistory:
                 self._fork(at)
             self._put(at, row)
             self._events += _events(last, frame)
-            self._compare(row)
             self._outcome = frame.outcome if frame.outcome is not None else self._outcome
             self._last = frame
+
+    def compare(self, event: ComparisonEvent) -> None:
+        """Follow the comparison with configuration A: its plan of the present tick, and its flight as the ghost."""
+        row = _row(event.frame) if event.kind == "flown" and event.frame is not None else None
+        with self._lock:
+            self._pinned = event.config
+            if event.kind in ("pinned", "unpinned"):
+                self._alternative = None
+            if event.kind == "planned":
+                self._alternative = event.frame
+            elif event.kind != "flown":
+                self._set_ghost([], None)
+                self._ghost_name = "before" if event.kind == "unpinned" else "A"
+            elif row is not None and event.frame is not None:
+                self._ghost.append(row)
+                self._ghost_outcome = event.frame.outcome
 
     def past(self) -> Past:
         """Return everything so far."""
         with self._lock:
             rows = self._rows[: self._count].copy()
-            return Past(rows, tuple(self._events), self._ghost, self._ghost_outcome, self._differs_at)
+            if len(self._ghost_rows) != len(self._ghost):
+                self._ghost_rows = np.array(self._ghost)
+            ghost = self._ghost_rows
+            is_recording = self._last is not None and not self._last.source.closed_loop
+            differs_at = first_difference(rows, ghost, over=self._ghost_outcome is not None, plans=is_recording)
+            return Past(
+                rows, tuple(self._events), ghost, self._ghost_outcome, self._ghost_name, differs_at, self._pinned,
+                self._alternative,
+            )  # fmt: skip
 
     def _clear(self) -> None:
         self._rows = np.empty((1024, len(COLUMNS)))
         self._count = 0
         self._events: list[Event] = []
-        self._ghost = np.empty((0, len(COLUMNS)))
-        self._ghost_outcome: str | None = None
+        self._set_ghost([], None)
         self._outcome: str | None = None
-        self._differs_at: float | None = None
         self._last: Frame | None = None
 
+    def _set_ghost(self, rows: list[Rows], outcome: str | None) -> None:
+        self._ghost, self._ghost_outcome = rows, outcome
+        self._ghost_rows = np.empty((0, len(COLUMNS)))
+
     def _fork(self, at: int) -> None:
-        """Move the rows from `at` on to the ghost: the flight continues from an earlier tick."""
+        """Continue from an earlier tick. The rows from `at` on become the ghost, unless that is the flight of A."""
         time = self._rows[at, 0]
-        self._ghost, self._ghost_outcome, self._differs_at = self._rows[at : self._count].copy(), self._outcome, None
+        if self._ghost_name != "A":
+            self._set_ghost(list(self._rows[at : self._count].copy()), self._outcome)
         self._outcome = None
         self._count = at
         self._events = [event for event in self._events if event.time < time or event.kind in ("parameters", "goal")]
@@ -113,13 +166,25 @@ class FlightHistory:
             self._count += 1
         self._rows[at] = row
 
-    def _compare(self, row: Rows) -> None:
-        if self._differs_at is not None or not len(self._ghost):
-            return
-        at = int(np.searchsorted(self._ghost[:, 0], row[0] - 1e-9))
-        is_beyond = at >= len(self._ghost)
-        if is_beyond or np.abs(self._ghost[at, -3:] - row[-3:]).max() > _SAME:
-            self._differs_at = float(row[0])
+
+def first_difference(rows: Rows, ghost: Rows, *, over: bool, plans: bool = False) -> float | None:
+    """Return the first time at which a flight differs from its ghost [s]; None if it does not.
+
+    Args:
+        rows: rows of the flight.
+        ghost: rows of the ghost.
+        over: the ghost has come to its end, so that a flight that continues differs from it.
+        plans: compare the instances that are chosen, not the positions.
+    """
+    if not len(ghost):
+        return None
+    rows = rows[rows[:, 0] >= ghost[0, 0] - 1e-9]
+    at = np.searchsorted(ghost[:, 0], rows[:, 0] - 1e-9)
+    is_beyond = at >= len(ghost)
+    columns, tolerance = ([COLUMNS.index("best")], 0.0) if plans else (list(range(-3, 0)), _SAME)
+    distance = np.abs(ghost[np.minimum(at, len(ghost) - 1)][:, columns] - rows[:, columns]).max(axis=1)
+    differs = np.flatnonzero(np.where(is_beyond, over, distance > tolerance))
+    return float(rows[differs[0], 0]) if len(differs) else None
 
 
 def true_clearance(frame: Frame) -> float:
@@ -157,6 +222,7 @@ def _row(frame: Frame) -> Rows:
             frame.timings_ms.get("plan", 0.0),
             np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance),
             effective_samples(plan, best, frame.config.sampling.temperature),
+            best,
             *np.asarray(state.position, dtype=np.float64),
         )
     )
@@ -167,12 +233,8 @@ def _events(last: Frame | None, frame: Frame) -> list[Event]:
     if last is None:
         return events
     if last.config is not frame.config:
-        paths = [
-            info.path
-            for info in PlannerConfig.parameters()
-            if last.config.get(info.path) != frame.config.get(info.path)
-        ]
-        changes = [f"{path} {last.config.get(path)} → {frame.config.get(path)}" for path in paths]
+        differences = last.config.differences(frame.config)
+        changes = [f"{path} {before} → {now}" for path, (before, now) in differences.items()]
         events.append(Event(frame.time, "parameters", ", ".join(changes)))
     is_same_time = last.time == frame.time
     if is_same_time and not np.array_equal(last.observation.goal.position, frame.observation.goal.position):

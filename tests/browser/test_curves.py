@@ -67,6 +67,12 @@ def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):
     desk.page.get_by_text("vehicle.speed_limit 7.0 → 1.0").wait_for()
     assert desk.dashboard.history.past().differs_at == pytest.approx(0.42, abs=0.05)
     desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) > 20, "the path of the ghost")
+    for name in ("speed", "clearance", "cost", "plan_ms"):
+        assert desk.page.locator(f'.aero-curve[data-curve="{name}"] .aero-ghost').count() > 0, "its curves stay"
+    mark = float(desk.page.locator(".aero-differs").get_attribute("x1"))
+    assert mark == pytest.approx(300.0 * (0.42 - 0.0) / 0.82, abs=20.0), "where the two first differ"
+    table = desk.page.locator(".aero-fork").inner_text()
+    assert all(word in table for word in ("before", "now", "outcome", "left while flying", "smallest clearance"))
     desk.open_tab("Layers")
-    desk.checkbox("Future before the fork").click()
+    desk.checkbox("Ghost: A, or before the fork").click()
     desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) == 0, "no ghost")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_viz.dashboard.history import CLEARANCE_MAX, COLUMNS, FlightHistory, true_clearance
+from aero_viz.dashboard.history import CLEARANCE_MAX, COLUMNS, FlightHistory, first_difference, true_clearance
 from aero_viz.dashboard.panels.charts import CURVES, envelope, table
 from aero_viz.session import Session
 
@@ -110,3 +110,41 @@ def test_the_table_has_a_row_for_every_tick(session):
     rows = list(csv.DictReader(io.StringIO(table(history.past().rows, CURVES[:2]))))
     assert list(rows[0]) == ["time", "speed", "clearance"]
     assert [float(row["time"]) for row in rows] == pytest.approx(history.past().rows[:, 0])
+
+
+def test_the_flight_of_a_is_the_ghost_until_it_is_unpinned(session):
+    history = FlightHistory()
+    events = session.comparison.subscribe(history.compare, name="history")
+    fly(session, history, 5)
+    session.pin().result()
+    session.configure({"vehicle.speed_limit": 1.0})
+    session.fly_both().result()
+    history.add(session.frame)
+    assert events.drain()
+    past = history.past()
+    assert past.ghost_name == "A" and past.ghost_outcome == "arrived"
+    assert past.ghost[0, 0] == session.frame.time and past.differs_at is None
+    fly(session, history, 5)
+    past = history.past()
+    assert past.ghost[0, 0] < past.differs_at <= past.rows[-1, 0]
+    session.seek(float(past.rows[6, 0])).result()
+    history.add(session.frame)
+    fly(session, history, 2)
+    assert len(history.past().ghost) == len(past.ghost), "a fork of B leaves the flight of A"
+    assert events.drain()
+    session.unpin().result()
+    assert events.drain()
+    assert not len(history.past().ghost) and history.past().pinned is None
+
+
+def test_the_first_difference_is_that_of_positions_or_of_chosen_instances():
+    rows = np.zeros((6, len(COLUMNS)))
+    rows[:, 0] = np.arange(6) * 0.1
+    ghost = rows[2:5].copy()
+    assert first_difference(rows, ghost, over=False) is None
+    assert first_difference(rows, ghost, over=True) == pytest.approx(0.5), "the flight goes on beyond its end"
+    ghost[1, -1] = 0.01
+    assert first_difference(rows, ghost, over=True) == pytest.approx(0.3)
+    ghost[2, COLUMNS.index("best")] = 3.0
+    assert first_difference(rows, ghost, over=True, plans=True) == pytest.approx(0.4)
+    assert first_difference(rows, ghost[:0], over=True) is None

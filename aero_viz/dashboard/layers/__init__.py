@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from aero_viz.dashboard.layers.alternative import AlternativeLayer
 from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
 from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Option, apply
 from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
@@ -25,6 +26,7 @@ LAYERS: tuple[type[Layer], ...] = (
     DroneLayer,
     TrailLayer,
     GhostLayer,
+    AlternativeLayer,
     RecordedPathLayer,
     RecordedPlanLayer,
     GoalLayer,

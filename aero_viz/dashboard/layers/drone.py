@@ -6,6 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
+from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.session.frame import Frame
@@ -46,15 +47,19 @@ class DroneLayer(Layer):
 
 
 class GhostLayer(Layer):
-    """The future that was left when the flight forked: its path, and a faint drone at the current time."""
+    """The flight of configuration A, or the future that was left when the flight forked.
 
-    name, title = "ghost", "Future before the fork"
-    keys = (ColorKey("future before the fork", palette.GHOST),)
+    Its path, a faint drone at the current time, and a ball where the flight first differs from it.
+    """
+
+    name, title = "ghost", "Ghost: A, or before the fork"
+    keys = (ColorKey("ghost: A, or the future before the fork", palette.GHOST),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self.available = False
         self._lines = Lines(scene, "/ghost/line", thickness=2.0, capacity=_TRAIL_SEGMENTS)
         self._pose = scene.add_frame("/ghost/body", show_axes=False, visible=False)
+        self._ball = scene.add_icosphere("/ghost/difference", radius=0.09, color=palette.GHOST, visible=False)
         for name, (mesh, _, _) in quadrotor().items():
             scene.add_mesh_simple(
                 f"/ghost/body/{name}", mesh.vertices, mesh.faces, color=palette.GHOST, opacity=0.5, flat_shading=True,
@@ -63,10 +68,12 @@ class GhostLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         past = None if self.history is None else self.history.past()
-        self.available = past is not None and past.differs_at is not None
-        if past is None or past.differs_at is None:
-            return [*self._lines.show(np.zeros((0, 2, 3)), _GHOST), (self._pose, "visible", False)]
+        self.available = past is not None and len(past.ghost) > 0 and _is_shown(past)
+        if past is None or not self.available:
+            nothing = self._lines.show(np.zeros((0, 2, 3)), _GHOST)
+            return [*nothing, (self._pose, "visible", False), (self._ball, "visible", False)]
         path = past.ghost[:, -3:]
+        differs = [] if past.differs_at is None else np.flatnonzero(past.rows[:, 0] >= past.differs_at - 1e-9)[:1]
         step = -(-len(path) // (_TRAIL_SEGMENTS - 1))
         vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
         at = min(int(np.searchsorted(past.ghost[:, 0], frame.time + 1e-9)), len(path)) - 1
@@ -74,7 +81,13 @@ class GhostLayer(Layer):
             *self._lines.show(polylines(vertices), _GHOST),
             (self._pose, "position", path[max(at, 0)]),
             (self._pose, "visible", at >= 0),
+            *((self._ball, "position", past.rows[row, -3:]) for row in differs),
+            (self._ball, "visible", len(differs) > 0),
         ]
+
+
+def _is_shown(past: Past) -> bool:
+    return past.ghost_name == "A" or past.differs_at is not None
 
 
 class TrailLayer(Layer):

@@ -18,6 +18,7 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.flight_figures import FIGURES, flight_figures
 from aero_viz.session.frame import Frame
 
 __all__ = ["CURVES", "ChartPanel", "Curve", "envelope", "table"]
@@ -28,6 +29,7 @@ _PERIOD = 0.4
 """Shortest time between two drawings while time advances [s]: a long flight takes long to draw."""
 _GAP = 0.25
 """Time without ticks from which a line is interrupted [s]; ten ticks if that is longer."""
+_GHOST_LINE = 'class="aero-ghost" stroke-dasharray="5 3"'
 _EVENT_COLORS = {
     "braking": palette.WARNING,
     "end": palette.BAD,
@@ -70,7 +72,7 @@ class ChartPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._due = 0.0
-        self._shown: tuple[Frame, int] | None = None
+        self._shown: tuple[Frame, int, int] | None = None
         self.drawing = gui.add_html("")
         """The drawing."""
         labels = [curve.label for curve in CURVES]
@@ -90,9 +92,10 @@ class ChartPanel(Panel):
             return []
         self._due = now + _PERIOD
         past = self.page.history.past()
-        if not len(past.rows) or (frame, len(past.rows)) == self._shown:
+        shown = frame, len(past.rows), len(past.ghost)
+        if not len(past.rows) or shown == self._shown:
             return []
-        self._shown = frame, len(past.rows)
+        self._shown = shown
         return [(self.drawing, "content", markup.block(_drawing(past, frame), _fork(past, frame)))]
 
 
@@ -142,13 +145,20 @@ def _drawing(past: Past, frame: Frame) -> str:
     parts = [_curve(curve, past, span, gap, at) for curve in CURVES]
     height = len(CURVES) * (_HEIGHT + 18)
     marks = "".join(_mark(event, span) for event in past.events)
+    difference = ""
+    if past.differs_at is not None:
+        x = (past.differs_at - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
+        difference = (
+            f'<line class="aero-differs" x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{height}" stroke="{css(palette.GHOST)}" '
+            f'stroke-width="1.5" stroke-dasharray="4 3" vector-effect="non-scaling-stroke"/>'
+        )
     return (
         f'<svg viewBox="0 0 {_WIDTH} 12" preserveAspectRatio="none" style="width:100%;height:12px">{marks}</svg>'
         f'<div style="position:relative">{"".join(parts)}'
         f'<svg class="aero-marks" viewBox="0 0 {_WIDTH} {height}" preserveAspectRatio="none" '
         f'style="position:absolute;inset:0;width:100%;height:100%;pointer-events:none">'
         f'<line class="aero-cursor" x1="{cursor:.1f}" x2="{cursor:.1f}" y1="0" y2="{height}" '
-        f'stroke="currentColor" stroke-width="1" vector-effect="non-scaling-stroke"/></svg></div>'
+        f'stroke="currentColor" stroke-width="1" vector-effect="non-scaling-stroke"/>{difference}</svg></div>'
         f'<div style="display:flex;justify-content:space-between;font-size:11px"><span>{span[0]:.2f} s</span>'
         f"<span>{span[1]:.2f} s</span></div>"
         f"{_list(past.events)}"
@@ -161,7 +171,7 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
     top = curve.top or max(float(np.nanmax(everything)), 1e-9)
     height = max(_scaled(curve, top), 1e-9)
 
-    def paths(rows: Array, opacity: float) -> str:
+    def paths(rows: Array, opacity: float, ghost: str = "") -> str:
         drawn = ""
         for index, color in zip(indices, curve.colors, strict=True):
             for line in envelope(rows[:, 0], rows[:, index].clip(0.0, top), span, gap=gap):
@@ -169,21 +179,30 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
                     f"{x:.1f},{_HEIGHT - 1 - (_HEIGHT - 3) * _scaled(curve, y) / height:.1f}" for x, y in line
                 )
                 drawn += (
-                    f'<polyline points="{points}" fill="none" stroke="{css(color, opacity)}" stroke-width="1.4" '
-                    f'stroke-linejoin="round" vector-effect="non-scaling-stroke"/>'
+                    f'<polyline {ghost} points="{points}" fill="none" stroke="{css(color, opacity)}" '
+                    f'stroke-width="1.4" stroke-linejoin="round" vector-effect="non-scaling-stroke"/>'
                 )
         return drawn
 
     value = " / ".join(f"{past.rows[at, index]:{curve.number}}" for index in indices)
     is_beyond = curve.top is not None and past.rows[at, indices[0]] >= curve.top
-    heading = markup.heading(curve.label, f"{'≥ ' if is_beyond else ''}{value}")
+    ghost = _ghost_value(curve, past, indices, float(past.rows[at, 0]))
+    heading = markup.heading(curve.label, f"{'≥ ' if is_beyond else ''}{value}{ghost}")
     return (
         f'<div style="height:18px;font-size:11px">{heading}</div>'
         f'<svg class="aero-curve" data-curve="{curve.columns[0]}" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
         f'preserveAspectRatio="none" style="display:block;width:100%;height:{_HEIGHT}px;'
-        f'background:{css(palette.MUTED, 0.10)}">{paths(past.ghost, 0.35)}{paths(past.rows, 1.0)}'
+        f'background:{css(palette.MUTED, 0.10)}">{paths(past.ghost, 0.4, _GHOST_LINE)}{paths(past.rows, 1.0)}'
         f'<text x="2" y="9" font-size="8" fill="{css(palette.MUTED)}">{top:.4g}</text></svg>'
     )
+
+
+def _ghost_value(curve: Curve, past: Past, indices: list[int], time: float) -> str:
+    """Return the first value of the ghost at a time [s], after a space; empty where it has none."""
+    at = int(np.searchsorted(past.ghost[:, 0], time + 1e-9)) - 1
+    if at < 0 or past.ghost[-1, 0] < time - _GAP:
+        return ""
+    return f" ({past.ghost_name} {past.ghost[at, indices[0]]:{curve.number}})"
 
 
 def _scaled(curve: Curve, value: float) -> float:
@@ -208,13 +227,17 @@ def _list(events: Sequence[Event], most: int = 6) -> str:
 
 
 def _fork(past: Past, frame: Frame) -> str:
-    """Return a sentence on the future that was left."""
-    if not len(past.ghost) or past.differs_at is None:
+    """Return the flight and its ghost in figures, one beside the other."""
+    if not len(past.ghost):
         return ""
-    before = (past.ghost_outcome or "not over").replace("_", " ")
-    now = (frame.outcome or "flying").replace("_", " ")
-    return (
-        f'<div style="font-size:11px" class="aero-fork">Forked: the faint curves are the future before, which '
-        f"differs from {past.differs_at:.2f} s on. Before: {markup.text(before)} at {past.ghost[-1, 0]:.2f} s. "
-        f"Now: {markup.text(now)} at {frame.time:.2f} s.</div>"
-    )
+    is_a = past.ghost_name == "A"
+    names = ("A", "B") if is_a else ("before", "now")
+    what = "the flight of configuration A" if is_a else "the future before"
+    differs = "no difference so far" if past.differs_at is None else f"first difference at {past.differs_at:.2f} s"
+    figures = [
+        flight_figures(past.ghost, past.ghost_outcome or ("flying" if is_a else "left while flying")),
+        flight_figures(past.rows, frame.outcome or "flying"),
+    ]
+    rows = [(label, *cells) for label, *cells in zip(FIGURES, *figures, strict=True)]
+    note = markup.note(f"{'Compared' if is_a else 'Forked'}: the dashed curves are {what}; {differs}.")
+    return f'<div class="aero-fork">{note}{markup.columns(("flight", *names), rows)}</div>'

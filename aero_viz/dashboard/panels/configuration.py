@@ -94,12 +94,11 @@ class ConfigurationPanel(Panel):
 
 def differences(config: PlannerConfig) -> str:
     """Return what differs from the default preset as HTML: labels, old and new values, and the flags."""
-    default = PlannerConfig()
-    changed = [info for info in PlannerConfig.parameters() if config.get(info.path) != default.get(info.path)]
+    changed = PlannerConfig().differences(config)
     if not changed:
         return ""
-    rows = [(info.title, f"{default.get(info.path)} → {config.get(info.path)}", info.path) for info in changed]
-    flags = " ".join(f"--{info.path.replace('_', '-')} {config.get(info.path)}" for info in changed)
+    rows = [(PlannerConfig.find(path).title, f"{old} → {new}", path) for path, (old, new) in changed.items()]
+    flags = " ".join(f"--{path.replace('_', '-')} {new}" for path, (_, new) in changed.items())
     heading = markup.heading("differs from the default", f"{len(changed)}")
     code = f'<code class="aero-flags" style="user-select:all;overflow-wrap:anywhere">{markup.text(flags)}</code>'
     return markup.block(heading, markup.table(rows), f"{markup.muted('as flags: ')}{code}")

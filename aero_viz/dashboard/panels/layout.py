@@ -11,6 +11,7 @@ from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
+from aero_viz.dashboard.panels.compare import ComparePanel
 from aero_viz.dashboard.panels.configuration import ConfigurationPanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
@@ -57,7 +58,7 @@ def build(
         panels.append(LayerPanel(page))
     if controls is not None:
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
-            panels.append(ConfigurationPanel(page, controls))
+            panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls)]
             panels += [LiveParameterPanel(page, controls), StructureParameterPanel(page, controls)]
     else:
         with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):

@@ -12,6 +12,7 @@ from aero_viz.dashboard.palette import Rgb, css
 __all__ = [
     "bars",
     "block",
+    "columns",
     "heading",
     "key",
     "metrics",
@@ -108,6 +109,16 @@ def table(rows: Iterable[tuple[str, str, str]]) -> str:
         for label, value, tooltip in rows
     )
     return f'<div style="display:grid;grid-template-columns:1fr auto;gap:3px 8px">{cells}</div>'
+
+
+def columns(header: Sequence[str], rows: Iterable[Sequence[str]], tooltips: Sequence[str] = ()) -> str:
+    """Return a table with a header; the first column names the row, the others hold values. One tooltip per row."""
+    style = f"display:grid;grid-template-columns:1fr repeat({len(header) - 1},auto);gap:2px 10px"
+    cells = f"<div>{muted(header[0])}</div>" + "".join(f'<b style="text-align:right">{text(n)}</b>' for n in header[1:])
+    for i, (label, *values) in enumerate(rows):
+        cells += f'<div title="{text(tooltips[i] if tooltips else "")}">{muted(label)}</div>'
+        cells += "".join(f'<div style="text-align:right">{text(value)}</div>' for value in values)
+    return f'<div style="{style}">{cells}</div>'
 
 
 def _dot(color: Rgb) -> str:

@@ -276,6 +276,11 @@ class SectionedConfig:
         info = self.find(path)
         return getattr(getattr(self, info.section), info.name)
 
+    def differences(self: Config, other: Config) -> dict[str, tuple[Value, Value]]:
+        """Return the values of each parameter that differs, by path: of this configuration and of the other one."""
+        pairs = {info.path: (self.get(info.path), other.get(info.path)) for info in self.parameters()}
+        return {path: pair for path, pair in pairs.items() if pair[0] != pair[1]}
+
     def to_dict(self) -> dict[str, dict[str, Value]]:
         """Return {section: {name: value}}, the structure of the YAML file."""
         return dataclasses.asdict(self)

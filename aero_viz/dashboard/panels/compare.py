@@ -1,0 +1,137 @@
+"""Comparison of two configurations on the same tick and on the same flight."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard.history import Past
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.flight_figures import FIGURES, flight_figures
+from aero_viz.session.base import SessionControls
+from aero_viz.session.frame import Frame
+
+__all__ = ["ComparePanel", "parameter_table", "tick_table"]
+
+_PIN_HINT = (
+    "Keep the present configuration as A. B is what the controls below say. Both plan every tick on which time stands "
+    "still: the rollouts of A are drawn in the colour of the ghost."
+)
+_FLY_HINT = "A flies from this tick to its end, as the ghost; then B flies from the same tick, with the same noise."
+
+
+class ComparePanel(Panel):
+    """Pins configuration A, and shows how its plan and its flight differ from those of B."""
+
+    def __init__(self, page: Page, controls: SessionControls) -> None:
+        self._controls = controls
+        super().__init__(page)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._pin = gui.add_button("Compare: pin as A", icon=viser.Icon.PIN, color="gray", hint=_PIN_HINT)
+        self._fly = gui.add_button(
+            "Fly A and B from here", icon=viser.Icon.DRONE, color="gray", hint=_FLY_HINT, visible=False
+        )
+        self._swap = gui.add_button(
+            "Swap A and B", icon=viser.Icon.ARROWS_EXCHANGE, color="gray", visible=False,
+            hint="Pin B, and let the controls say A.",
+        )  # fmt: skip
+        self._stop = gui.add_button(
+            "Stop comparing", icon=viser.Icon.PINNED_OFF, color="gray", visible=False, hint="Unpin A."
+        )
+        self.table = gui.add_html("")
+        """The comparison in figures."""
+
+        @self._pin.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self.page.attempt(self._controls.pin, event.client)
+
+        @self._fly.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self.page.attempt(self._controls.fly_both, event.client)
+
+        @self._swap.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self.page.attempt(self._exchange, event.client)
+
+        @self._stop.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self.page.attempt(self._controls.unpin, event.client)
+
+    def _exchange(self) -> None:
+        a = self._controls.comparison.pinned
+        if a is not None:
+            self._controls.pin().result()
+            self._controls.configure(a)
+
+    def update_without_frame(self) -> list[Change]:
+        is_pinned = self._controls.comparison.pinned is not None
+        shown = [(button, "visible", is_pinned) for button in (self._fly, self._swap, self._stop)]
+        return [(self._pin, "visible", not is_pinned), *shown]
+
+    def update(self, frame: Frame) -> list[Change]:
+        past = self.page.history.past()
+        content = ""
+        if past.pinned is not None:
+            content = markup.block(*self._tables(frame, past, past.pinned))
+        return [*self.update_without_frame(), (self.table, "content", content)]
+
+    def _tables(self, frame: Frame, past: Past, pinned: PlannerConfig) -> list[str]:
+        a = past.alternative_to(frame)
+        parts = [parameter_table(pinned, self.session.config)]
+        if a is not None:
+            parts.append(tick_table(a, frame))
+        else:
+            parts.append(markup.muted("A plans when time stands still."))
+        if len(past.ghost) and past.ghost_name == "A":
+            is_flying = self._controls.comparison.is_flying
+            progress = f"flying: {past.ghost[-1, 0]:.1f} s" if is_flying else "cut short"
+            figures = (
+                flight_figures(past.ghost, past.ghost_outcome or progress),
+                flight_figures(past.rows, frame.outcome or "flying"),
+            )
+            parts.append(markup.columns(("flight", "A", "B"), zip(FIGURES, *figures, strict=True)))
+            if past.differs_at is not None:
+                what = "A and B differ" if frame.source.closed_loop else "A and B choose different instances"
+                parts.append(markup.muted(f"{what} from {past.differs_at:.2f} s on."))
+        return parts
+
+
+def parameter_table(a: PlannerConfig, b: PlannerConfig) -> str:
+    """Return the parameters in which A and B differ as HTML."""
+    differences = a.differences(b)
+    if not differences:
+        return markup.muted("A and B are the same configuration: move a slider below to change B.")
+    rows = [(PlannerConfig.find(path).title, f"{old}", f"{new}") for path, (old, new) in differences.items()]
+    return markup.columns(("parameter", "A", "B"), rows, tooltips=list(differences))
+
+
+def tick_table(a: Frame, b: Frame) -> str:
+    """Return the plans of A and B for the same tick in figures, as HTML."""
+    labels = (
+        "chosen instance", "S2", "goal cost", "collision cost", "speed limit and blocked path",
+        "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates", "plan time [ms]",
+    )  # fmt: skip
+    return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), zip(labels, _plan(a), _plan(b), strict=True))
+
+
+def _plan(frame: Frame) -> tuple[str, ...]:
+    plan, best = frame.plan, int(frame.plan.best)
+    s2, goal, collision = (float(cost[best]) for cost in (plan.stage2_cost, plan.goal_cost, plan.collision_cost))
+    clearance, reach = float(plan.clearance[best].min()), frame.config.costs.distance_max
+    is_beyond = clearance >= reach - 1e-4
+    safe = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
+    return (
+        f"{best} {plan.kinds[best]}",
+        f"{s2:.5g}",
+        f"{goal:.5g}",
+        f"{collision:.5g}",
+        f"{s2 - goal - collision:.5g}",
+        f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
+        f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
+        f"{safe} of {len(plan.kinds)}",
+        f"{frame.timings_ms.get('plan', 0.0):.1f}",
+    )

@@ -1,0 +1,80 @@
+"""Two configurations on the same tick and on the same flight, through the page."""
+
+from __future__ import annotations
+
+import numpy as np
+from small_source import small_config, small_source
+
+from aero_viz.dashboard import palette
+from tests.browser.desk import open_desk
+from tests.browser.pictures import count
+
+
+def text(desk) -> str:
+    return desk.page.locator("body").inner_text()
+
+
+def pink(desk) -> int:
+    return count(desk.screenshot(), palette.GHOST, tolerance=40)
+
+
+def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(browser):
+    layers = ["drone", "alternative", "ghost"]
+    with open_desk(browser, small_source(goal=8.0), ticks=20, config=small_config(), layers=layers) as desk:
+        assert pink(desk) == 0
+        desk.open_tab("Tune")
+        desk.click("Compare: pin as A")
+        desk.page.get_by_text("A and B are the same configuration").wait_for()
+        desk.wait_for(lambda: pink(desk) > 20, "the rollouts of A")
+        number = desk.parameter("vehicle.speed_limit").locator("input")
+        desk.open_folder("Vehicle", "Speed limit [m/s]")
+        number.fill("2")
+        number.press("Enter")
+        desk.wait_for(lambda: desk.session.frame.config.vehicle.speed_limit == 2.0, "B")
+        a, b = desk.session.comparison.frame, desk.session.frame
+        assert a.time == b.time and a.config.vehicle.speed_limit != 2.0
+        costs = [f"{frame.plan.stage2_cost[frame.plan.best]:.5g}" for frame in (a, b)]
+        desk.wait_for(lambda: all(cost in text(desk) for cost in costs), "the costs of both plans")
+        assert "7.0" in text(desk) and "speed at its end [m/s]" in text(desk)
+
+        time = desk.session.frame.time
+        desk.click("Fly A and B from here")
+        desk.wait_for(lambda: desk.session.playing or desk.session.frame.time > time, "B to fly")
+        past = desk.dashboard.history.past
+        desk.wait_for(lambda: past().ghost_outcome == "arrived", "the flight of A to be over")
+        desk.wait_for(lambda: past().differs_at is not None, "a difference")
+        assert past().ghost_name == "A" and past().ghost[0, 0] == time
+        desk.click("Pause")
+        assert time < past().differs_at < time + 0.2
+        desk.page.get_by_text("A and B differ from").wait_for()
+        desk.wait_for(lambda: pink(desk) > 20, "the path of A")
+        desk.open_tab("Curves")
+        desk.page.locator(".aero-ghost").first.wait_for(state="attached")
+        desk.page.locator(".aero-differs").wait_for(state="attached")
+        row = desk.page.locator(".aero-fork").inner_text()
+        assert "A" in row and "B" in row and "arrived" in row
+
+        desk.open_tab("Tune")
+        desk.click("Stop comparing")
+        desk.page.get_by_role("button", name="Compare: pin as A").wait_for()
+        desk.wait_for(lambda: pink(desk) == 0, "no ghost")
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
+def test_a_recording_is_planned_with_both_configurations(browser):
+    from aero_viz.catalog import open_source, shipped_recordings
+
+    path, _ = shipped_recordings()["room_mid360"]
+    with open_desk(browser, open_source(str(path)), ticks=3, config=small_config(), layers=["alternative"]) as desk:
+        desk.open_tab("Tune")
+        desk.click("Compare: pin as A")
+        desk.wait_for(lambda: desk.session.comparison.frame is not None, "a plan of A")
+        desk.session.configure({"costs.q_blocked": 0.0, "vehicle.speed_limit": 2.0})
+        desk.page.get_by_text("speed at its end [m/s]").wait_for()
+        before = desk.session.frame
+        desk.click("Fly A and B from here")
+        past = desk.dashboard.history.past
+        desk.wait_for(lambda: past().ghost_outcome == "end", "A to have planned every tick")
+        desk.wait_for(lambda: desk.session.frame.outcome == "end", "B to have played them")
+        np.testing.assert_allclose(past().ghost[:, 0], before.source.times[before.index :])
+        assert desk.console == [] and desk.dashboard.failures == 0
