@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from small_source import small_config, small_source
 
@@ -21,6 +23,7 @@ def pink(desk) -> int:
 def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(browser):
     layers = ["drone", "alternative", "ghost"]
     with open_desk(browser, small_source(goal=8.0), ticks=20, config=small_config(), layers=layers) as desk:
+        session: Any = desk.session
         assert pink(desk) == 0
         desk.open_tab("Tune")
         desk.click("Compare: pin as A")
@@ -30,17 +33,17 @@ def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(brows
         desk.open_folder("Vehicle", "Speed limit [m/s]")
         number.fill("2")
         number.press("Enter")
-        desk.wait_for(lambda: desk.session.frame.config.vehicle.speed_limit == 2.0, "B")
-        a, b = desk.session.comparison.frame, desk.session.frame
+        desk.wait_for(lambda: session.frame.config.vehicle.speed_limit == 2.0, "B")
+        a, b = session.comparison.frame, session.frame
         assert a.time == b.time and a.config.vehicle.speed_limit != 2.0
         costs = [f"{frame.plan.stage2_cost[frame.plan.best]:.5g}" for frame in (a, b)]
         desk.wait_for(lambda: all(cost in text(desk) for cost in costs), "the costs of both plans")
         assert "7.0" in text(desk) and "speed at its end [m/s]" in text(desk)
 
-        time = desk.session.frame.time
+        time = session.frame.time
         desk.click("Fly A and B from here")
-        desk.wait_for(lambda: desk.session.playing or desk.session.frame.time > time, "B to fly")
-        past = desk.dashboard.history.past
+        desk.wait_for(lambda: session.playing or session.frame.time > time, "B to fly")
+        past: Any = desk.dashboard.history.past
         desk.wait_for(lambda: past().ghost_outcome == "arrived", "the flight of A to be over")
         desk.wait_for(lambda: past().differs_at is not None, "a difference")
         assert past().ghost_name == "A" and past().ghost[0, 0] == time
@@ -66,15 +69,16 @@ def test_a_recording_is_planned_with_both_configurations(browser):
 
     path, _ = shipped_recordings()["room_mid360"]
     with open_desk(browser, open_source(str(path)), ticks=3, config=small_config(), layers=["alternative"]) as desk:
+        session: Any = desk.session
         desk.open_tab("Tune")
         desk.click("Compare: pin as A")
-        desk.wait_for(lambda: desk.session.comparison.frame is not None, "a plan of A")
-        desk.session.configure({"costs.q_blocked": 0.0, "vehicle.speed_limit": 2.0})
+        desk.wait_for(lambda: session.comparison.frame is not None, "a plan of A")
+        session.configure({"costs.q_blocked": 0.0, "vehicle.speed_limit": 2.0})
         desk.page.get_by_text("speed at its end [m/s]").wait_for()
-        before = desk.session.frame
+        before = session.frame
         desk.click("Fly A and B from here")
-        past = desk.dashboard.history.past
+        past: Any = desk.dashboard.history.past
         desk.wait_for(lambda: past().ghost_outcome == "end", "A to have planned every tick")
-        desk.wait_for(lambda: desk.session.frame.outcome == "end", "B to have played them")
+        desk.wait_for(lambda: session.frame.outcome == "end", "B to have played them")
         np.testing.assert_allclose(past().ghost[:, 0], before.source.times[before.index :])
         assert desk.console == [] and desk.dashboard.failures == 0
