@@ -25,6 +25,7 @@ __all__ = [
     "ConfigFlags",
     "FileName",
     "FlightFlags",
+    "FoxgloveFlag",
     "Inline",
     "OptionalFileName",
     "OptionalFloat",
@@ -61,6 +62,8 @@ OptionalSix = Annotated[tuple[float, float, float, float, float, float] | None, 
 OptionalPath = Annotated[Path | None, _optional("PATH")]
 OptionalPoint = Annotated[Point | None, _optional("X Y Z")]
 OptionalText = Annotated[str | None, _optional("STR")]
+FoxgloveFlag = Annotated[tuple[int, ...] | None, _optional("[PORT]")]
+"""None without the flag; () or the port with it."""
 RayFlag = Annotated[tuple[str, ...] | None, _optional("[ADDRESS]")]
 """None without the flag; () or the address of a cluster with it."""
 

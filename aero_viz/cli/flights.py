@@ -18,7 +18,7 @@ from aero_viz.cli.flags import (
     flight_rules,
 )
 from aero_viz.cli.output import print_report, progress_bar
-from aero_viz.cli.page import PageFlags, serve_flight
+from aero_viz.cli.page import PageFlags, announce_foxglove, serve_flight
 from aero_viz.errors import UserError
 
 __all__ = ["fly", "score"]
@@ -70,7 +70,8 @@ def fly(
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")
         flags = (world_flags, flight_flags, config_flags.load(speed=speed), page_flags)
         return serve_flight(world, *flags, lidar=lidar, seed=seed, device=device, log=log)
-    if page_flags != PageFlags():
+    port, host = page_flags.foxglove_port, page_flags.host
+    if page_flags != PageFlags(foxglove=page_flags.foxglove, host=PageFlags.host if port is None else host):
         raise UserError("--host, --port, --open and --paused apply to the page; add --no-headless, or leave them out.")
     from aero_viz.flight import FlightInterrupted
     from aero_viz.flight import fly as fly_once
@@ -97,6 +98,12 @@ def fly(
                 from aero_viz.logs import flight_recorder
 
                 options["recorder"] = flight_recorder(log)
+            if port is not None:
+                from aero_viz.logs import foxglove_recorder
+
+                options["recorder"] = foxglove_recorder(
+                    host, port, log=options.get("recorder"), announce=(lambda _: None) if json else announce_foxglove
+                )
             result = fly_once(loaded, **options)
     except FlightInterrupted as interrupted:
         print_report(interrupted.result, as_json=json)

@@ -16,6 +16,7 @@ import tyro
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
+    FoxgloveFlag,
     Inline,
     OptionalFileName,
     OptionalPath,
@@ -32,9 +33,17 @@ if TYPE_CHECKING:
     from aero_viz.dashboard import Dashboard
     from aero_viz.reader_process import Reader
     from aero_viz.session import Session
+    from aero_viz.session.base import BaseSession
     from aero_viz.session.source import Conditions, Opener, Source
 
-__all__ = ["PageFlags", "connect", "demo", "flight_opener", "play", "serve_flight", "shutdown_event", "wait_for"]
+__all__ = [
+    "PageFlags", "announce_foxglove", "connect", "demo", "flight_opener", "play", "serve_flight", "shutdown_event",
+    "wait_for",
+]  # fmt: skip
+
+
+_FOXGLOVE_PORT = 8765
+"""Foxglove's own default."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,22 @@ class PageFlags:
     """Folder whose files the page may open, besides that of the first file and datasets/; may be repeated."""
     allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
     """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
+    foxglove: FoxgloveFlag = None
+    """Serve the topics of the flight log live on --host, by default on port 8765, for Foxglove and Lichtblick."""
+
+    @property
+    def foxglove_port(self) -> int | None:
+        """The port for Foxglove, None without it.
+
+        Raises:
+            UserError: more than one port was given, or a number that is no port.
+        """
+        if self.foxglove is None:
+            return None
+        port, *rest = self.foxglove or (_FOXGLOVE_PORT,)
+        if rest or not 0 <= port < 1 << 16:
+            raise UserError(f"--foxglove takes one port from 0 to 65535, not {' '.join(map(str, self.foxglove))}.")
+        return port
 
 
 _PAGE = PageFlags()
@@ -173,6 +198,7 @@ def connect(
         shutdown = shutdown_event()
         dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
         stack.callback(dashboard.close)
+        _serve_foxglove(stack, session, page_flags)
         _announce(drone, dashboard, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)
@@ -283,6 +309,7 @@ def serve(
             from aero_viz.logs import record
 
             stack.enter_context(record(session, log))
+        _serve_foxglove(stack, session, page_flags)
         _announce(spec, dashboard, page_flags)
         session.start(play=False)
         if not page_flags.paused:
@@ -329,6 +356,20 @@ def wait_for(event: threading.Event) -> None:
     """
     while not event.wait(0.5):
         pass
+
+
+def _serve_foxglove(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> None:
+    """Serve the session for Foxglove until the stack closes, if the flags say so."""
+    port = page_flags.foxglove_port
+    if port is not None:
+        from aero_viz.logs import serve_foxglove
+
+        announce_foxglove(stack.enter_context(serve_foxglove(session, page_flags.host, port)).url)
+
+
+def announce_foxglove(url: str) -> None:
+    """Print the address for Foxglove."""
+    print(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
 
 
 def _announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:

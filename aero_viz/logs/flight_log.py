@@ -10,39 +10,32 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 
-from aero_planner import Sweeps, VehicleState
+from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
-from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, goal_message, plan_messages, pose_messages, sweep
-from aero_planner.quaternions import conjugate, multiply, rotation_matrix, rotation_vector
+from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
 from aero_viz.errors import UserError
+from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["FlightLog", "flight_recorder", "new_sweeps", "record"]
+__all__ = ["FlightLog", "flight_recorder", "record"]
 
 _log = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 1 << 20
 _FLUSH_PERIOD = 1.0  # wall time [s]; a killed process loses no more than this
-_SWEEP_STEP = 1000  # [ns] between the stamps of the sweeps of a cloud that is logged as a whole
-_JUMP_STEP = 20_000_000  # [ns] between the stamps before and after a jump of the source's time
 _CLOSE_TIMEOUT = 10.0  # [s] for a slow disk to catch up at the end
 
 
 class FlightLog:
-    """Writes frames to an MCAP file, with the messages of the drone's own log.
+    """Writes frames to an MCAP file, with the messages of the drone's own log; see `FlightMessages`.
 
     Attachments hold every configuration, and the world and settings of every source: world.json and flight.json for the
-    first, world_1.json and flight_1.json for the next. The goal is written at the start and whenever it moves. A sweep
-    is written once, when it is new; at the start and after a jump in time, all sweeps of the cloud are written. Stamps
-    start at the wall time of opening, and continue to increase if the time of the source jumps back. A log must be used
-    from one thread.
+    first, world_1.json and flight_1.json for the next. A log must be used from one thread.
 
     Args:
         path: file to write; an existing file is replaced.
@@ -56,12 +49,9 @@ class FlightLog:
         self.frames = 0
         """Number of frames written so far."""
         self._channels: dict[str, int] = {}
-        self._base = self._stamp = time.time_ns()  # stamps of source time 0 and of the last frame
-        self._last: Frame | None = None
+        self._messages = FlightMessages()
         self._sources = 0
-        self._pose: tuple[int, float, VehicleState] | None = None  # epoch, time [s] and state of the last pose
         self._failed = False
-        self._sweeps: Sweeps | None = None  # of the last frame
         try:
             self._file = self.path.open("wb")
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -89,39 +79,21 @@ class FlightLog:
             time: source time, later than that of the last frame [s].
             state: true state.
         """
-        if self._last is not None:
-            self._write_pose(time, state, self._base + round(1e9 * time), epoch=self._last.epoch)
+        for message, stamp in self._messages.encode_pose(time, state):
+            self._add(message, stamp)
 
     def _write(self, frame: Frame) -> None:
-        last = self._last
-        stamp = self._next_stamp(frame)
+        last = self._messages.last
+        messages = self._messages.encode(frame)
         if last is None or last.source is not frame.source:
             self._attach_source(frame.source)
         if last is None or last.config is not frame.config:
             self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(frame.config))
-        if last is None or last.epoch != frame.epoch or last.time != frame.time:
-            self._write_pose(frame.time, frame.observation.actual_state, stamp, epoch=frame.epoch)
-            self._write_sweeps(frame, stamp)
-        if last is None or not np.array_equal(last.observation.goal.position, frame.observation.goal.position):
-            self._add(goal_message(frame.observation.goal, stamp), stamp)
-        plan_ms = float(frame.timings_ms.get("plan", 0.0))
-        for message in plan_messages(frame.plan, stamp, plan_ms=plan_ms, config_version=frame.config_version):
+        for message, stamp in messages:
             self._add(message, stamp)
-        self._last = frame
         self.frames += 1
         if time.monotonic() - self._flushed > _FLUSH_PERIOD:
             self._flush()
-
-    def _write_pose(self, time: float, state: VehicleState, stamp: int, *, epoch: int) -> None:
-        """Write a pose once. Its body rates are the mean rates since the last pose, or zero after a jump in time."""
-        rates = np.zeros(3)
-        if self._pose is not None and self._pose[0] == epoch:
-            if self._pose[1] >= time:
-                return
-            rates = _body_rates(self._pose[2], state, time - self._pose[1])
-        self._pose = (epoch, time, state)
-        for message in pose_messages(state, stamp, rates=rates):
-            self._add(message, stamp)
 
     def close(self, *, dropped: int = 0) -> None:
         """Finish the file, unless writing it has failed.
@@ -131,7 +103,7 @@ class FlightLog:
         """
         try:
             if not self._failed:
-                last = self._last
+                last = self._messages.last
                 facts = {"frames": str(self.frames), "dropped": str(dropped)}
                 if last is not None and last.outcome is not None:
                     facts |= {"outcome": last.outcome, "explanation": last.explanation or ""}
@@ -139,25 +111,6 @@ class FlightLog:
                 self._writer.finish()
         finally:
             self._file.close()
-
-    def _next_stamp(self, frame: Frame) -> int:
-        stamp = self._base + round(1e9 * frame.time)
-        if self._last is not None and frame.epoch != self._last.epoch:
-            self._base += self._stamp + _JUMP_STEP - stamp
-            stamp = self._stamp + _JUMP_STEP
-            self._sweeps = None
-        self._stamp = stamp
-        return stamp
-
-    def _write_sweeps(self, frame: Frame, stamp: int) -> None:
-        sweeps = frame.observation.sweeps
-        if sweeps is self._sweeps:
-            return
-        added = new_sweeps(self._sweeps, sweeps)
-        self._sweeps = sweeps
-        for i, points in enumerate(added):
-            if len(points):
-                self._add(_sweep_message(frame, points, stamp + i * _SWEEP_STEP), stamp + i * _SWEEP_STEP)
 
     def _add(self, message: Encoded, stamp: int) -> None:
         if message.topic not in self._channels:
@@ -174,45 +127,13 @@ class FlightLog:
         self._attach(f"flight{suffix}", "application/json", json.dumps(settings, allow_nan=False))
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
-        self._writer.add_attachment(self._stamp, self._stamp, name, media_type, text.encode())
+        stamp = self._messages.stamp
+        self._writer.add_attachment(stamp, stamp, name, media_type, text.encode())
 
     def _flush(self) -> None:
         self._writer.flush()
         self._file.flush()
         self._flushed = time.monotonic()
-
-
-def _body_rates(before: VehicleState, after: VehicleState, time: float) -> NDArray[np.float64]:
-    """Return the constant body rates [rad/s], [3], that rotate one attitude into the other within `time` [s]."""
-    return rotation_vector(multiply(conjugate(before.quaternion), after.quaternion)) / time
-
-
-def _sweep_message(frame: Frame, points: NDArray[np.float32], stamp: int) -> Encoded:
-    """Return the message with points [m], [P, 3], world frame, moved to the body frame at the time of the frame.
-
-    It has no per-point times: motion within the sweep is already compensated, and a reader that deskewed the points
-    again would smear them.
-    """
-    state = frame.observation.actual_state
-    in_body = (points - np.asarray(state.position, float)) @ rotation_matrix(state.quaternion)
-    return sweep(in_body.astype(np.float32), stamp)
-
-
-def new_sweeps(before: Sweeps | None, sweeps: Sweeps) -> list[NDArray[np.float32]]:
-    """Return the sweeps [m], [n, 3] each, that joined since the previous cloud; all of them if the two share none.
-
-    From one cloud to the next, sweeps leave at the front and join at the end.
-
-    Args:
-        before: previous cloud; None if there is none.
-        sweeps: present cloud.
-    """
-    held, present = list(before or ()), list(sweeps)
-    for shared in range(min(len(held), len(present)), 0, -1):
-        pairs = zip(held[-shared:], present, strict=False)
-        if all(a is b or np.array_equal(a, b, equal_nan=True) for a, b in pairs):
-            return present[shared:]
-    return present
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from aero_planner.config.file import load_config
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource, fly
 from aero_viz.logs import FlightLog, flight_log, flight_recorder, record
-from aero_viz.logs.flight_log import new_sweeps
+from aero_viz.logs.flight_messages import new_sweeps
 from aero_viz.recordings import RecordingSource, inspect, open_recording
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
