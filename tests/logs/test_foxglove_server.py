@@ -13,9 +13,12 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
@@ -40,7 +43,7 @@ def session() -> Iterator[Session]:
 
 
 @contextmanager
-def client(url: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
+def client(url: str) -> Iterator[tuple[Connection, dict[str, Any]]]:
     """A client that has subscribed to all topics; the topics are the ids of the subscriptions."""
     with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None) as connection:  # type: ignore[list-item]
         channels: dict[str, Any] = {}
@@ -52,7 +55,7 @@ def client(url: str) -> Iterator[tuple[ClientConnection, dict[str, Any]]]:
         yield connection, {str(channel["id"]): channel for channel in channels.values()}
 
 
-def read(connection: ClientConnection, channels: dict[str, Any], topics: set[str]) -> dict[str, tuple[int, Any]]:
+def read(connection: Connection, channels: dict[str, Any], topics: set[str]) -> dict[str, tuple[int, Any]]:
     """Return the first message of each topic with its stamp, decoded with the advertised definition."""
     found: dict[str, tuple[int, Any]] = {}
     while not found.keys() >= topics:
@@ -61,8 +64,9 @@ def read(connection: ClientConnection, channels: dict[str, Any], topics: set[str
             continue
         subscription, stamp = struct.unpack_from("<IQ", data, 1)
         channel = channels[str(subscription)]
-        schema = type("Schema", (), {"id": subscription, "name": channel["schemaName"], "encoding": "ros2msg"})()
-        schema.data = channel["schema"].encode()
+        schema = Schema(
+            id=subscription, data=channel["schema"].encode(), encoding="ros2msg", name=channel["schemaName"]
+        )
         decode = DecoderFactory().decoder_for(channel["encoding"], schema)
         assert decode is not None
         found.setdefault(channel["topic"], (stamp, decode(data[13:])))
@@ -74,10 +78,10 @@ def test_a_client_reads_the_topics_of_the_flight_log_and_what_came_before(sessio
     with serve_foxglove(session, "127.0.0.1", 0) as server, client(server.url) as (connection, channels):
         found = read(connection, channels, TOPICS)  # nothing is flown: these are the last messages
         stamp, odometry = found["/odometry"]
-        x, y, z = frame.observation.actual_state.position
-        position = odometry.pose.pose.position
-        assert (position.x, position.y, position.z) == pytest.approx((x, y, z))
-        assert found["/goal"][1].pose.position.x == pytest.approx(frame.observation.goal.position[0])
+        position, goal = odometry.pose.pose.position, np.asarray(frame.observation.goal.position)
+        drone = np.asarray(frame.observation.actual_state.position)
+        np.testing.assert_allclose((position.x, position.y, position.z), drone)
+        assert found["/goal"][1].pose.position.x == pytest.approx(goal[0])
         assert found["/sweep"][1].width > 100
         for _ in range(3):
             frame = session.tick()
