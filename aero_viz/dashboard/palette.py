@@ -5,6 +5,7 @@ Each layer has its own hue, in the scene, in the legend and in the status panel:
     rollouts   COST by Stage II cost, bright is good          chosen     green
     cloud      HEIGHT by height, or  NEAR_TO_FAR by range     guides     blue
     endpoints  grey before the refinement, cyan after         goal       rose
+    selection  magenta
     drone      white with an orange nose, orange trail        recording  violet
     cells      NEAR_TO_FAR by range                       directions VIRIDIS by free range
 """
@@ -52,6 +53,7 @@ GOAL: Rgb = (246, 58, 118)
 RECORDED: Rgb = (178, 131, 227)
 RECORDED_PLAN: Rgb = (206, 160, 250)
 SAMPLE: Rgb = (190, 204, 224)
+SELECTED: Rgb = (255, 70, 255)
 
 GOOD: Rgb = (52, 211, 123)
 WARNING: Rgb = (250, 176, 5)

@@ -12,11 +12,13 @@ from aero_viz.dashboard.layers.goal import GoalLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer, RecordedPlanLayer
+from aero_viz.dashboard.layers.selection import SelectionLayer
 
 __all__ = ["LAYERS", "Bar", "BarChart", "Change", "ColorKey", "ColorScale", "Layer", "Option", "apply"]
 
 LAYERS: tuple[type[Layer], ...] = (
     RolloutLayer,
+    SelectionLayer,
     SampleLayer,
     GuideLayer,
     AnchorLayer,

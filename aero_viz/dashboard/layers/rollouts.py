@@ -38,6 +38,8 @@ class RolloutLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self.color_by = Option("Colour by", lambda _: ("rank", "log cost"), "rank")
         self.options = (self.color_by,)
+        self.selected: int | None = None
+        """Instance that is selected."""
         self._all = Lines(scene, "/rollouts/all", thickness=2.2, capacity=512)
         self._chosen = Lines(scene, "/rollouts/chosen", thickness=5.0, capacity=32)
 
@@ -72,7 +74,7 @@ class RolloutLayer(Layer):
                 height=float(height[i]),
                 tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
                 f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}",
-                color=palette.CHOSEN if i == best else colors[i],
+                color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
             )
             for i, kind in enumerate(plan.kinds)

@@ -19,6 +19,7 @@ from aero_viz.dashboard.panels.parameters import LiveParameterPanel, ParameterTa
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
 
 __all__ = ["build"]
@@ -54,6 +55,8 @@ def build(
                 panels.append(GoalPanel(page, controls))
     with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
         panels.append(ChartPanel(page))
+    with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
+        panels.append(WhyPanel(page))
     with tabs.add_tab("Layers", viser.Icon.STACK_2):
         panels.append(LayerPanel(page))
     if controls is not None:

@@ -1,0 +1,144 @@
+"""Explains the plan that is shown: why an instance was chosen or not, and where a point came from."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import viser
+
+from aero_planner.mailbox import Mailbox
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.layers.rollouts import RolloutLayer
+from aero_viz.dashboard.layers.selection import SelectionLayer
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.why_card import card, chart
+from aero_viz.errors import UserError
+from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.explain.picking import describe_point, pick
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import SourceInfo
+
+__all__ = ["WhyPanel"]
+
+_PERIOD = 0.7
+"""Shortest time between two explanations while time runs [s]: each plans once more."""
+_HINT = (
+    "Plan the present tick once more and split its costs. Then click an anchor, a guide, a rollout, a point or a cell "
+    "in the scene, or a number below."
+)
+
+
+class WhyPanel(Panel):
+    """Costs by term over all instances, and the card of what is selected. It works only while it is switched on."""
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._replan = Replanner()
+        self._evidence: Evidence | None = None
+        self._due = 0.0
+        self._shown: tuple[object, ...] = ()
+        self._switch = gui.add_checkbox("Explain the plan", False, hint=_HINT)
+        self._chart = gui.add_html("")
+        self._numbers = gui.add_button_group("Instance", ("none",), visible=False, hint="Select an instance.")
+        self._card = gui.add_html("")
+        self._work = Mailbox(self._explain, name="aero-viz-why", low_priority=True)
+
+        @self._switch.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            scene = self.page.server.scene
+            if self._switch.value:
+                scene.on_click()(self._click)
+            else:
+                scene.remove_click_callback(self._click)
+                self.select(None)
+            self._due = 0.0
+            self.page.refresh()
+
+        @self._numbers.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.select(None if self._numbers.value == "none" else int(self._numbers.value))
+
+    @property
+    def _selection(self) -> SelectionLayer | None:
+        layer = self.page.layers.get("selection")
+        return layer if isinstance(layer, SelectionLayer) else None
+
+    def select(self, instance: int | None, point: np.ndarray | None = None) -> None:
+        """Select an instance or a point of the cloud [m], shape [3], and highlight it everywhere."""
+        if (layer := self._selection) is not None:
+            layer.instance, layer.point = instance, point
+        if isinstance(rollouts := self.page.layers.get("rollouts"), RolloutLayer):
+            rollouts.selected = instance
+        self._due = 0.0
+        self.page.refresh()
+
+    def close(self) -> None:
+        self._work.close()
+        self._replan.close()
+
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        frame = self.session.frame
+        if frame is None:
+            return
+        cells = any(
+            self.page.layers[name].visible for name in ("fine_cells", "coarse_cells") if name in self.page.layers
+        )
+        picked = pick(frame, event.ray_origin, event.ray_direction, cells=cells)
+        self.select(None if picked is None else picked.instance, None if picked is None else picked.point)
+
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        self._evidence, self._due = None, 0.0
+        if (layer := self._selection) is not None:
+            layer.instance = layer.point = None
+        return []
+
+    def update(self, frame: Frame) -> list[Change]:
+        if not self._switch.value:
+            self._shown = ()
+            return [(self._chart, "content", ""), (self._card, "content", ""), (self._numbers, "visible", False)]
+        now = time.monotonic()
+        wanted = self._key(frame)
+        if wanted != self._shown and (not self.session.playing or now >= self._due):
+            self._due = now + _PERIOD
+            self._shown = wanted
+            self._work.put(frame)
+        options = ("none", *map(str, range(len(frame.plan.kinds))))
+        changes: list[Change] = [(self._numbers, "visible", True)]
+        return changes if self._numbers.options == options else [*changes, (self._numbers, "options", options)]
+
+    def _key(self, frame: Frame) -> tuple[object, ...]:
+        layer = self._selection
+        return (frame, None, None) if layer is None else (frame, layer.instance, layer.point)
+
+    def _explain(self, frame: Frame) -> None:
+        """Explain a frame and show the result, on the mailbox's thread."""
+        _, instance, point = self._key(frame)
+        try:
+            if self._evidence is None or self._evidence.frame is not frame:
+                self._evidence = self._replan(frame)
+        except UserError as error:
+            self._chart.content, self._card.content = markup.block(markup.text(error)), ""
+            return
+        evidence = self._evidence
+        parts = [*_recorded(frame)]
+        if isinstance(instance, int) and instance < len(evidence.plan.kinds):
+            parts.append(card(evidence, instance))
+        if isinstance(point, np.ndarray):
+            parts.append(markup.table([(label, value, "") for label, value in describe_point(frame, point)]))
+        if not parts:
+            parts.append(markup.muted("Click an anchor, a guide, a rollout, a point or a cell, or a number above."))
+        self._chart.content = markup.block(chart(evidence, instance if isinstance(instance, int) else None))
+        self._card.content = markup.block(*parts)
+
+
+def _recorded(frame: Frame) -> list[str]:
+    """Return what a log holds of the plan that was flown, and what it lacks."""
+    if frame.source.recorded_plan is None or (plan := frame.source.recorded_plan(frame.time)) is None:
+        return []
+    text = (
+        f"The log holds S2 and clearance of each recorded instance ({plan.best} {plan.kinds[plan.best]}: S2 "
+        f"{plan.stage2_cost[plan.best]:.4g}, {plan.clearance[plan.best]:.2f} m), but neither terms nor samples: what "
+        "follows explains the live planner on the recorded cloud."
+    )
+    return [markup.muted(text)]

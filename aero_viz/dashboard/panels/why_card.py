@@ -1,0 +1,156 @@
+"""HTML of the explanation of a plan: the terms of all instances, and the card of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.palette import Rgb, css
+from aero_viz.dashboard.panels import markup
+from aero_viz.explain.evidence import Evidence
+from aero_viz.explain.terms import STAGE1, STAGE2
+from aero_viz.explain.verdict import closest, verdict
+
+__all__ = ["card", "chart"]
+
+Array = NDArray[np.float64]
+_TAB20 = palette.as_rgb((255 * matplotlib.colormaps["tab20"](np.arange(20))[:, :3]).astype(np.uint8))
+_COLORS: dict[str, Rgb] = dict(zip(STAGE1, [_TAB20[i] for i in (10, 11, 14, 15, 0, 1, 4, 5, 6, 8, 2, 12)], strict=True))
+_WIDTH, _HEIGHT = 290, 40
+_CONTROLS = (("thrust", "N"), ("roll rate", "rad/s"), ("pitch rate", "rad/s"), ("yaw rate", "rad/s"))
+
+
+def chart(evidence: Evidence, selected: int | None) -> str:
+    """Return a column for each instance: by which terms its S2 exceeds the least value of each term."""
+    terms, plan = evidence.terms.sum(axis=2), evidence.plan
+    excess = terms - terms.min(axis=1, keepdims=True)
+    total = excess.sum(axis=0)
+    height = np.log1p(total) / max(float(np.log1p(total).max()), 1e-9)
+    columns = ""
+    for m, kind in enumerate(plan.kinds):
+        parts = "".join(
+            f'<div style="height:{100.0 * part / max(total[m], 1e-9):.1f}%;background:{css(_COLORS[name])}"></div>'
+            for name, part in zip(STAGE2, excess[:, m], strict=True)
+            if part > 0.0
+        )
+        label = f"{m} {kind}: S2 {plan.stage2_cost[m]:.4g}, " + ", ".join(
+            f"{name} {value:.4g}" for name, value in zip(STAGE2, terms[:, m], strict=True) if value > 0.0
+        )
+        mark = palette.SELECTED if m == selected else palette.CHOSEN if m == plan.best else None
+        outline = "" if mark is None else f";outline:2px solid {css(mark)}"
+        faint = "" if evidence.is_safe[m] else ";opacity:0.45"
+        columns += (
+            f'<div class="aero-terms" data-instance="{m}" title="{markup.text(label)}" '
+            f'style="flex:1;height:{max(4.0, 100.0 * height[m]):.0f}%{outline}{faint}">{parts}</div>'
+        )
+    shown = [name for name, row in zip(STAGE2, excess, strict=True) if row.max() > 0.0]
+    heading = markup.heading("S2 above the least of each term, log.: shorter is better", "faint: unsafe")
+    bars = f'<div style="display:flex;align-items:flex-end;gap:3px;height:76px;margin:4px 0">{columns}</div>'
+    return heading + bars + markup.key([(name, _COLORS[name]) for name in shown])
+
+
+def card(evidence: Evidence, instance: int) -> str:
+    """Return the card of an instance."""
+    stage1, plan, config = evidence.stage1(instance), evidence.plan, evidence.frame.config
+    first, second = stage1.terms[:, stage1.best], evidence.terms[:, instance]
+    distance, time, name = closest(evidence, instance)
+    weights = np.sort(stage1.weights)[::-1]
+    kind = plan.kinds[instance]
+    sentence = f'<div class="aero-verdict" style="font-weight:600">{markup.text(verdict(evidence, instance))}</div>'
+    rest = "" if evidence.is_exact else markup.note("Planned again with small differences: another device.")
+    return "".join(
+        (
+            f'<div style="margin:6px 0 4px">{markup.pill(f"instance {instance}: {kind}", palette.SELECTED)}</div>',
+            sentence,
+            rest,
+            _table(first, second),
+            _plot("S1 of its best sample over the steps", [first.sum(axis=0)], is_log=True),
+            _plot("S2 over the steps", [second.sum(axis=0)], is_log=True),
+            _plot(
+                f"clearance [m]: least {distance:.2f} at {time:.2f} s, {name}",
+                [np.minimum(evidence.distance[instance], 2.0)],
+                bounds=(evidence.safe_clearance, config.costs.distance_max),
+                low=0.0,
+            ),
+            markup.heading("effective samples", f"{stage1.effective_samples:.1f} of {len(weights)}"),
+            _weights(weights),
+            *_controls(evidence, instance),
+        )
+    )
+
+
+def _table(first: Array, second: Array) -> str:
+    """Return S1 of the best sample and S2 by term."""
+    rows = ""
+    for index, name in enumerate(STAGE1):
+        left, right = first[index].sum(), second[index - 4].sum() if index >= 4 else None
+        if left or right:
+            number = "" if right is None else f"{right:.4g}"
+            rows += f"<div>{markup.muted(name)}</div><div>{left:.4g}</div><div>{number}</div>"
+    return (
+        '<div class="aero-term-table" style="display:grid;grid-template-columns:1fr auto auto;gap:1px 12px;'
+        f'text-align:right;margin:6px 0"><div></div><div>S1</div><div>S2</div>{rows}'
+        f"<div>all</div><div>{first.sum():.4g}</div><div>{second.sum():.4g}</div></div>"
+    )
+
+
+def _weights(weights: Array, most: int = 24) -> str:
+    columns = "".join(
+        f'<div title="{weight:.3f}" style="flex:1;height:{max(3.0, 100.0 * weight / weights[0]):.0f}%;'
+        f'background:{css(palette.SELECTED)}"></div>'
+        for weight in weights[:most]
+    )
+    label = f"largest {min(most, len(weights))} weights: {weights[0]:.2f}, {weights[min(1, len(weights) - 1)]:.2f}, .."
+    bars = f'<div style="display:flex;align-items:flex-end;gap:1px;height:26px">{columns}</div>'
+    return f'<div class="aero-weights">{markup.muted(label)}{bars}</div>'
+
+
+def _controls(evidence: Evidence, instance: int) -> list[str]:
+    v, controls = evidence.frame.config.vehicle, evidence.plan.controls[instance].astype(np.float64)
+    ends = ((v.thrust_min, v.thrust_max), *[(-v.rate_xy_max, v.rate_xy_max)] * 2, (-v.rate_z_max, v.rate_z_max))
+    plots = []
+    for axis, ((name, unit), bounds) in enumerate(zip(_CONTROLS, ends, strict=True)):
+        value = controls[:, axis]
+        at_bound = int(np.count_nonzero((value <= bounds[0] + 1e-3) | (value >= bounds[1] - 1e-3)))
+        label = f"{name} [{unit}] in {bounds[0]:g} .. {bounds[1]:g}" + (f", {at_bound} at a bound" if at_bound else "")
+        plots.append(_plot(label, [value], bounds=bounds, low=bounds[0], high=bounds[1]))
+    return plots
+
+
+def _plot(
+    label: str,
+    curves: Sequence[Array],
+    *,
+    bounds: Sequence[float] = (),
+    low: float | None = None,
+    high: float | None = None,
+    is_log: bool = False,
+) -> str:
+    """Return curves over the steps of a plan, with dashed lines at bounds."""
+    values = [np.log1p(np.maximum(curve, 0.0)) if is_log else curve for curve in curves]
+    bottom = min(float(min(curve.min() for curve in values)), *bounds, np.inf) if low is None else low
+    top = max(float(max(curve.max() for curve in values)), *bounds, -np.inf) if high is None else high
+    scale = (_HEIGHT - 4) / max(top - bottom, 1e-9)
+
+    def y(value: float) -> float:
+        return _HEIGHT - 2 - (float(value) - bottom) * scale
+
+    lines = "".join(
+        f'<line x1="0" x2="{_WIDTH}" y1="{y(bound):.1f}" y2="{y(bound):.1f}" stroke="{css(palette.WARNING)}" '
+        f'stroke-dasharray="4 3"/>'
+        for bound in bounds
+    )
+    for curve in values:
+        x = np.linspace(0.0, _WIDTH, len(curve))
+        points = " ".join(f"{a:.1f},{y(b):.1f}" for a, b in zip(x, curve, strict=True))
+        lines += f'<polyline points="{points}" fill="none" stroke="{css(palette.SELECTED)}" stroke-width="1.6"/>'
+    ends = f"{curves[0].min():.3g} .. {curves[0].max():.3g}"
+    return (
+        f'<div style="font-size:11px">{markup.heading(label, ends)}</div><svg class="aero-plot" '
+        f'viewBox="0 0 {_WIDTH} {_HEIGHT}" preserveAspectRatio="none" '
+        f'style="display:block;width:100%;height:{_HEIGHT}px;background:{css(palette.MUTED, 0.10)}">{lines}</svg>'
+    )

@@ -1,0 +1,79 @@
+"""Explanations of a plan, through the page."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.catalog import open_source
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers.selection import SelectionLayer
+from tests.browser.desk import open_desk
+from tests.browser.pictures import count
+
+INSTANCE = 5
+
+
+@pytest.fixture(scope="module")
+def desk(browser):
+    """At the first wall of the trap."""
+    layers = ["rollouts", "selection", "anchors", "drone"]
+    source = open_source("double_wall_trap", seed=0)
+    with open_desk(browser, source, ticks=12, size=(1280, 900), layers=layers) as desk:
+        desk.open_tab("Why")
+        yield desk
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
+def selected(desk) -> int | None:
+    layer = desk.dashboard.layers["selection"]
+    assert isinstance(layer, SelectionLayer)
+    return layer.instance
+
+
+def magenta(desk) -> int:
+    return count(desk.screenshot(), palette.SELECTED, tolerance=40)
+
+
+def test_nothing_is_computed_until_it_is_asked_for(desk):
+    assert desk.page.locator(".aero-terms").count() == 0 and magenta(desk) == 0
+
+
+def test_a_number_below_the_bars_selects_an_instance_everywhere(desk):
+    desk.checkbox("Explain the plan").click()
+    desk.wait_for(lambda: desk.page.locator(".aero-terms").count() == 17, "a bar for each instance")
+    desk.page.get_by_role("button", name=str(INSTANCE), exact=True).click()
+    verdict = desk.page.locator(".aero-verdict")
+    verdict.wait_for()
+    assert "Instance 5" in verdict.inner_text()
+    assert desk.page.locator(".aero-plot").count() == 7 and desk.page.locator(".aero-weights").count() == 1
+    desk.wait_for(lambda: magenta(desk) > 30, "the selection in the scene")
+    frame = desk.session.frame
+    text = desk.page.locator(".aero-term-table").inner_text()
+    assert f"{frame.plan.stage2_cost[INSTANCE]:.4g}" in text
+    assert f"{frame.plan.stage1_cost[INSTANCE].min():.4g}" in text
+
+
+def test_the_card_follows_a_changed_weight(desk):
+    before = desk.page.locator(".aero-term-table").inner_text()
+    desk.session.configure({"costs.q_position": 9.0})
+    desk.wait_for(lambda: desk.page.locator(".aero-term-table").inner_text() != before, "another card")
+
+
+def test_a_click_on_an_anchor_selects_its_instance(desk):
+    def on_page(m: int) -> tuple[float, float]:
+        return desk.place_on_page(desk.session.frame.plan.anchors[m])
+
+    spots = np.array([on_page(m) for m in range(15)])
+    gaps = np.linalg.norm(spots[:, None] - spots[None], axis=2) + 1e3 * np.eye(15)
+    lone = int(gaps.min(axis=1).argmax())
+    desk.page.mouse.click(*spots[lone])
+    desk.wait_for(lambda: selected(desk) == lone, f"instance {lone}")
+
+
+def test_it_goes_on_while_the_flight_runs_and_stops_when_it_is_switched_off(desk):
+    desk.session.step(5).result()
+    desk.wait_for(lambda: desk.page.locator(".aero-verdict").count() == 1, "the card of a later tick")
+    desk.checkbox("Explain the plan").click()
+    desk.wait_for(lambda: selected(desk) is None and magenta(desk) == 0, "no selection")
+    desk.wait_for(lambda: desk.page.locator(".aero-terms").count() == 0, "no bars")

@@ -1,0 +1,53 @@
+"""What a click in the scene means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.explain.picking import describe_point, pick
+from tests.explain.conftest import evidence_of
+
+EYE = np.array([-3.0, -1.0, 4.0])
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return evidence_of("double_wall_trap", 36, 12)[0].frame
+
+
+def toward(place):
+    return (place - EYE) / np.linalg.norm(place - EYE)
+
+
+@pytest.mark.parametrize(("kind", "step"), [("anchor", None), ("rollout", 20), ("guide", 15)])
+def test_an_instance_is_picked_by_its_anchor_its_rollout_and_its_guide(frame, kind, step):
+    plan, hits = frame.plan, 0
+    for m in range(15):
+        place = plan.anchors[m] if step is None else (plan.positions if kind == "rollout" else plan.guides)[m, step]
+        picked = pick(frame, EYE, toward(place.astype(np.float64)))
+        assert picked is not None and picked.instance is not None
+        hits += picked.instance == m
+    assert hits >= 12, "others may lie in front of it"
+
+
+def test_a_point_of_the_cloud_tells_its_range_age_sweep_and_cell(frame):
+    sweeps = list(frame.observation.sweeps)
+    point = sweeps[27][100].astype(np.float64)
+    facts = dict(describe_point(frame, point))
+    distance = np.linalg.norm(point - frame.observation.state.position)
+    assert facts["range"] == f"{distance:.2f} m" and facts["sweep"].startswith("28 of 30")
+    assert facts["age"] == f"{frame.time - frame.observation.sweep_times[27]:.2f} s since the end of that sweep"
+    assert facts["obstacle"].startswith(("box", "the ground"))
+    nearest = float(facts["fine cell"].split()[-2])
+    assert nearest <= distance + 0.05
+
+
+def test_a_click_behind_everything_picks_a_point_or_nothing(frame):
+    low = frame.observation.points[frame.observation.points[:, 0] < -0.9].astype(np.float64)[0]
+    picked = pick(frame, EYE, toward(low))
+    assert picked is not None and picked.kind == "point"
+    assert np.linalg.norm(np.cross(picked.point - EYE, toward(low))) < 0.1
+    assert pick(frame, EYE, np.array([0.0, 0.0, 1.0])) is None
+    cell = pick(frame, EYE, toward(frame.plan.filtered_points[0].astype(np.float64)), cells=True)
+    assert cell is not None
