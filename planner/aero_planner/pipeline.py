@@ -148,9 +148,7 @@ class Pipeline(LaunchSequence):
             self.serial("guides", self.end_fork, self._make_guides()),
             self._optimize(),
             self.side_branch("partition", self._pool_coarse_cells()),  # only shown: no later stage needs it
-            self.serial("stage2", *self._evaluate_instances()),
-            self._prove_stops(),
-            self.serial("stage2", self._commit_plan(), self.join),
+            self.serial("stage2", *self._evaluate_instances(), *self._prove_stops(), self._commit_plan(), self.join),
         ]
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
@@ -377,21 +375,26 @@ class Pipeline(LaunchSequence):
         )
         return [roll_out, evaluate, score]
 
-    def _prove_stops(self) -> list[Chunk]:
-        """Roll out the stops of all candidates and find their clearance, for a slice of the stops per chunk."""
-        stop_count, workers = self._sizes.M * self._sizes.J, self._sizes.W
-        bounds = [stop_count * chunk // workers for chunk in range(workers + 1)]
-        return [
-            self.serial("stage2", *self._prove_slice(first, end - first))[0]
-            for first, end in itertools.pairwise(bounds)
-        ]
-
-    def _prove_slice(self, first: int, count: int) -> list[Callable[[], Any]]:
+    def _prove_stops(self) -> list[Callable[[], Any]]:
+        """Find the clearance of the stops of the candidates, on a CPU as far as the selection needs it."""
         i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        count = sizes.M * sizes.J
+        sizes_of_arrays = [sizes.Q - sizes.N, self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range]
+        if not self._tuning.is_cuda:
+            prove = self.record(
+                stops.prove_stops(self._batch_tuning),
+                (sizes.B,),
+                inputs=[
+                    self._drone, i.position, i.quaternion, i.ground_height, self._params, sizes.M, *sizes_of_arrays,
+                    w.plan_period, self._rollouts, w.cell_ends, w.point_packs, w.state_terms, w.instance_scores,
+                ],
+                outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
+            )  # fmt: skip
+            return [prove]
         roll_out = self.record(
             stops.roll_out_stops,
             (sizes.B, count),
-            inputs=[first, self._drone, self._params, w.plan_period, self._rollouts],
+            inputs=[self._drone, self._params, w.plan_period, self._rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
             block_dim=32,
         )
@@ -399,8 +402,7 @@ class Pipeline(LaunchSequence):
             stops.evaluate_stops(self._batch_tuning),
             (sizes.B, count, 4 * sizes.N, self._batch_tuning.threads_per_query),
             inputs=[
-                first, i.position, i.quaternion, i.ground_height, self._params, sizes.Q - sizes.N, self._duplicate_rows,
-                sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period,
+                i.position, i.quaternion, i.ground_height, self._params, *sizes_of_arrays, o.positions, w.plan_period,
                 w.cell_ends, w.point_packs, w.stop_positions, w.state_terms,
             ],
             outputs=[w.stop_clearance],

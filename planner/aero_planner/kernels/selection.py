@@ -18,7 +18,7 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
-from aero_planner.kernels.stops import STOPS, switch_step
+from aero_planner.kernels.stops import STOPS, safe_clearances, switch_step
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 from aero_planner.plan import PlanStatus
 
@@ -220,20 +220,14 @@ def select_best(
 ):
     """Select the instance with the lowest S2; with `prefer_safe`, among the safe ones if there are any.
 
-    An instance is safe if it stays `safe_clearance` away from every point. For a drone that is nearer than that at the
-    start, it is safe if it does not come nearer still. If the status is not OK, the braking candidate with the largest
+    An instance is safe if it stays `safe_clearance` away from every point, see `safe_clearances`. If the status is not OK, the braking candidate with the largest
     clearance is flown; it replaces the "brake" instance, or the selected one if there is no such instance.
 
     Returns:
         Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status,
         index of the stop that is kept.
     """
-    safe = c.safe_clearance
-    stop_safe = wp.min(c.stop_clearance, c.safe_clearance)
-    if start_clearance < safe:
-        safe = start_clearance - 0.02
-    if start_clearance < stop_safe:
-        stop_safe = start_clearance - 0.005
+    safe, stop_safe = safe_clearances(start_clearance, c)
     best = int(0)
     best_stop = int(0)
     lowest = instance_scores[b, 0][0]

@@ -32,7 +32,7 @@ from aero_planner.kernels.partition import cell_of_direction
 from aero_planner.kernels.records import DroneState, Rollouts
 from aero_planner.kernels.warp_ops import point_pack
 
-__all__ = ["STOPS", "evaluate_stops", "roll_out_stops", "switch_step"]
+__all__ = ["STOPS", "evaluate_stops", "prove_stops", "roll_out_stops", "safe_clearances", "switch_step"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -77,28 +77,34 @@ def control_at_step(
     return control
 
 
-@wp.kernel(enable_backward=False)
-def roll_out_stops(
-    # share of the stops
-    first: int,
-    # problem
+@wp.func
+def safe_clearances(start_clearance: float, params: Params):
+    """Return the least clearance of a safe instance, and that of a clear stop [m].
+
+    For a drone that is nearer than that at the start, it is safe not to come nearer still.
+    """
+    safe = params.safe_clearance
+    stop_safe = wp.min(params.stop_clearance, params.safe_clearance)
+    if start_clearance < safe:
+        safe = start_clearance - 0.02
+    if start_clearance < stop_safe:
+        stop_safe = start_clearance - 0.005
+    return safe, stop_safe
+
+
+@wp.func
+def roll_out_stop(
+    b: int,
+    i: int,
     drone: DroneState,
-    # configuration
-    params: wp.array(dtype=Params),
-    # in
+    c: Params,
     plan_period: wp.array(dtype=float),
     rollouts: Rollouts,
-    # out
     stop_controls: wp.array3d(dtype=wp.vec4),
     stop_positions: wp.array3d(dtype=wp.vec3),
     stop_clearance: wp.array2d(dtype=float),
 ):
-    """Roll out the braking manoeuvre of stops from `first` on. Launched over [B, stops]."""
-    b, i = wp.tid()
-    i += first
-    c = params[b]
-    if c.prove_stop == 0:
-        return
+    """Roll out the braking manoeuvre of stop i."""
     m = i // STOPS
     stop = i % STOPS
     steps = stop_controls.shape[2]
@@ -134,16 +140,98 @@ def roll_out_stops(
     stop_clearance[b, i] = wp.where(wp.length(v) < c.stop_speed, c.safe_clearance, 0.0)
 
 
+@wp.kernel(enable_backward=False)
+def roll_out_stops(
+    # problem
+    drone: DroneState,
+    # configuration
+    params: wp.array(dtype=Params),
+    # in
+    plan_period: wp.array(dtype=float),
+    rollouts: Rollouts,
+    # out
+    stop_controls: wp.array3d(dtype=wp.vec4),
+    stop_positions: wp.array3d(dtype=wp.vec3),
+    stop_clearance: wp.array2d(dtype=float),
+):
+    """Roll out the braking manoeuvre of every stop. Launched over [B, stops]."""
+    b, i = wp.tid()
+    c = params[b]
+    if c.prove_stop == 0:
+        return
+    roll_out_stop(b, i, drone, c, plan_period, rollouts, stop_controls, stop_positions, stop_clearance)
+
+
+@functools.cache
+def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
+    """Return the function that finds the clearance of a stop at one position of it [m]."""
+    clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_query)
+    Pack: Any = point_pack(tuning.points_per_pack)
+
+    @wp.func
+    def clearance_of_stop(
+        b: int,
+        i: int,
+        row: int,
+        thread: int,
+        c: Params,
+        position: wp.vec3,
+        quaternion: wp.vec4,
+        ground_height: float,
+        probes: int,
+        duplicate_rows: int,
+        rows: int,
+        columns: int,
+        fine_range: wp.array2d(dtype=float),
+        positions: wp.array3d(dtype=wp.vec3),
+        plan_period: float,
+        cell_ends: wp.array2d(dtype=int),
+        point_packs: wp.array2d(dtype=Pack),
+        stop_positions: wp.array3d(dtype=wp.vec3),
+        state_terms: wp.array3d(dtype=wp.vec4),
+    ) -> float:
+        """Return the clearance of one of the 4 N states and midpoints of stop i, at most safe_clearance [m].
+
+        The first half are those of the braking manoeuvre, the others those of the candidate before the switch.
+        """
+        steps = stop_positions.shape[2] - 1
+        d = float(c.safe_clearance)
+        x = position
+        if row < 2 * steps:
+            t = row // 2
+            x = stop_positions[b, i, t + 1]
+            if row % 2 == 1:
+                x = 0.5 * (x + stop_positions[b, i, t])
+            margin = c.speed_margin * wp.length(stop_positions[b, i, t + 1] - stop_positions[b, i, t]) / c.dt
+            limit = wp.min(c.safe_clearance + margin, cell_size(c))
+            d = clearance_of(x, limit, b, thread, position, cell_size(c), duplicate_rows, cell_ends, point_packs)
+            d = above_ground(d, x, ground_height, c) - margin
+        else:
+            t = (row - 2 * steps) // 2
+            if t < switch_step(i % STOPS, steps, plan_period, c):
+                # state_terms holds N states, the probes, N midpoints and the start.
+                x = positions[b, i // STOPS, t + 1]
+                d = state_terms[b, i // STOPS, wp.where(row % 2 == 0, t, steps + probes + t)][3]
+        if c.stop_seen != 0 and row % 2 == 0:
+            to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
+            distance = wp.length(to_x)
+            if distance > 0.5:
+                cell_row, cell_column = cell_of_direction(to_x, rows, columns)
+                if distance > fine_range[b, cell_row * columns + cell_column]:
+                    d = 0.0
+        return wp.min(d, c.safe_clearance)
+
+    return clearance_of_stop
+
+
 @functools.cache
 def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
     """Return the kernel that finds the clearance of all stops, with `tuning.threads_per_query` threads per position."""
-    clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_query)
+    clearance = clearance_of_stop(tuning)
     Pack: Any = point_pack(tuning.points_per_pack)
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate_stops(
-        # share of the stops
-        first: int,
         # problem
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
@@ -165,42 +253,105 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         # in and out
         stop_clearance: wp.array2d(dtype=float),
     ):
-        """Lower the clearance of stops from `first` on to the least of their states and midpoints.
+        """Lower the clearance of every stop to the least of its states and midpoints.
 
         The states of the candidate before the switch count as well.
         Launched over [B, stops, 4 N, threads per query].
         """
         b, i, row, thread = wp.tid()
-        i += first
         c = params[b]
         if c.prove_stop == 0:
             return
-        steps = stop_positions.shape[2] - 1
-        d = float(c.safe_clearance)
-        x = position[b]
-        if row < 2 * steps:
-            t = row // 2
-            x = stop_positions[b, i, t + 1]
-            if row % 2 == 1:
-                x = 0.5 * (x + stop_positions[b, i, t])
-            margin = c.speed_margin * wp.length(stop_positions[b, i, t + 1] - stop_positions[b, i, t]) / c.dt
-            limit = wp.min(c.safe_clearance + margin, cell_size(c))
-            d = clearance_of(x, limit, b, thread, position[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
-            d = above_ground(d, x, ground_height[b], c) - margin
-        else:
-            t = (row - 2 * steps) // 2
-            if t < switch_step(i % STOPS, steps, plan_period[b], c):
-                # state_terms holds N states, the probes, N midpoints and the start.
-                x = positions[b, i // STOPS, t + 1]
-                d = state_terms[b, i // STOPS, wp.where(row % 2 == 0, t, steps + probes + t)][3]
-        if c.stop_seen != 0 and row % 2 == 0:
-            to_x = quat_inverse_rotate(wp.normalize(quaternion[b]), x - position[b])
-            distance = wp.length(to_x)
-            if distance > 0.5:
-                cell_row, cell_column = cell_of_direction(to_x, rows, columns)
-                if distance > fine_range[b, cell_row * columns + cell_column]:
-                    d = 0.0
+        d = clearance(
+            b, i, row, thread, c, position[b], quaternion[b], ground_height[b], probes, duplicate_rows, rows, columns,
+            fine_range, positions, plan_period[b], cell_ends, point_packs, stop_positions, state_terms,
+        )  # fmt: skip
         if thread == 0 and d < c.safe_clearance:
             wp.atomic_min(stop_clearance, b, i, d)
 
     return tuning.set_options(evaluate_stops, keep_loops=True)
+
+
+@functools.cache
+def prove_stops(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that does the work of `roll_out_stops` and `evaluate_stops` as far as the selection needs it.
+
+    It is serial, for a CPU; a GPU has idle threads for all stops.
+    """
+    clearance = clearance_of_stop(tuning)
+    Pack: Any = point_pack(tuning.points_per_pack)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def prove_stops(
+        # problem
+        drone: DroneState,
+        position: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
+        ground_height: wp.array(dtype=float),
+        # configuration
+        params: wp.array(dtype=Params),
+        instances: int,
+        probes: int,
+        duplicate_rows: int,
+        rows: int,
+        columns: int,
+        # in
+        fine_range: wp.array2d(dtype=float),
+        plan_period: wp.array(dtype=float),
+        rollouts: Rollouts,
+        cell_ends: wp.array2d(dtype=int),
+        point_packs: wp.array2d(dtype=Pack),
+        state_terms: wp.array3d(dtype=wp.vec4),
+        instance_scores: wp.array2d(dtype=wp.vec2),
+        # out
+        stop_controls: wp.array3d(dtype=wp.vec4),
+        stop_positions: wp.array3d(dtype=wp.vec3),
+        stop_clearance: wp.array2d(dtype=float),
+    ):
+        """Look for the first clear stop of the candidates in the order of their costs, until one is safe.
+
+        The clearance of a stop that is not needed, or is not clear, is only known to be too small. Launched over [B].
+        """
+        b = wp.tid()
+        c = params[b]
+        if c.prove_stop == 0:
+            return
+        for i in range(instances * STOPS):
+            stop_clearance[b, i] = -wp.INF
+        safe, stop_safe = safe_clearances(state_terms[b, 0, state_terms.shape[2] - 1][3], c)
+        cost = float(-wp.INF)
+        m = int(-1)
+        for _rank in range(instances):
+            # The next candidate by cost; of equal costs the first one.
+            following = int(-1)
+            for k in range(instances):
+                S = instance_scores[b, k][0]
+                if S > cost or (S == cost and k > m):
+                    if following < 0 or S < instance_scores[b, following][0]:
+                        following = k
+            if following < 0:
+                return
+            m = following
+            cost = instance_scores[b, m][0]
+            if c.prove_stop == 2 or instance_scores[b, m][1] >= safe:
+                for j in range(STOPS):
+                    i = m * STOPS + j
+                    roll_out_stop(b, i, drone, c, plan_period, rollouts, stop_controls, stop_positions, stop_clearance)
+                for j in range(STOPS):
+                    i = m * STOPS + j
+                    least = stop_clearance[b, i]
+                    for row in range(4 * (stop_positions.shape[2] - 1)):
+                        if least >= stop_safe:
+                            d = clearance(
+                                b, i, row, 0, c, position[b], quaternion[b], ground_height[b], probes, duplicate_rows,
+                                rows, columns, fine_range, rollouts.positions, plan_period[b], cell_ends, point_packs,
+                                stop_positions, state_terms,
+                            )  # fmt: skip
+                            least = wp.min(least, d)
+                    stop_clearance[b, i] = least
+                    if least >= stop_safe:
+                        return
+            if c.prefer_safe == 0:
+                return
+
+    return tuning.set_options(prove_stops, keep_loops=True)
