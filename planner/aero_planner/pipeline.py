@@ -37,6 +37,7 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     many = tuning.for_batch(1024)
     return [
         (partition.scatter_points(tuning), 256),
+        (continuation.continue_surfaces(tuning), 256),
         (guides.make_guides(tuning), 32),
         (mppi.sample_rollouts(tuning), 32),
         (clearance.query_clearance(tuning), 128),
@@ -214,11 +215,11 @@ class Pipeline(LaunchSequence):
 
     def _continue_surfaces(self) -> list[Chunk]:
         """Fill cells that the sensor does not see; every worker fills its share."""
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, sizes, width = self._inputs, self._outputs, self._work, self._sizes, self._tuning.cells_per_thread
         return [
             self.serial("partition", self.record(
-                continuation.continue_surfaces,
-                (sizes.B, -(-sizes.F // sizes.W)),
+                continuation.continue_surfaces(self._tuning),
+                (sizes.B, -(-sizes.F0 * -(-sizes.F1 // width) // sizes.W)),
                 inputs=[worker, sizes.W, i.position, i.quaternion, self._params, sizes.F1, w.fine_directions],
                 outputs=[o.fine_range, o.occupied, o.filtered_points],
             ))[0]
