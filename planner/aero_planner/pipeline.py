@@ -38,6 +38,7 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     return [
         (partition.scatter_points(tuning), 256),
         (continuation.continue_surfaces(tuning), 256),
+        (clearance.fill_rows(tuning), 256),
         (guides.make_guides(tuning), 32),
         (mppi.sample_rollouts(tuning), 32),
         (clearance.query_clearance(tuning), 128),
@@ -247,7 +248,7 @@ class Pipeline(LaunchSequence):
                 block_dim=32,
             )
             fill = self.record(
-                clearance.fill_rows,
+                clearance.fill_rows(self._tuning),
                 (sizes.B, sizes.F),
                 inputs=[
                     worker, workers, capacity, i.position, self._params, self._duplicate_rows, o.occupied,

@@ -101,7 +101,7 @@ def count_points(
         return
     cx, cy, cz = cell_of_point(filtered_points[b, i], position[b], cell_size(params[b]))
     for z in range(cz - 1, cz + 2):
-        if z % workers == worker:
+        if workers == 1 or z % workers == worker:
             for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
                 wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
 
@@ -142,49 +142,55 @@ def allocate_rows(
         cursor = begin[3] + row[x, 3]
 
 
-@wp.kernel
-def fill_rows(
-    # slice of the grid
-    worker: int,
-    workers: int,
-    worker_capacity: int,
-    # problem
-    position: wp.array(dtype=wp.vec3),
-    # configuration
-    params: wp.array(dtype=Params),
-    duplicate_rows: int,
-    # in
-    occupied: wp.array2d(dtype=int),
-    filtered_points: wp.array2d(dtype=wp.vec3),
-    points_used: wp.array2d(dtype=int),
-    # in and out
-    cell_ends: wp.array2d(dtype=int),
-    # out
-    pack_coordinates: wp.array4d(dtype=float),
-):
-    """Write every point into its cells; `cell_ends` becomes the end of each cell, where the next one of the row begins.
+@functools.cache
+def fill_rows(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that lists the points by cell, in packs of `tuning.points_per_pack`."""
+    WIDTH = wp.constant(tuning.points_per_pack)
 
-    `pack_coordinates` holds the packs of points, shape [B, packs, 3, width]. Launched over [B, fine cells].
-    """
-    b, i = wp.tid()
-    width = pack_coordinates.shape[3]
-    if i == 0:
-        used = worker * worker_capacity + points_used[worker, b]
-        for slot in range(used, (used + width - 1) // width * width):
-            pack_coordinates[b, slot // width, 0, slot % width] = FAR
-    if occupied[b, i] == 0:
-        return
-    point = filtered_points[b, i]
-    cx, cy, cz = cell_of_point(point, position[b], cell_size(params[b]))
-    for z in range(cz - 1, cz + 2):
-        if z % workers == worker:
-            for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
-                slot = wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
-                pack = slot // width
-                j = slot % width
-                pack_coordinates[b, pack, 0, j] = point[0]
-                pack_coordinates[b, pack, 1, j] = point[1]
-                pack_coordinates[b, pack, 2, j] = point[2]
+    @wp.kernel(module="unique", enable_backward=False)
+    def fill_rows(
+        # slice of the grid
+        worker: int,
+        workers: int,
+        worker_capacity: int,
+        # problem
+        position: wp.array(dtype=wp.vec3),
+        # configuration
+        params: wp.array(dtype=Params),
+        duplicate_rows: int,
+        # in
+        occupied: wp.array2d(dtype=int),
+        filtered_points: wp.array2d(dtype=wp.vec3),
+        points_used: wp.array2d(dtype=int),
+        # in and out
+        cell_ends: wp.array2d(dtype=int),
+        # out
+        pack_coordinates: wp.array4d(dtype=float),
+    ):
+        """Write every point into its cells; `cell_ends` becomes the end of each cell, where the next of the row begins.
+
+        `pack_coordinates` holds the packs of points, shape [B, packs, 3, WIDTH]. Launched over [B, fine cells].
+        """
+        b, i = wp.tid()
+        if i == 0:
+            used = worker * worker_capacity + points_used[worker, b]
+            for slot in range(used, (used + WIDTH - 1) // WIDTH * WIDTH):
+                pack_coordinates[b, slot // WIDTH, 0, slot % WIDTH] = FAR
+        if occupied[b, i] == 0:
+            return
+        point = filtered_points[b, i]
+        cx, cy, cz = cell_of_point(point, position[b], cell_size(params[b]))
+        for z in range(cz - 1, cz + 2):
+            if workers == 1 or z % workers == worker:
+                for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
+                    slot = wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
+                    pack = slot // WIDTH
+                    j = slot % WIDTH
+                    pack_coordinates[b, pack, 0, j] = point[0]
+                    pack_coordinates[b, pack, 1, j] = point[1]
+                    pack_coordinates[b, pack, 2, j] = point[2]
+
+    return tuning.set_options(fill_rows)
 
 
 @functools.cache
