@@ -15,7 +15,18 @@ import warp as wp
 from aero_planner.array_memory import as_scalars, as_vectors
 from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.config import PlannerConfig
-from aero_planner.kernels import anchors, clearance, continuation, guides, mppi, partition, prediction, selection, stops
+from aero_planner.kernels import (
+    anchors,
+    clearance,
+    continuation,
+    guides,
+    mppi,
+    partition,
+    prediction,
+    sample_clearance,
+    selection,
+    stops,
+)
 from aero_planner.kernels.escape import Escape
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.records import (
@@ -41,8 +52,8 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
         (clearance.fill_rows(tuning), 256),
         (guides.make_guides(tuning), 32),
         (mppi.sample_rollouts(tuning), 32),
-        (clearance.query_clearance(tuning), 128),
-        (clearance.query_clearance(many), 128),
+        (sample_clearance.query_clearance(tuning), 128),
+        (sample_clearance.query_clearance(many), 128),
         (mppi.update_controls(tuning), tuning.threads_per_update),
         (mppi.update_controls(many), many.threads_per_update),
         (selection.roll_out_controls(tuning), 32),
@@ -307,12 +318,21 @@ class Pipeline(LaunchSequence):
 
     def _query_clearance(self, first: int, count: int) -> Callable[[], Any]:
         i, w, sizes = self._inputs, self._work, self._sizes
-        stride = sizes.K if self._tuning.is_cuda else 1
+        if not self._tuning.is_cuda:
+            return self.record(
+                sample_clearance.query_sample_vectors(self._tuning),
+                (count, sizes.Q),
+                inputs=[
+                    first, sizes.M, sizes.N, i.position, i.ground_height, self._params, w.cell_ends, w.point_packs,
+                    as_vectors(w.sample_positions, self._tuning.samples_per_thread),
+                ],
+                outputs=[w.sample_clearance_cost],
+            )  # fmt: skip
         return self.record(
-            clearance.query_clearance(self._batch_tuning),
-            (count, sizes.Q, stride * self._batch_tuning.threads_per_sample_query),
+            sample_clearance.query_clearance(self._batch_tuning),
+            (count, sizes.Q, sizes.K * self._batch_tuning.threads_per_sample_query),
             inputs=[
-                first, sizes.M, sizes.N, stride, i.position, i.ground_height, self._params, self._duplicate_rows,
+                first, sizes.M, sizes.N, i.position, i.ground_height, self._params, self._duplicate_rows,
                 w.cell_ends, w.point_packs, w.sample_positions,
             ],
             outputs=[w.sample_clearance_cost],

@@ -14,7 +14,6 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.costs import collision_cost
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import farthest
@@ -29,9 +28,11 @@ __all__ = [
     "clearance_at",
     "count_points",
     "fill_rows",
-    "query_clearance",
+    "grid_coordinates",
     "query_limit",
     "safety_limit",
+    "scan_packs",
+    "smallest",
 ]
 
 wp.set_module_options({"enable_backward": False})
@@ -194,6 +195,51 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
 
 
 @functools.cache
+def scan_packs(width: int, threads: int) -> wp.Function:
+    """Return the function that compares a position with every `threads`-th pack of `width` points."""
+    THREADS, WIDTH = wp.constant(threads), wp.constant(width)
+    read_pack = read_point_pack(width)
+    Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
+    Pack: Any = point_pack(width)
+
+    @wp.func
+    def scan_packs(best: Reals, x: wp.vec3, b: int, first: int, end: int, point_packs: wp.array2d(dtype=Pack)) -> Reals:
+        """Return the smaller ones of `best` and the squared distances from x to the points of packs [first, end)."""
+        for k in range(first, end, THREADS):
+            pack = read_pack(point_packs, b, k)
+            for j in range(WIDTH):
+                dx = pack[0, j] - x[0]
+                dy = pack[1, j] - x[1]
+                dz = pack[2, j] - x[2]
+                d = dx * dx + dy * dy + dz * dz
+                best[j] = wp.where(d < best[j], d, best[j])
+        return best
+
+    return scan_packs
+
+
+@functools.cache
+def smallest(width: int) -> wp.Function:
+    """Return the function that finds the smallest of `width` numbers by halving: at most four dependent steps."""
+    HALF, QUARTER = wp.constant(width // 2), wp.constant(width // 4)
+    REMAINING = wp.constant(max(width // 4, 1))
+    Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
+
+    @wp.func
+    def smallest(values: Reals) -> float:
+        for j in range(HALF):
+            values[j] = wp.where(values[j + HALF] < values[j], values[j + HALF], values[j])
+        for j in range(QUARTER):
+            values[j] = wp.where(values[j + QUARTER] < values[j], values[j + QUARTER], values[j])
+        nearest = values[0]
+        for j in range(1, REMAINING):
+            nearest = wp.where(values[j] < nearest, values[j], nearest)
+        return nearest
+
+    return smallest
+
+
+@functools.cache
 def clearance_at(width: int, threads: int) -> wp.Function:
     """Return the function that finds the distance to the nearest point.
 
@@ -201,10 +247,8 @@ def clearance_at(width: int, threads: int) -> wp.Function:
         width: points per pack.
         threads: neighbouring threads of a warp that query the same position and share its packs.
     """
-    THREADS = wp.constant(threads)
-    minimum, read_pack = minimum_over(threads), read_point_pack(width)
-    WIDTH, HALF, QUARTER = wp.constant(width), wp.constant(width // 2), wp.constant(width // 4)
-    REMAINING = wp.constant(max(QUARTER, 1))
+    minimum, scan, reduce = minimum_over(threads), scan_packs(width, threads), smallest(width)
+    WIDTH = wp.constant(width)
     Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
     Pack: Any = point_pack(width)
 
@@ -237,23 +281,8 @@ def clearance_at(width: int, threads: int) -> wp.Function:
             first = cell_ends[b, row + int(wp.max(c[0] - limit_x - 1.0, 0.0))]
             last = cell_ends[b, row + int(wp.min(c[0] + limit_x, float(GRID - 1)))]
             if first < last:
-                for k in range(first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, THREADS):
-                    pack = read_pack(point_packs, b, k)
-                    for j in range(WIDTH):
-                        dx = pack[0, j] - x[0]
-                        dy = pack[1, j] - x[1]
-                        dz = pack[2, j] - x[2]
-                        d = dx * dx + dy * dy + dz * dz
-                        best[j] = wp.where(d < best[j], d, best[j])
-        # The minimum by halving: at most four dependent steps.
-        for j in range(HALF):
-            best[j] = wp.where(best[j + HALF] < best[j], best[j + HALF], best[j])
-        for j in range(QUARTER):
-            best[j] = wp.where(best[j + QUARTER] < best[j], best[j + QUARTER], best[j])
-        nearest = best[0]
-        for j in range(1, REMAINING):
-            nearest = wp.where(best[j] < nearest, best[j], nearest)
-        nearest = minimum(nearest)
+                best = scan(best, x, b, first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, point_packs)
+        nearest = minimum(reduce(best))
         return wp.where(nearest < limit * limit, wp.sqrt(nearest), limit)
 
     return clearance_at
@@ -279,56 +308,3 @@ def query_limit(t: int, steps: int, params: Params) -> float:
     if t >= steps:
         return params.blocked_radius
     return wp.max(params.distance_max, safety_limit(params))
-
-
-@functools.cache
-def query_clearance(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that evaluates the clearance of all Stage I positions."""
-    THREADS = wp.constant(tuning.threads_per_sample_query)
-    clearance = clearance_at(tuning.points_per_pack, tuning.threads_per_sample_query)
-    Pack: Any = point_pack(tuning.points_per_pack)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def query_clearance(
-        # slice of the instances
-        first_instance: int,
-        instances: int,
-        steps: int,
-        stride: int,
-        # problem
-        position: wp.array(dtype=wp.vec3),
-        ground_height: wp.array(dtype=float),
-        # configuration
-        params: wp.array(dtype=Params),
-        duplicate_rows: int,
-        # in
-        cell_ends: wp.array2d(dtype=int),
-        point_packs: wp.array2d(dtype=Pack),
-        sample_positions: wp.array4d(dtype=float),
-        # out
-        sample_clearance_cost: wp.array3d(dtype=float),
-    ):
-        """Compute the collision cost of every sampled position, shape [B M, N + PROBES, K].
-
-        Rows from `steps` on are probes of the cost-to-go: 1 where the path is blocked, else 0. Launched over [instances
-        of this chunk, N + PROBES, stride THREADS]. A group of threads handles every `stride`-th sample.
-        """
-        offset, t, slot = wp.tid()
-        first_sample = slot // THREADS
-        thread = slot % THREADS
-        i = first_instance + offset
-        b = i // instances
-        c = params[b]
-        if t >= steps and c.q_blocked == 0.0:
-            return
-        limit = query_limit(t, steps, c)
-        size = cell_size(c)
-        for k in range(first_sample, sample_clearance_cost.shape[2], stride):
-            x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
-            d = clearance(x, limit, b, thread, position[b], size, duplicate_rows, cell_ends, point_packs)
-            d = above_ground(d, x, ground_height[b], c)
-            if thread == 0:
-                blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
-                sample_clearance_cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), blocked)
-
-    return tuning.set_options(query_clearance, keep_loops=True)

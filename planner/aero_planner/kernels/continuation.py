@@ -136,7 +136,8 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
                     body_x = cosine * ahead_x[j] + sine * up[0]
                     body_y = cosine * ahead_y[j] + sine * up[1]
                     body_z = cosine * ahead_z[j] + sine * up[2]
-                    source_row = (near_atan2(body_z, wp.sqrt(body_x * body_x + body_y * body_y)) / wp.PI + 0.5) * float(rows)
+                    body_flat = wp.sqrt(body_x * body_x + body_y * body_y)
+                    source_row = (near_atan2(body_z, body_flat) / wp.PI + 0.5) * float(rows)
                     source_column = (near_atan2(body_y, body_x) / (2.0 * wp.PI) + 0.5) * float(columns)
                     off_center = wp.max(
                         wp.abs(source_row - wp.floor(source_row) - 0.5),

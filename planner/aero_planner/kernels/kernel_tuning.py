@@ -76,10 +76,12 @@ class KernelTuning(NamedTuple):
         return kernel
 
 
-CPU = KernelTuning(points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=16)
+CPU = KernelTuning(
+    points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=16
+)
 """Sizes that LLVM turns into vector instructions."""
 CUDA = KernelTuning(
-    points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4, cells_per_thread=1, threads_per_update=512,
-    threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32, is_cuda=True,
+    points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4, cells_per_thread=1,
+    threads_per_update=512, threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32, is_cuda=True,
 )  # fmt: skip
 """One point or sample per thread, and 16-byte loads of points and samples."""

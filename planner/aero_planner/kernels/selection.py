@@ -220,8 +220,9 @@ def select_best(
 ):
     """Select the instance with the lowest S2; with `prefer_safe`, among the safe ones if there are any.
 
-    An instance is safe if it stays `safe_clearance` away from every point, see `safe_clearances`. If the status is not OK, the braking candidate with the largest
-    clearance is flown; it replaces the "brake" instance, or the selected one if there is no such instance.
+    An instance is safe if it stays `safe_clearance` away from every point, see `safe_clearances`. If the status is not
+    OK, the braking candidate with the largest clearance is flown; it replaces the "brake" instance, or the selected one
+    if there is no such instance.
 
     Returns:
         Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status,

@@ -326,9 +326,9 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
             following = int(-1)
             for k in range(instances):
                 S = instance_scores[b, k][0]
-                if S > cost or (S == cost and k > m):
-                    if following < 0 or S < instance_scores[b, following][0]:
-                        following = k
+                is_left = cost < S or (cost == S and k > m)
+                if is_left and (following < 0 or instance_scores[b, following][0] > S):
+                    following = k
             if following < 0:
                 return
             m = following

@@ -1,0 +1,158 @@
+"""Clearance of all Stage I positions, and its cost."""
+
+# Postponed annotations are left out: kernels made for a tuning refer to local types.
+
+import functools
+from typing import Any
+
+import warp as wp
+
+from aero_planner.kernels.clearance import (
+    GRID,
+    above_ground,
+    cell_size,
+    clearance_at,
+    grid_coordinates,
+    query_limit,
+    scan_packs,
+    smallest,
+)
+from aero_planner.kernels.costs import collision_cost
+from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.params import Params
+from aero_planner.kernels.warp_ops import point_pack
+
+__all__ = ["query_clearance", "query_sample_vectors"]
+
+wp.set_module_options({"enable_backward": False})
+
+
+@functools.cache
+def query_clearance(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that evaluates the clearance of all Stage I positions on CUDA."""
+    THREADS = wp.constant(tuning.threads_per_sample_query)
+    clearance = clearance_at(tuning.points_per_pack, tuning.threads_per_sample_query)
+    Pack: Any = point_pack(tuning.points_per_pack)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def query_clearance(
+        # slice of the instances
+        first_instance: int,
+        instances: int,
+        steps: int,
+        # problem
+        position: wp.array(dtype=wp.vec3),
+        ground_height: wp.array(dtype=float),
+        # configuration
+        params: wp.array(dtype=Params),
+        duplicate_rows: int,
+        # in
+        cell_ends: wp.array2d(dtype=int),
+        point_packs: wp.array2d(dtype=Pack),
+        sample_positions: wp.array4d(dtype=float),
+        # out
+        sample_clearance_cost: wp.array3d(dtype=float),
+    ):
+        """Compute the collision cost of every sampled position, shape [B M, N + PROBES, K].
+
+        Rows from `steps` on are probes of the cost-to-go: 1 where the path is blocked, else 0.
+        Launched over [instances of this chunk, N + PROBES, K THREADS].
+        """
+        offset, t, slot = wp.tid()
+        k = slot // THREADS
+        thread = slot % THREADS
+        i = first_instance + offset
+        b = i // instances
+        c = params[b]
+        if t >= steps and c.q_blocked == 0.0:
+            return
+        limit = query_limit(t, steps, c)
+        size = cell_size(c)
+        x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
+        d = clearance(x, limit, b, thread, position[b], size, duplicate_rows, cell_ends, point_packs)
+        d = above_ground(d, x, ground_height[b], c)
+        if thread == 0:
+            blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
+            sample_clearance_cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), blocked)
+
+    return tuning.set_options(query_clearance)
+
+
+@functools.cache
+def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that does the work of `query_clearance` on a CPU, for vectors of samples.
+
+    Most positions are far from all points. Their cells and their costs are found for a vector at once, and only the
+    others are compared with points one by one. The rows of the grid must be duplicated.
+    """
+    WIDTH, PACK = wp.constant(tuning.samples_per_thread), wp.constant(tuning.points_per_pack)
+    scan, reduce = scan_packs(tuning.points_per_pack, 1), smallest(tuning.points_per_pack)
+    Reals: Any = wp.types.vector(length=tuning.samples_per_thread, dtype=wp.float32)
+    Integers: Any = wp.types.vector(length=tuning.samples_per_thread, dtype=wp.int32)
+    Distances: Any = wp.types.vector(length=tuning.points_per_pack, dtype=wp.float32)
+    Pack: Any = point_pack(tuning.points_per_pack)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def query_sample_vectors(
+        # slice of the instances
+        first_instance: int,
+        instances: int,
+        steps: int,
+        # problem
+        position: wp.array(dtype=wp.vec3),
+        ground_height: wp.array(dtype=float),
+        # configuration
+        params: wp.array(dtype=Params),
+        # in
+        cell_ends: wp.array2d(dtype=int),
+        point_packs: wp.array2d(dtype=Pack),
+        sample_positions: wp.array4d(dtype=Reals),
+        # out
+        sample_clearance_cost: wp.array3d(dtype=float),
+    ):
+        """Compute the collision cost of every sampled position. Launched over [instances of this chunk, N + PROBES]."""
+        offset, t = wp.tid()
+        i = first_instance + offset
+        b = i // instances
+        c = params[b]
+        if t >= steps and c.q_blocked == 0.0:
+            return
+        samples = sample_clearance_cost.shape[2]
+        center = position[b]
+        ground = ground_height[b]
+        limit = query_limit(t, steps, c)
+        size = cell_size(c)
+        # The limit in cells, with a margin for rounding.
+        reach = limit / size + 1.0e-4
+        first_cell = Integers()
+        last_cell = Integers()
+        cost = Reals()
+        for group in range((samples + WIDTH - 1) // WIDTH):
+            xs = sample_positions[i, t, 0, group]
+            ys = sample_positions[i, t, 1, group]
+            zs = sample_positions[i, t, 2, group]
+            nearest = Reals(limit * limit)
+            for j in range(WIDTH):
+                cell = grid_coordinates(wp.vec3(xs[j], ys[j], zs[j]), center, size)
+                row = (int(cell[2]) * GRID + int(cell[1])) * GRID
+                # The first cell of a row is empty, so its end is the begin of the row.
+                inside = wp.min(cell) >= 0.0 and wp.max(cell) < float(GRID)
+                first_cell[j] = wp.where(inside, row + int(wp.max(cell[0] - reach - 1.0, 0.0)), 0)
+                last_cell[j] = wp.where(inside, row + int(wp.min(cell[0] + reach, float(GRID - 1))), 0)
+            for j in range(WIDTH):
+                first = cell_ends[b, first_cell[j]]
+                last = cell_ends[b, last_cell[j]]
+                if first < last:
+                    x = wp.vec3(xs[j], ys[j], zs[j])
+                    best = Distances(limit * limit)
+                    end = (last + PACK - 1) // PACK
+                    nearest[j] = reduce(scan(best, x, b, first // PACK, end, point_packs))
+            for j in range(WIDTH):
+                d = wp.where(nearest[j] < limit * limit, wp.sqrt(nearest[j]), limit)
+                d = above_ground(d, wp.vec3(xs[j], ys[j], zs[j]), ground, c)
+                blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
+                cost[j] = wp.where(t < steps, collision_cost(d, c), blocked)
+            for j in range(wp.min(WIDTH, samples - group * WIDTH)):
+                sample_clearance_cost[i, t, group * WIDTH + j] = cost[j]
+
+    return tuning.set_options(query_sample_vectors, keep_loops=True)
