@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from aero_viz.session.source import Conditions, Opener, Source
 
 __all__ = [
-    "PageFlags", "announce_foxglove", "connect", "demo", "flight_opener", "play", "serve_flight", "shutdown_event",
-    "wait_for",
+    "PageFlags", "announce", "announce_foxglove", "connect", "demo", "flight_opener", "play", "serve_flight",
+    "shutdown_event", "wait_for",
 ]  # fmt: skip
 
 
@@ -199,7 +199,7 @@ def connect(
         dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
         stack.callback(dashboard.close)
         _serve_foxglove(stack, session, page_flags)
-        _announce(drone, dashboard, page_flags)
+        announce(drone, dashboard, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)
 
@@ -310,7 +310,7 @@ def serve(
 
             stack.enter_context(record(session, log))
         _serve_foxglove(stack, session, page_flags)
-        _announce(spec, dashboard, page_flags)
+        announce(spec, dashboard, page_flags)
         session.start(play=False)
         if not page_flags.paused:
             _play_when_first_client_connects(session, dashboard)
@@ -372,7 +372,8 @@ def announce_foxglove(url: str) -> None:
     print(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
 
 
-def _announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
+def announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
+    """Print the address of the page and who can reach it, and open it if that is asked for."""
     print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
     if not dashboard.server.is_local:
         print(

@@ -18,6 +18,7 @@ VERBS: dict[str, Verb] = {
     "play": _verb("page", "play", "Run the planner on a recording, open loop, live in the browser."),
     "connect": _verb("page", "connect", "Show the live plan of a drone that runs `aero-planner run`."),
     "inspect": _verb("recordings", "inspect", "Show what a recording contains and which parts can be played."),
+    "compare": _verb("compare", "compare", "Compare two flight logs: figures, parameters and conditions."),
     "convert": _verb("recordings", "convert", "Write a recording, or a part of it, as ROS 2 MCAP."),
     "fly": _verb("flights", "fly", "Fly through a scene or a world once, as fast as possible, and print the result."),
     "score": _verb("flights", "score", "Score a flight of any planner with the simulator's own metrics."),

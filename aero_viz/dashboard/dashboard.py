@@ -52,6 +52,7 @@ class Dashboard:
         panels: show the panels; without them the page loads in half the time.
         folders: folders whose files the page may open, besides `choices`.
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
+        history: keeps what the curves show; None keeps every tick of the session.
 
     Raises:
         UserError: the port is taken, or the host is not an address of this machine.
@@ -72,6 +73,7 @@ class Dashboard:
         panels: bool = True,
         folders: Sequence[str | Path] = (),
         allowed_hosts: Sequence[str] = (),
+        history: FlightHistory | None = None,
     ) -> None:
         self.server = LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
@@ -82,7 +84,7 @@ class Dashboard:
         """All panels."""
         self.source: SourceInfo | None = None
         """Source of the last frame that was shown."""
-        self.history = FlightHistory()
+        self.history = FlightHistory() if history is None else history
         """Every tick of the source so far."""
         self.update_ms: deque[float] = deque(maxlen=300)
         """Durations of the last updates [ms]."""

@@ -57,13 +57,15 @@ class Past:
     rows: Rows
     """One row for each tick so far, in the order of time, with the columns `COLUMNS`."""
     events: tuple[Event, ...]
+    outcome: str | None
+    """Outcome of the rows; None as long as the flight goes on."""
     ghost: Rows
     """Rows of the ghost: the flight of configuration A, or the future that was left when the flight last forked. Empty
     without either."""
     ghost_outcome: str | None
     """Outcome of the ghost; None if it was left while running."""
     ghost_name: str
-    """"A", or "before" for the future that was left."""
+    """"A", "before" for the future that was left, or the name of another log."""
     differs_at: float | None
     """First time at which the flight differs from the ghost [s]; None as long as it does not. In a recording, whose
     motion is given, another instance is chosen."""
@@ -132,8 +134,8 @@ class FlightHistory:
             is_recording = self._last is not None and not self._last.source.closed_loop
             differs_at = first_difference(rows, ghost, over=self._ghost_outcome is not None, plans=is_recording)
             return Past(
-                rows, tuple(self._events), ghost, self._ghost_outcome, self._ghost_name, differs_at, self._pinned,
-                self._alternative,
+                rows, tuple(self._events), self._outcome, ghost, self._ghost_outcome, self._ghost_name, differs_at,
+                self._pinned, self._alternative,
             )  # fmt: skip
 
     def _clear(self) -> None:

@@ -24,7 +24,7 @@ from aero_viz.recordings.source import RecordingSource
 from aero_viz.scenes import World
 from aero_viz.session.source import Observation, RecordedPlan
 
-__all__ = ["FlightReplay", "is_flight_log"]
+__all__ = ["FlightReplay", "is_flight_log", "log_typestore"]
 
 _TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
 
@@ -55,7 +55,8 @@ class FlightReplay(RecordingSource):
             recording.poses = recording.poses.without_offset()  # the goals, plans and world are in the recorded frame
         super().__init__(recording, goal_ahead=goal_ahead)
         poses = recording.poses
-        self._start = 0.0 if poses is None else float(poses.times[0])
+        self.start = 0.0 if poses is None else float(poses.times[0])
+        """Source time of the first pose [s]."""
         self._goals: list[tuple[float, NDArray[np.float64]]] = []
         self._plans: list[RecordedPlan] = []
         self._world: World | None = None
@@ -106,8 +107,8 @@ class FlightReplay(RecordingSource):
             if channel.topic == "/odometry":
                 first = message.log_time if first is None else first
                 continue
-            decoded: Any = _typestore().deserialize_cdr(message.data, schema.name)
-            time = (message.log_time - (message.log_time if first is None else first)) * 1e-9 + self._start
+            decoded: Any = log_typestore().deserialize_cdr(message.data, schema.name)
+            time = (message.log_time - (message.log_time if first is None else first)) * 1e-9 + self.start
             if channel.topic == "/goal":
                 place = decoded.pose.position
                 self._goals.append((time, np.array((place.x, place.y, place.z))))
@@ -131,7 +132,8 @@ def _plan(time: float, summary: Any, path: Any) -> RecordedPlan:
 
 
 @cache
-def _typestore() -> Typestore:
+def log_typestore() -> Typestore:
+    """Return the types of the messages in a flight log."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(PLAN_DEFINITION, PLAN))
     return store

@@ -87,7 +87,7 @@ class GhostLayer(Layer):
 
 
 def _is_shown(past: Past) -> bool:
-    return past.ghost_name == "A" or past.differs_at is not None
+    return past.ghost_name != "before" or past.differs_at is not None
 
 
 class TrailLayer(Layer):

@@ -18,10 +18,10 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.dashboard.panels.flight_figures import FIGURES, flight_figures
+from aero_viz.logs.flight_figures import LABELS, FlightFigures
 from aero_viz.session.frame import Frame
 
-__all__ = ["CURVES", "ChartPanel", "Curve", "envelope", "table"]
+__all__ = ["CURVES", "ChartPanel", "Curve", "envelope", "flight_table", "table"]
 
 _WIDTH, _HEIGHT = 300, 46
 """Size of one curve in the drawing [pixels]."""
@@ -30,6 +30,11 @@ _PERIOD = 0.4
 _GAP = 0.25
 """Time without ticks from which a line is interrupted [s]; ten ticks if that is longer."""
 _GHOST_LINE = 'class="aero-ghost" stroke-dasharray="5 3"'
+_NAMES = {
+    "A": (("A", "B"), "the flight of configuration A"),
+    "before": (("before", "now"), "the future before"),
+}
+"""Headings and description of a ghost by its name."""
 _EVENT_COLORS = {
     "braking": palette.WARNING,
     "end": palette.BAD,
@@ -96,7 +101,7 @@ class ChartPanel(Panel):
         if not len(past.rows) or shown == self._shown:
             return []
         self._shown = shown
-        return [(self.drawing, "content", markup.block(_drawing(past, frame), _fork(past, frame)))]
+        return [(self.drawing, "content", markup.block(_drawing(past, frame), _fork(past)))]
 
 
 def table(rows: Array, curves: Sequence[Curve]) -> str:
@@ -202,7 +207,8 @@ def _ghost_value(curve: Curve, past: Past, indices: list[int], time: float) -> s
     at = int(np.searchsorted(past.ghost[:, 0], time + 1e-9)) - 1
     if at < 0 or past.ghost[-1, 0] < time - _GAP:
         return ""
-    return f" ({past.ghost_name} {past.ghost[at, indices[0]]:{curve.number}})"
+    name = "before" if past.ghost_name == "before" else "A"
+    return f" ({name} {past.ghost[at, indices[0]]:{curve.number}})"
 
 
 def _scaled(curve: Curve, value: float) -> float:
@@ -226,18 +232,25 @@ def _list(events: Sequence[Event], most: int = 6) -> str:
     return (more if len(events) > most else "") + "".join(lines)
 
 
-def _fork(past: Past, frame: Frame) -> str:
+def _fork(past: Past) -> str:
     """Return the flight and its ghost in figures, one beside the other."""
     if not len(past.ghost):
         return ""
-    is_a = past.ghost_name == "A"
-    names = ("A", "B") if is_a else ("before", "now")
-    what = "the flight of configuration A" if is_a else "the future before"
+    names, what = _NAMES.get(past.ghost_name, (("A", "B"), f"A, {past.ghost_name}"))
     differs = "no difference so far" if past.differs_at is None else f"first difference at {past.differs_at:.2f} s"
-    figures = [
-        flight_figures(past.ghost, past.ghost_outcome or ("flying" if is_a else "left while flying")),
-        flight_figures(past.rows, frame.outcome or "flying"),
-    ]
-    rows = [(label, *cells) for label, *cells in zip(FIGURES, *figures, strict=True)]
-    note = markup.note(f"{'Compared' if is_a else 'Forked'}: the dashed curves are {what}; {differs}.")
-    return f'<div class="aero-fork">{note}{markup.columns(("flight", *names), rows)}</div>'
+    note = markup.note(f"{'Forked' if past.ghost_name == 'before' else 'Compared'}: dashed is {what}; {differs}.")
+    return f'<div class="aero-fork">{note}{flight_table(past, names)}</div>'
+
+
+def flight_table(past: Past, names: tuple[str, str], *, ghost_state: str = "not over") -> str:
+    """Return the figures of the ghost and of the flight as HTML.
+
+    Args:
+        past: the flight and its ghost, which must not be empty.
+        names: heading of the ghost and of the flight.
+        ghost_state: outcome of a ghost that has none.
+    """
+    ghost = FlightFigures.of(dict(zip(COLUMNS, past.ghost.T, strict=True)), past.ghost_outcome or ghost_state)
+    flight = FlightFigures.of(dict(zip(COLUMNS, past.rows.T, strict=True)), past.outcome or "flying")
+    rows = [tuple(row) for row in zip(LABELS, ghost.texts(), flight.texts(), strict=True)]
+    return markup.columns(("flight", *names), rows)

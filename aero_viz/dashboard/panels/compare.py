@@ -10,7 +10,7 @@ from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
-from aero_viz.dashboard.panels.flight_figures import FIGURES, flight_figures
+from aero_viz.dashboard.panels.charts import flight_table
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -89,11 +89,7 @@ class ComparePanel(Panel):
         if len(past.ghost) and past.ghost_name == "A":
             is_flying = self._controls.comparison.is_flying
             progress = f"flying: {past.ghost[-1, 0]:.1f} s" if is_flying else "cut short"
-            figures = (
-                flight_figures(past.ghost, past.ghost_outcome or progress),
-                flight_figures(past.rows, frame.outcome or "flying"),
-            )
-            parts.append(markup.columns(("flight", "A", "B"), zip(FIGURES, *figures, strict=True)))
+            parts.append(flight_table(past, ("A", "B"), ghost_state=progress))
             if past.differs_at is not None:
                 what = "A and B differ" if frame.source.closed_loop else "A and B choose different instances"
                 parts.append(markup.muted(f"{what} from {past.differs_at:.2f} s on."))

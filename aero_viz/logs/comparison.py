@@ -1,0 +1,213 @@
+"""The comparison of two flight logs: figures, parameters and conditions, in one time base."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+
+from aero_planner import PlannerConfig
+from aero_planner.config.file import ConfigFile
+from aero_planner.config.yaml_entries import parse_entries
+from aero_viz.errors import UserError
+from aero_viz.logs.flight_figures import LABELS, FlightFigures
+from aero_viz.logs.replay import is_flight_log, log_typestore
+from aero_viz.scenes import World
+from aero_viz.text_table import format_table
+
+__all__ = ["LogComparison", "LoggedFlight", "compare_logs"]
+
+_SAME = 0.01
+"""Distance up to which two positions are the same [m]: logs of drones hold noise."""
+_CLEARANCE_MAX = 5.0
+"""Largest clearance that is told apart [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedFlight:
+    """Flight in a log: one value for each plan, in the order of time."""
+
+    name: str
+    """Name of the file."""
+    columns: Mapping[str, NDArray[np.float64]]
+    """"time" since the first pose [s], "speed" [m/s], "clearance" [m], costs of the chosen instance "cost", "goal_cost"
+    and "collision_cost", "plan_ms", number of "safe" candidates, number of the "best" instance, and "x", "y", "z" [m].
+
+    The clearance is the distance to the obstacles of the world; without a world, that of the plan to the cloud."""
+    outcome: str
+    config: PlannerConfig
+    """Configuration of the last plan."""
+    conditions: Mapping[str, Any]
+    """Seed, LiDAR, drone, noise and rules of a simulated flight, and the checksum of its world, by path."""
+
+    @classmethod
+    def read(cls, path: str | Path) -> LoggedFlight:
+        """Read a flight log.
+
+        Raises:
+            UserError: the file is no flight log, or is damaged; says which file and what to give instead.
+        """
+        if not Path(path).exists():
+            raise UserError(f"There is no file {path}; give two flight logs (MCAP).")
+        if not is_flight_log(path):
+            raise UserError(
+                f"{path} is no flight log with plans; write one with `aero-viz fly .. --log FLIGHT.mcap`, or take that "
+                "of the drone."
+            )
+        try:
+            with Path(path).open("rb") as file:
+                return _read(Path(path), make_reader(file))
+        except UserError:
+            raise
+        except Exception as error:  # a damaged file can fail anywhere in the decoders
+            raise UserError(f"{path} cannot be read: {error}. It may be cut short or damaged.") from error
+
+
+@dataclass(frozen=True, eq=False)
+class LogComparison:
+    """Two flights, A and B."""
+
+    a: LoggedFlight
+    b: LoggedFlight
+
+    @property
+    def differs_at(self) -> float | None:
+        """Time from which B is more than 1 cm from where A was [s]; None if it never is."""
+        a, b = self.a.columns, self.b.columns
+        shared = b["time"] <= a["time"][-1] + 1e-9
+        apart = [np.abs(b[axis][shared] - np.interp(b["time"][shared], a["time"], a[axis])) for axis in "xyz"]
+        rows = np.flatnonzero(np.max(apart, axis=0) > _SAME) if shared.any() else []
+        return float(b["time"][rows[0]]) if len(rows) else None
+
+    @property
+    def figures(self) -> tuple[FlightFigures, FlightFigures]:
+        """Figures of A and B."""
+        return FlightFigures.of(self.a.columns, self.a.outcome), FlightFigures.of(self.b.columns, self.b.outcome)
+
+    @property
+    def conditions(self) -> dict[str, tuple[Any, Any]]:
+        """Values of each condition that differs."""
+        a, b = self.a.conditions, self.b.conditions
+        return {path: (a.get(path), b.get(path)) for path in {**a, **b} if a.get(path) != b.get(path)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for JSON."""
+        a, b = self.figures
+        return {
+            "a": {"file": self.a.name, **a.to_dict()},
+            "b": {"file": self.b.name, **b.to_dict()},
+            "differs_at_s": self.differs_at,
+            "parameters": _pairs(self.a.config.differences(self.b.config)),
+            "conditions": _pairs(self.conditions),
+        }
+
+    def format_table(self) -> str:
+        """Return the comparison as text."""
+        a, b = self.figures
+        rows = [list(row) for row in zip(LABELS, a.texts(), b.texts(), strict=True)]
+        lines = [f"A: {self.a.name}", f"B: {self.b.name}", ""]
+        lines += [format_table(rows, header=("flight", "A", "B"), right=(1, 2)), ""]
+        differs_at = self.differs_at
+        lines += ["The paths do not differ." if differs_at is None else f"The paths differ from {differs_at:.2f} s on."]
+        parameters = self.a.config.differences(self.b.config)
+        for name, pairs in (("parameter", parameters), ("condition", self.conditions)):
+            if pairs:
+                cells = [[path, f"{old}", f"{new}"] for path, (old, new) in pairs.items()]
+                lines += ["", format_table(cells, header=(name, "A", "B"), right=(1, 2))]
+            else:
+                lines += ["", f"No {name} differs."]
+        return "\n".join(lines)
+
+
+def compare_logs(a: str | Path, b: str | Path) -> LogComparison:
+    """Return the comparison of two flight logs.
+
+    Raises:
+        UserError: a file is no flight log, or is damaged.
+    """
+    return LogComparison(LoggedFlight.read(a), LoggedFlight.read(b))
+
+
+def _read(path: Path, reader: Any) -> LoggedFlight:
+    attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
+    facts = {entry.name: entry.metadata for entry in reader.iter_metadata()}.get("flight_log", {})
+    poses, plans = [], []
+    for schema, channel, message in reader.iter_messages(topics=("/odometry", "/plan")):
+        decoded: Any = log_typestore().deserialize_cdr(message.data, schema.name)
+        if channel.topic == "/plan":
+            plans.append((message.log_time, decoded))
+        else:
+            place, speed = decoded.pose.pose.position, decoded.twist.twist.linear
+            poses.append((message.log_time, place.x, place.y, place.z, np.linalg.norm((speed.x, speed.y, speed.z))))
+    if not poses or not plans:
+        raise UserError(f"{path} holds no poses or no plans, so that there is nothing to compare.")
+    world = World.from_dict(json.loads(attachments["world.json"])) if "world.json" in attachments else None
+    config = _config(path, attachments, plans[-1][1].config_version)
+    settings = json.loads(attachments["flight.json"]) if "flight.json" in attachments else {}
+    if world is not None:
+        settings["world"] = hashlib.sha256(attachments["world.json"]).hexdigest()[:12]
+    return LoggedFlight(
+        name=path.name,
+        columns=_columns(poses, [(stamp, plan) for stamp, plan in plans if len(plan.stage2_cost)], world, config),
+        outcome=facts.get("outcome", "cut short"),
+        config=config,
+        conditions=_flatten(settings),
+    )
+
+
+def _columns(poses: list[Any], plans: list[Any], world: World | None, config: PlannerConfig) -> dict[str, Any]:
+    start = poses[0][0]
+    table = np.array([((stamp - start) * 1e-9, *values) for stamp, *values in poses])
+    time = np.array([(stamp - start) * 1e-9 for stamp, _ in plans])
+    columns = {
+        name: np.interp(time, table[:, 0], table[:, i]) for i, name in enumerate(("x", "y", "z", "speed"), start=1)
+    }
+    best = np.array([int(plan.best) for _, plan in plans])
+    for name in ("stage2_cost", "goal_cost", "collision_cost"):
+        columns[name.replace("stage2_", "")] = np.array(
+            [float(getattr(plan, name)[i]) for (_, plan), i in zip(plans, best, strict=True)]
+        )
+    if world is not None:
+        columns["clearance"] = world.distance(np.stack([columns[axis] for axis in "xyz"], axis=1))
+    else:
+        columns["clearance"] = np.array([float(plan.clearance[i]) for (_, plan), i in zip(plans, best, strict=True)])
+    limit = config.candidates.safe_clearance
+    return columns | {
+        "time": time,
+        "clearance": columns["clearance"].clip(0.0, _CLEARANCE_MAX),
+        "plan_ms": np.array([float(plan.plan_ms) for _, plan in plans]),
+        "safe": np.array([float(np.count_nonzero(np.asarray(plan.clearance) >= limit)) for _, plan in plans]),
+        "best": best.astype(np.float64),
+    }
+
+
+def _config(path: Path, attachments: Mapping[str, bytes], version: int) -> PlannerConfig:
+    """Return the configuration of this version, or the last one in the log."""
+    names = sorted((name for name in attachments if name.startswith("config") and name.endswith(".yaml")), key=len)
+    if not names:
+        raise UserError(f"{path} holds no configuration, so that it cannot be compared.")
+    name = f"config_{version}.yaml" if f"config_{version}.yaml" in attachments else names[-1]
+    place = f"{path}: {name}"
+    return ConfigFile(place, parse_entries(attachments[name].decode(), place)).planner_config()
+
+
+def _flatten(value: Any, name: str = "") -> dict[str, Any]:
+    """Return the leaves of nested dictionaries by path."""
+    if not isinstance(value, dict):
+        return {name: value}
+    return {
+        path: leaf
+        for key, child in value.items()
+        for path, leaf in _flatten(child, f"{name}.{key}" if name else key).items()
+    }
+
+
+def _pairs(values: Mapping[str, tuple[Any, Any]]) -> dict[str, dict[str, Any]]:
+    return {name: {"a": a, "b": b} for name, (a, b) in values.items()}
