@@ -281,12 +281,16 @@ def serve(
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import shipped_recordings
     from aero_viz.dashboard import Dashboard
+    from aero_viz.flight.known_drone import config_in_world
     from aero_viz.scenes import SCENES
     from aero_viz.session import Session
     from aero_viz.session.source import Conditions
 
     with contextlib.ExitStack() as stack:
-        session = Session(opener(spec, seed=seed), config=config, device=device, seed=seed)
+        source = opener(spec, seed=seed)
+        if source.info.closed_loop:
+            config = config_in_world(config, source.info.world)
+        session = Session(source, config=config, device=device, seed=seed)
         stack.callback(session.close)
         shutdown = shutdown_event()
         dashboard = Dashboard(

@@ -126,8 +126,11 @@ class FlightBatch:
         self.interrupted = False
         rules, lidar = rules or FlightRules(), lidar or LIDARS["mid360"]
         vehicle = vehicle or VehicleModel.from_config(configs[0])
-        informed = {id(c): config_for_drone(c, lidar=lidar, vehicle=vehicle) for c in configs}
-        configs = [informed[id(c)] for c in configs]
+        informed = {
+            (id(c), id(world)): config_for_drone(c, lidar=lidar, vehicle=vehicle, world=world)
+            for c, world in zip(configs, worlds, strict=True)
+        }
+        configs = [informed[id(c), id(world)] for c, world in zip(configs, worlds, strict=True)]
         time_steps = {c.sampling.dt for c in configs}
         if rules.ticks_per_plan > 1 and len(time_steps) > 1:
             raise ValueError(
@@ -136,7 +139,7 @@ class FlightBatch:
         self._phase_step = rules.period / time_steps.pop()
 
         self.planner = Planner(configs[0], device=device, seed=self._seeds, batch=len(worlds), threads=threads)
-        if not isinstance(config, PlannerConfig):
+        if any(c != configs[0] for c in configs):
             self.planner.configure(configs)
         self.simulator = Simulator(
             worlds,

@@ -1,21 +1,25 @@
-"""What the planner of a simulated flight knows about its drone: the field of view of the sensor, and the delay."""
+"""What the planner of a simulated flight knows about it: the field of view, the delay, and the top of the airspace."""
 
 from __future__ import annotations
 
 from aero_planner import PlannerConfig
 from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel
 
-__all__ = ["config_for_drone", "config_for_next_lidar"]
+__all__ = ["config_for_drone", "config_for_next_flight", "config_in_world"]
 
 _UPRIGHT, _INVERTED = (0.0, 0.0), (180.0, 0.0)
 
 
-def config_for_drone(config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel) -> PlannerConfig:
-    """Return `config` with the field of view of `lidar` and the delay of `vehicle` where it has the default values.
+def config_for_drone(
+    config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None
+) -> PlannerConfig:
+    """Return `config` with what is known about a flight where it has the default values.
 
-    The delay is the latency, plus the time constant of the body rates unless `config` models their lag. A sensor that
-    is neither upright nor upside down has no lower edge of its view that could be continued.
+    This is the field of view of `lidar`, the delay of `vehicle`, and the top of `world`, see `config_in_world`. The
+    delay is the latency, plus the time constant of the body rates unless `config` models their lag. A sensor that is
+    neither upright nor upside down has no edges of its view that could be continued.
     """
     default = PlannerConfig()
     roll_and_pitch = (abs(lidar.mount_angles[0]), abs(lidar.mount_angles[1]))
@@ -30,14 +34,31 @@ def config_for_drone(config: PlannerConfig, *, lidar: LidarModel, vehicle: Vehic
         "partition.view_max": view[1],
         "vehicle.delay": min(vehicle.latency + unmodelled_lag, 0.5),
     }
-    return config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})
+    config = config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})
+    return config_in_world(config, world)
 
 
-def config_for_next_lidar(config: PlannerConfig, *, before: LidarModel, after: LidarModel) -> PlannerConfig:
-    """Return `config` with the field of view of the LiDAR `after` where it has that of `before`."""
+def config_in_world(config: PlannerConfig, world: World | None) -> PlannerConfig:
+    """Return `config` with the top of the bounds of `world` as costs.height_max if that has the default value.
+
+    A flight that leaves the bounds is lost, and a LiDAR does not see them. As the height of the ground, they only count
+    with costs.use_ground.
+    """
+    if world is None or not config.costs.use_ground or config.costs.height_max != PlannerConfig().costs.height_max:
+        return config
+    return config.replace({"costs.height_max": float(world.bounds[1, 2])})
+
+
+def config_for_next_flight(
+    config: PlannerConfig, *, before: tuple[LidarModel, World | None], after: tuple[LidarModel, World | None]
+) -> PlannerConfig:
+    """Return `config` with the field of view and the top of the flight `after` where it has those of `before`."""
     vehicle = VehicleModel.from_config(config)
-    old, new = (config_for_drone(PlannerConfig(), lidar=lidar, vehicle=vehicle) for lidar in (before, after))
-    paths = ("partition.view_min", "partition.view_max")
-    if any(config.get(path) != old.get(path) for path in paths):
-        return config  # chosen by the user
-    return config.replace({path: new.get(path) for path in paths})
+    default = PlannerConfig().replace({"costs.use_ground": config.costs.use_ground})
+    old, new = (
+        config_for_drone(default, lidar=lidar, vehicle=vehicle, world=world) for lidar, world in (before, after)
+    )
+    for paths in (("partition.view_min", "partition.view_max"), ("costs.height_max",)):
+        if all(config.get(path) == old.get(path) for path in paths):  # not chosen by the user
+            config = config.replace({path: new.get(path) for path in paths})
+    return config

@@ -87,7 +87,7 @@ def fly(
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
         refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
         lidar, vehicle = lidar or LIDARS["mid360"], vehicle or VehicleModel.from_config(config)
-        config = config_for_drone(config, lidar=lidar, vehicle=vehicle)
+        config = config_for_drone(config, lidar=lidar, vehicle=vehicle, world=world)
         source = FlightSource(
             world,
             lidar=lidar,

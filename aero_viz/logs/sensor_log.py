@@ -96,7 +96,7 @@ def write_sensor_log(
     config, rules, options = config or PlannerConfig(), rules or FlightRules(), options or SensorLogOptions()
     config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
     lidar, vehicle = lidar or LIDARS["mid360"], VehicleModel.from_config(config)
-    config = config_for_drone(config, lidar=lidar, vehicle=vehicle)
+    config = config_for_drone(config, lidar=lidar, vehicle=vehicle, world=world)
     source = FlightSource(
         world,
         lidar=lidar,

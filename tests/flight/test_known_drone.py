@@ -8,7 +8,8 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.flight import VehicleModel
-from aero_viz.flight.known_drone import config_for_drone
+from aero_viz.flight.known_drone import config_for_drone, config_for_next_flight, config_in_world
+from aero_viz.scenes import scene
 from aero_viz.sensors.lidar import LIDARS
 
 MID360 = LIDARS["mid360"]
@@ -31,3 +32,15 @@ def test_the_field_of_view_turns_with_the_sensor():
     upside_down = dataclasses.replace(MID360, mount_angles=(180.0, 0.0, 0.0))
     part = config_for_drone(PlannerConfig(), lidar=upside_down, vehicle=VehicleModel()).partition
     assert (part.view_min, part.view_max) == (-MID360.elevation_max, -MID360.elevation_min)
+
+
+def test_the_top_of_the_world_is_the_greatest_height():
+    wall, forest = scene("wall", seed=0), scene("forest", seed=0)
+    config = config_in_world(PlannerConfig(), wall)
+    assert config.costs.height_max == wall.bounds[1, 2] == 2.5
+    assert config_in_world(PlannerConfig.preset("paper"), wall) == PlannerConfig.preset("paper")
+    chosen = PlannerConfig().replace({"costs.height_max": 1.5})
+    assert config_in_world(chosen, wall) == chosen
+    moved = config_for_next_flight(config, before=(MID360, wall), after=(MID360, forest))
+    assert moved == config_in_world(PlannerConfig(), forest)
+    assert config_for_next_flight(chosen, before=(MID360, wall), after=(MID360, forest)) == chosen

@@ -20,7 +20,7 @@ from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.panels.conditions import ConditionControls
 from aero_viz.dashboard.server import notify
 from aero_viz.errors import UserError
-from aero_viz.flight.known_drone import config_for_next_lidar
+from aero_viz.flight.known_drone import config_for_next_flight
 from aero_viz.reader_process import ReadCancelled, ReaderProcess
 from aero_viz.sensors import LidarModel
 from aero_viz.session.base import SessionControls
@@ -196,18 +196,20 @@ class SourcePanel(Panel):
             # If its first tick fails, the session notifies everyone.
             if self._controls.set_source(source).exception() is not None:
                 return
-            self._plan_with_view(frame, source)
+            self._plan_as_known(frame, source)
             if has_ended:
                 self.session.play()
             self._opened, self._is_listed = spec, False
 
-    def _plan_with_view(self, before: Frame | None, source: Source) -> None:
-        """Let the planner know the field of view of another LiDAR."""
-        old = None if before is None else before.source.settings.get("lidar")
-        new = source.info.settings.get("lidar")
-        if source.info.closed_loop and isinstance(old, dict) and new not in (None, old):
+    def _plan_as_known(self, before: Frame | None, source: Source) -> None:
+        """Let the planner know the field of view of another LiDAR and the top of another world."""
+        if before is None or not (before.source.closed_loop and source.info.closed_loop):
+            return
+        old, new = before.source.settings.get("lidar"), source.info.settings.get("lidar")
+        if isinstance(old, dict) and isinstance(new, dict):
             config = self.session.config
-            known = config_for_next_lidar(config, before=LidarModel(**old), after=LidarModel(**new))
+            flights = (LidarModel(**old), before.source.world), (LidarModel(**new), source.info.world)
+            known = config_for_next_flight(config, before=flights[0], after=flights[1])
             if known != config:
                 self._controls.configure(known)
 

@@ -102,13 +102,13 @@ class PartitionConfig(ParameterSection, section="partition"):
         52.0, "deg", -90.0, 90.0, "Highest elevation that the sensor sees, body frame.", label="Upper edge of the view"
     )
     continue_below: float = live(
-        2.0, "m", 0.0, 20.0, "Depth to which the surface at the lower edge of the field of view is continued into "
+        20.0, "m", 0.0, 20.0, "Depth to which the surface at the lower edge of the field of view is continued into "
         "empty cells that the sensor does not see; 0 as in the paper.",
         label="Continuation below",
     )  # fmt: skip
     continue_above: float = live(
-        0.0, "m", 0.0, 20.0, "Height above the drone up to which the surface at the upper edge of the field of view is "
-        "continued horizontally, as a ceiling; 0 as in the paper.",
+        20.0, "m", 0.0, 20.0, "Height by which the surface at the upper edge of the field of view is continued into "
+        "empty cells that the sensor does not see; 0 as in the paper.",
         label="Continuation above",
     )  # fmt: skip
     fine_cells: int = structural(
@@ -204,7 +204,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
         label="Proven stop",
     )  # fmt: skip
     stop_clearance: float = live(
-        0.28, "m", 0.0, 5.0, "Clearance of a proven stop, at most safe_clearance.", label="Clearance of a stop"
+        0.3, "m", 0.0, 5.0, "Clearance of a proven stop, at most safe_clearance.", label="Clearance of a stop"
     )
     stop_seen: bool = switch(
         True, "A proven stop lies in space that is seen from the drone: not behind the nearest point of a fine cell.",
@@ -398,12 +398,12 @@ class EscapeConfig(ParameterSection, section="escape"):
     )  # fmt: skip
     radius: float = live(4.0, "m", 0.1, 20.0, "Radius of the neighbourhood of a remembered place.")
     rise: float = live(
-        3.0, "", 1.0, 5.0, "Factor on the spacing of the rows of anchors, instead of anchors.slow_rise, for a slow "
+        4.0, "", 1.0, 5.0, "Factor on the spacing of the rows of anchors, instead of anchors.slow_rise, for a slow "
         "drone near a remembered place: the way out may lead upward.",
         label="Rise factor near a place",
     )  # fmt: skip
     patience: float = live(
-        0.6, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
+        0.3, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
     )
     progress: float = live(0.3, "m", 0.01, 10.0, "Decrease of the distance to the goal that counts as progress.")
 

@@ -12,6 +12,7 @@ _PAPER: dict[str, Value] = {
     "anchors.lookahead_rest": 5.0,
     "partition.range_time": 0.0,
     "partition.continue_below": 0.0,
+    "partition.continue_above": 0.0,
     "anchors.lookahead_time": 0.0,
     "anchors.slow_spread": 1.0,
     "anchors.slow_rise": 1.0,

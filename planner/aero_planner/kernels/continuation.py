@@ -40,11 +40,8 @@ def continuation(d: wp.vec3, p: wp.vec3, source: wp.vec3, below: bool, c: Params
     flat = wp.sqrt(d[0] * d[0] + d[1] * d[1])
     ahead = wp.vec3(d[0] / flat, d[1] / flat, 0.0)
     x = p + away * ahead + wp.vec3(0.0, 0.0, away * wp.tan(wp.atan2(d[2], flat)))
-    is_continued = source[2] - x[2] <= c.continue_below
-    if not below:
-        x = p + (offset[2] / d[2]) * d
-        is_continued = offset[2] > 0.0 and offset[2] <= c.continue_above
-    return x, is_continued
+    depth = wp.where(below, source[2] - x[2], x[2] - source[2])
+    return x, depth <= wp.where(below, c.continue_below, c.continue_above)
 
 
 @functools.cache
@@ -75,9 +72,9 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
         """Fill empty cells outside the field of view with the continuation of the surface at its edge.
 
         Below the field of view the nearest point above continues straight down, by at most continue_below. Above it,
-        the nearest point below continues horizontally, if it is at most continue_above higher than the drone. Filled
-        cells are marked by `occupied` = 2. Workers run at the same time: a cell is filled from cells that are not.
-        Launched over [B, groups of WIDTH cells / workers, rounded up].
+        the nearest point below continues straight up, by at most continue_above. Filled cells are marked by `occupied`
+        = 2. Workers run at the same time: a cell is filled from cells that are not. Launched over [B, groups of WIDTH
+        cells / workers, rounded up].
         """
         b, i = wp.tid()
         c = params[b]
@@ -115,7 +112,7 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
             if occupied[b, row * columns + first + j] != 1:
                 d = quat_rotate(q, directions[row, first + j])
                 flat = wp.sqrt(d[0] * d[0] + d[1] * d[1])
-                if not (flat < 0.2 or (above and d[2] < 0.1)):
+                if flat >= 0.2:
                     ahead = quat_inverse_rotate(q, wp.vec3(d[0] / flat, d[1] / flat, 0.0))
                     flats[j] = flat
                     heights[j] = d[2]

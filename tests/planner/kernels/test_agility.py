@@ -35,6 +35,21 @@ def test_a_wall_continues_below_the_field_of_view(device: str, depth: float):
         assert added[:, 2].min() > edge - depth - 0.1 and added[:, 2].min() < edge - 0.7 * depth
 
 
+@pytest.mark.parametrize("height", [0.0, 1.0, 2.0])
+def test_a_wall_continues_above_the_field_of_view(device: str, height: float):
+    """The points that are added lie on the wall, above its seen part and at most `height` higher."""
+    case, edge = level(), 2.0 * np.tan(np.radians(52.0))
+    y, z = np.meshgrid(np.arange(-1, 1, 0.03), np.arange(-0.2, edge, 0.03))
+    case.points = np.stack((np.full_like(y, 2.0), y, z), axis=-1).reshape(-1, 3).astype(np.float32)
+    config = config_of(partition__continue_above=height, partition__continue_below=0.0)
+    kept = kept_points(case.plan(Planner(config, device=device))).astype(np.float64)
+    added = kept[kept[:, 2] > edge + 0.1]
+    assert (len(added) > 0) == (height > 0.0)
+    if height > 0.0:
+        np.testing.assert_allclose(added[:, 0], 2.0, atol=0.15)
+        assert added[:, 2].max() < edge + height + 0.1 and added[:, 2].max() > edge + 0.5 * height
+
+
 def test_the_stop_that_was_proven_is_flown_when_no_candidate_has_one(device: str):
     case, planner = level(speed=5.0), Planner(config_of(), device=device)
 
