@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import quaternion_of_matrix, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.imu import ImuSamples
+from aero_viz.recordings.imu_smoothing import smooth_motion
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
@@ -31,8 +32,12 @@ OdometryProgress = Callable[[int, int], None]
 
 _MIN_RANGE, _MAX_RANGE = 0.3, 60.0
 """Ranges of the points that are registered [m]."""
-_KISS_VOXEL, _RKO_VOXEL = 0.6, 1.0
+_KISS_VOXEL, _RKO_VOXEL = 0.6, 0.5
 """Sizes of the voxels of the maps [m]."""
+_RKO_DISTANCE = 0.3
+"""Largest distance between matched points [m]: trunks and branches are thin."""
+_RKO_JERK = 100.0
+"""A drone's acceleration changes faster than that of the vehicles for which the default was chosen [m/s^3]."""
 _SWEEP_WITHOUT_TIMES = 0.1
 _REST_TIME = 0.2
 """Time at the start over which the mean specific force is taken for gravity [s]."""
@@ -95,7 +100,7 @@ def estimate_motion(
     start: int = 0,
     progress: OdometryProgress = lambda done, total: None,
 ) -> Motion:
-    """Register all sweeps of a recording one after the other.
+    """Register all sweeps of a recording one after the other, and smooth the poses by the IMU.
 
     Args:
         recording: the sweeps, in the body frame.
@@ -135,7 +140,11 @@ def estimate_motion(
     motion = Motion(
         method, np.array(times), poses[:, :3, 3], quaternion_of_matrix(poses[:, :3, :3]), float(np.median(ms)), ()
     )
-    problems = [*_signs_of_failure(motion, count), *_signs_of_drift(recording, motion)]
+    problems = _signs_of_failure(motion, count)
+    if imu is not None and method == "rko-lio":
+        smooth = smooth_motion(motion.times, motion.positions, motion.quaternions, imu, imu_mount, start)
+        motion = motion._replace(positions=smooth[0], quaternions=smooth[1])
+    problems += _signs_of_drift(recording, motion)
     if imu is None:
         problems.append("no IMU is recorded: the sensor is assumed to be level at the start")
     return motion._replace(problems=tuple(problems))
@@ -173,6 +182,7 @@ class _RkoLio:
             raise _not_installed("rko-lio", error) from error
         _silence_exit()
         config = LIOConfig(min_range=_MIN_RANGE, max_range=_MAX_RANGE, voxel_size=_RKO_VOXEL)
+        config.max_correspondence_distance, config.max_expected_jerk = _RKO_DISTANCE, _RKO_JERK
         self._lio, self._failure = LIO(config), InputError
         self._imu, self._start, self._next = imu, start, 0
         # Its own search for gravity needs a drone at rest. Here the base is level at the start, so that none is needed.

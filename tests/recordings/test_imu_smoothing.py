@@ -1,0 +1,64 @@
+"""Smoothing of noisy poses on a motion that is known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner.quaternions import conjugate, multiply, quaternion_from_angles, rotate, rotation_vector
+from aero_viz.recordings.imu import ImuSamples
+from aero_viz.recordings.imu_smoothing import smooth_motion
+from aero_viz.recordings.transforms import IDENTITY
+
+START = 1_700_000_000_000_000_000
+
+
+def motion(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and attitudes of a slalom at 5 m/s."""
+    positions = np.stack([5.0 * times, np.sin(1.5 * times), 0.3 * np.cos(times)], axis=1)
+    attitudes = np.array([quaternion_from_angles(20.0 * np.sin(2.0 * t), 10.0, 30.0 * np.cos(t)) for t in times])
+    return positions, attitudes
+
+
+@pytest.fixture(scope="module")
+def imu() -> ImuSamples:
+    """The slalom as an IMU of 200 Hz with constant biases measures it."""
+    times = np.arange(-0.1, 6.1, 0.005)
+    _, attitudes = motion(times)
+    step = 1e-3
+    before, after = motion(times - step), motion(times + step)
+    force = (before[0] - 2.0 * motion(times)[0] + after[0]) / step**2 + [0.0, 0.0, 9.81]
+    rates = rotation_vector(multiply(conjugate(before[1]), after[1])) / (2.0 * step)
+    stamps = START + np.round(1e9 * times).astype(np.int64)
+    return ImuSamples("/imu", "imu", stamps, rotate(conjugate(attitudes), force) + 0.05, rates + 0.005)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, positions and attitudes at 10 Hz, with the noise of a registration."""
+    times, random = np.arange(0.0, 6.0, 0.1), np.random.default_rng(1)
+    positions, attitudes = motion(times)
+    noise = np.array([quaternion_from_angles(*angles) for angles in random.normal(0.0, 0.9, (len(times), 3))])
+    return times, positions + random.normal(0.0, 0.03, positions.shape), multiply(attitudes, noise)
+
+
+def errors(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> tuple[float, float]:
+    """Return the root mean square errors [m], [deg]."""
+    true = motion(times)
+    turn = rotation_vector(multiply(conjugate(true[1]), attitudes))
+    squares = ((positions - true[0]) ** 2).sum(axis=1), (turn**2).sum(axis=1)
+    return float(np.sqrt(squares[0].mean())), float(np.degrees(np.sqrt(squares[1].mean())))
+
+
+def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, noisy) -> None:
+    raw = errors(*noisy)
+    positions, attitudes = smooth_motion(*noisy, imu, IDENTITY, START)
+    smooth = errors(noisy[0], positions, attitudes)
+    assert smooth[0] < 0.6 * raw[0] and smooth[1] < 0.5 * raw[1]
+
+
+@pytest.mark.parametrize("kept", [slice(600), slice(100, None), np.r_[0:300, 400:1240]])
+def test_an_imu_with_gaps_changes_nothing(imu: ImuSamples, noisy, kept) -> None:
+    cut = imu._replace(times=imu.times[kept], forces=imu.forces[kept], rates=imu.rates[kept])
+    positions, attitudes = smooth_motion(*noisy, cut, IDENTITY, START)
+    assert positions is noisy[1] and attitudes is noisy[2]
