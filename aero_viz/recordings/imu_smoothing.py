@@ -46,7 +46,7 @@ def smooth_motion(
         return positions, quaternions
     rates, forces = (rotate(mount.quaternion, values[inside]) for values in (imu.rates, imu.forces))
     # A fine grid that holds all poses, with the mean of the samples in every step.
-    grid: Array = np.unique(np.concatenate([times, stamps[(stamps > times[0]) & (stamps < times[-1])]]))
+    grid = np.unique(np.concatenate([times, stamps[(stamps > times[0]) & (stamps < times[-1])]]))
     steps, middle = np.diff(grid), 0.5 * (grid[1:] + grid[:-1])
     at = np.searchsorted(grid, times)
     rate, force = (

@@ -11,6 +11,7 @@ from aero_viz.recordings.imu_smoothing import smooth_motion
 from aero_viz.recordings.transforms import IDENTITY
 
 START = 1_700_000_000_000_000_000
+Noisy = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def motion(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -34,7 +35,7 @@ def imu() -> ImuSamples:
 
 
 @pytest.fixture(scope="module")
-def noisy() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def noisy() -> Noisy:
     """Times, positions and attitudes at 10 Hz, with the noise of a registration."""
     times, random = np.arange(0.0, 6.0, 0.1), np.random.default_rng(1)
     positions, attitudes = motion(times)
@@ -50,7 +51,7 @@ def errors(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> t
     return float(np.sqrt(squares[0].mean())), float(np.degrees(np.sqrt(squares[1].mean())))
 
 
-def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, noisy) -> None:
+def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, noisy: Noisy) -> None:
     raw = errors(*noisy)
     positions, attitudes = smooth_motion(*noisy, imu, IDENTITY, START)
     smooth = errors(noisy[0], positions, attitudes)
@@ -58,7 +59,7 @@ def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, nois
 
 
 @pytest.mark.parametrize("kept", [slice(600), slice(100, None), np.r_[0:300, 400:1240]])
-def test_an_imu_with_gaps_changes_nothing(imu: ImuSamples, noisy, kept) -> None:
+def test_an_imu_with_gaps_changes_nothing(imu: ImuSamples, noisy: Noisy, kept: slice) -> None:
     cut = imu._replace(times=imu.times[kept], forces=imu.forces[kept], rates=imu.rates[kept])
     positions, attitudes = smooth_motion(*noisy, cut, IDENTITY, START)
     assert positions is noisy[1] and attitudes is noisy[2]
