@@ -51,7 +51,7 @@ class PageFlags:
     """The page."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Anyone who can reach it controls the session: there is no password."""
+    """Address to listen on. Beyond 127.0.0.1, the page requires one of two links, which the terminal shows."""
     port: int = 8080
     """Port to listen on."""
     open: bool = False
@@ -379,12 +379,12 @@ def announce_foxglove(url: str) -> None:
 def announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
     """Print the address of the page and who can reach it, and open it if that is asked for."""
     print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
-    if not dashboard.server.is_local:
-        print(
-            f"Everyone who can reach port {dashboard.server.get_port()} of this machine controls the session and sees "
-            "what it opens: there is no password.",
-            flush=True,
-        )
+    server = dashboard.server
+    if not server.is_private:
+        for address in server.addresses:
+            print(f"  to control it from another machine: {server.link(address=address)}", flush=True)
+            print(f"  to look on from another machine: {server.link(address=address, view_only=True)}", flush=True)
+        print("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
     if page_flags.open:
         webbrowser.open(dashboard.url)
 

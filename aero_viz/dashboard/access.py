@@ -11,7 +11,7 @@ from websockets import Headers
 
 from aero_viz.errors import UserError
 
-__all__ = ["SECURITY_HEADERS", "Access"]
+__all__ = ["ANY_ADDRESS", "SECURITY_HEADERS", "Access"]
 
 SECURITY_HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -23,7 +23,8 @@ SECURITY_HEADERS = {
 """Headers of every answer: no foreign page may frame or embed the page."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_ANY_ADDRESS = ("", "0.0.0.0", "::")
+ANY_ADDRESS = ("", "0.0.0.0", "::")
+"""Hosts that stand for all addresses of the machine."""
 _PORTS = {"http": 80, "https": 443}
 
 
@@ -44,14 +45,16 @@ class Access:
 
     Attributes:
         is_local: True if only this machine can reach the address.
+        is_private: True if only this machine can reach the page: the address is local, and there is no proxy.
     """
 
     def __init__(self, host: str, allowed_hosts: Sequence[str] = ()) -> None:
         host = _canonical(host)
         self.is_local = host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
         self._proxies = {_checked(name) for name in allowed_hosts}
+        self.is_private = self.is_local and not self._proxies
         self._names = {*_LOOPBACK, *self._proxies}
-        self._any_address = host in _ANY_ADDRESS
+        self._any_address = host in ANY_ADDRESS
         if self._any_address:
             name = socket.gethostname().lower()
             self._names |= {name, f"{name}.local"}
@@ -73,6 +76,11 @@ class Access:
         if not _is_own_navigation(headers):
             return "The request was made by a page of another site."
         return None
+
+    @property
+    def proxies(self) -> list[str]:
+        """Names of proxies, as browsers reach them."""
+        return sorted(self._proxies)
 
     def _is_known(self, name: str) -> bool:
         return name in self._names or (self._any_address and _is_address(name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from typing import Any
 
 import msgspec
@@ -10,13 +11,30 @@ import viser
 from viser import _messages
 from websockets.asyncio.server import ServerConnection
 
-from aero_viz.dashboard.page_messages import FormMessage, UploadPart, UploadStart, ValueMessage, decode, fit
+from aero_viz.dashboard.page_messages import (
+    CameraMessage,
+    FormMessage,
+    UploadPart,
+    UploadStart,
+    ValueMessage,
+    decode,
+    fit,
+    is_own,
+)
+from aero_viz.dashboard.tokens import Role
+from aero_viz.dashboard.visitors import Visitors
 
 __all__ = ["PageConnection"]
 
 _log = logging.getLogger(__name__)
 _PARTS_MAX = 10_000
 """Largest number of parts of a file; the page sends parts of 512 kB."""
+_REMINDER_PERIOD = 5.0
+"""Shortest time between two notifications that a visitor only looks on [s]."""
+
+
+class _LooksOn(ValueError):
+    """A visitor without control has used a control that all share."""
 
 
 class PageConnection(ServerConnection):
@@ -24,17 +42,26 @@ class PageConnection(ServerConnection):
 
     viser sets any attribute of a control that a message names, keeps the parts of any number of files of any size, and
     ends with a traceback where a message has other fields or types than it expects. Here a message is checked first.
+    What belongs to the client alone (`client.gui`, `client.scene`) can always be used, what belongs to the server only
+    by the visitor who holds control.
 
     Args:
         arguments: those of `ServerConnection`.
         page: server of the page.
+        visitors: who is on the page.
         upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
         options: those of `ServerConnection`.
     """
 
-    def __init__(self, *arguments: Any, page: viser.ViserServer, upload_limit: int, **options: Any) -> None:
+    def __init__(
+        self, *arguments: Any, page: viser.ViserServer, visitors: Visitors, upload_limit: int, **options: Any
+    ) -> None:
         super().__init__(*arguments, **options)
+        self.role = Role.CONTROL
+        """What the link of this client allows."""
         self._page = page
+        self._visitors = visitors
+        self._reminder_due = 0.0
         self._upload_limit = upload_limit
         self._upload: UploadStart | None = None
         self._bytes_left = 0
@@ -53,14 +80,26 @@ class PageConnection(ServerConnection):
                 if not isinstance(data, bytes):
                     raise ValueError("it is a text")
                 return self._checked(data)
+            except _LooksOn:
+                self._remind()
             except ValueError as error:
                 self._warn(f"A message is ignored, since no page sends it: {error}.")
 
     def _checked(self, data: bytes) -> bytes:
         """Return a message as viser may see it; ValueError unless a page may send it now."""
-        message, gui = decode(data), self._page.gui
+        message = decode(data)
+        client, number = self._client(), self._number
+        assert number is not None
+        if isinstance(message, CameraMessage):
+            self._visitors.join(number, may_control=self.role is Role.CONTROL)
+        own = is_own(message, client)
+        if not own and not self._visitors.has_control(number):
+            if isinstance(message, ValueMessage):
+                self._show_value(message.uuid)
+            raise _LooksOn
+        gui = client.gui if own and client is not None else self._page.gui
         if isinstance(message, ValueMessage):
-            return self._with_fitting_value(message, data)
+            return self._with_fitting_value(message, data, gui)
         if isinstance(message, FormMessage):
             if message.uuid not in gui._container_handle_from_uuid:
                 raise ValueError("there is no such form")
@@ -70,22 +109,42 @@ class PageConnection(ServerConnection):
             self._continue_upload(message)
         return data
 
-    def _with_fitting_value(self, message: ValueMessage, data: bytes) -> bytes:
+    def _with_fitting_value(self, message: ValueMessage, data: bytes, gui: viser.GuiApi) -> bytes:
         """Return the message with a value within the bounds of the control. If it is another one, the page shows it."""
-        control = self._page.gui._gui_input_handle_from_uuid.get(message.uuid)
+        control = gui._gui_input_handle_from_uuid.get(message.uuid)
         if control is None:
             raise ValueError("there is no such control")
         sent, fitted = message.updates.value, control.value
         try:
             fitted = fit(control, sent)
         finally:
-            client = self._client()
-            if fitted != sent and client is not None and isinstance(control, viser.GuiInputHandle):
-                client._websock_connection.queue_message(_messages.GuiUpdateMessage(message.uuid, {"value": fitted}))
+            if fitted != sent:
+                self._show_value(message.uuid, fitted)
         if fitted == sent:
             return data
         message.updates.value = fitted
         return msgspec.msgpack.encode(message)
+
+    def _show_value(self, uuid: str, value: Any = None) -> None:
+        """Let this client's page show another value of a shared control: `value`, or the one that it has."""
+        control, client = self._page.gui._gui_input_handle_from_uuid.get(uuid), self._client()
+        if (
+            client is None
+            or not isinstance(control, viser.GuiInputHandle)
+            or isinstance(control, viser.GuiButtonHandle)
+        ):
+            return
+        updates = {"value": control.value if value is None else value}
+        client._websock_connection.queue_message(_messages.GuiUpdateMessage(uuid, updates))
+
+    def _remind(self) -> None:
+        """Tell a visitor who has used a shared control what is missing."""
+        client = self._client()
+        if client is not None and time.monotonic() > self._reminder_due:
+            self._reminder_due = time.monotonic() + _REMINDER_PERIOD
+            may = self.role is Role.CONTROL
+            text = 'Press "Take control" to change this.' if may else "This link cannot control the session."
+            client.add_notification("You look on", text, color="yellow", auto_close_seconds=_REMINDER_PERIOD)
 
     def _start_upload(self, start: UploadStart) -> None:
         button = self._page.gui._gui_input_handle_from_uuid.get(start.source_component_uuid)

@@ -41,7 +41,7 @@ class Dashboard:
 
     Args:
         session: session to show; may be running, paused or ticked by hand.
-        host: address to listen on. Everyone who can reach it controls the session: there is no password.
+        host: address to listen on. If other machines can reach it, a link with a token is required.
         port: port to listen on; 0 takes any free one.
         open_source: opens a source by path or scene name and seed; None hides the choice of the source.
         choices: sources on offer, each a label and the argument of `open_source`.
@@ -123,8 +123,8 @@ class Dashboard:
 
     @property
     def url(self) -> str:
-        """Address of the page."""
-        return self.server.url
+        """Link to the page, which controls the session."""
+        return self.server.link()
 
     @property
     def failures(self) -> int:
@@ -199,7 +199,8 @@ class Dashboard:
         self.server.stop()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        self._camera.welcome(client)
+        for part in (*self.layers.values(), *self.panels):
+            part.welcome(client)
         self.refresh()
 
         @client.camera.on_update
@@ -214,11 +215,13 @@ class Dashboard:
 
         Without clients only the camera follows: a client that connects requests a refresh.
         """
-        frame = self._session.frame
+        frame, present = self._session.frame, self.server.get_clients()
+        for part in (*self.layers.values(), *self.panels):
+            part.forget_all_but(present)
         if frame is None:
             apply(change for panel in self.panels for change in panel.update_without_frame())
             return
-        clients = list(self.server.get_clients().values())
+        clients = list(present.values())
         if not clients:
             apply(self._camera.follow(frame))
             return

@@ -9,7 +9,17 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import viser
 
-__all__ = ["FormMessage", "PageMessage", "UploadPart", "UploadStart", "ValueMessage", "decode", "fit"]
+__all__ = [
+    "CameraMessage",
+    "FormMessage",
+    "PageMessage",
+    "UploadPart",
+    "UploadStart",
+    "ValueMessage",
+    "decode",
+    "fit",
+    "is_own",
+]
 
 Name = Annotated[str, msgspec.Meta(max_length=200)]
 Text = Annotated[str, msgspec.Meta(max_length=5000)]
@@ -22,7 +32,9 @@ class PageMessage(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
     """A message of the page. Names and types are those of viser, with nothing else in them."""
 
 
-class _Camera(PageMessage, tag="ViewerCameraMessage"):
+class CameraMessage(PageMessage, tag="ViewerCameraMessage"):
+    """The camera of a visitor; the first message of a page."""
+
     wxyz: Quaternion
     position: Vector
     fov: float
@@ -147,7 +159,7 @@ class _Pointer(PageMessage, tag="ScenePointerMessage"):
 
 
 _MESSAGES: Any = (
-    _Camera | ValueMessage | FormMessage | _FormSubmit | _Command | _ButtonHold | UploadStart | UploadPart
+    CameraMessage | ValueMessage | FormMessage | _FormSubmit | _Command | _ButtonHold | UploadStart | UploadPart
     | _Rendering | _StoredItem | _ShareRequest | _ArrowsMove | _ArrowsStart | _ArrowsEnd | _NodeClick | _NodeDrag
     | _Pointer
 )  # fmt: skip
@@ -172,6 +184,23 @@ def decode(data: bytes) -> PageMessage:
     if not all(map(math.isfinite, _numbers(message))):
         raise ValueError("a number is not finite")
     return message
+
+
+def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
+    """Return True if a message concerns its sender alone: the camera, an answer, or what only this client sees."""
+    if isinstance(message, (CameraMessage, _Rendering, _StoredItem)):
+        return True
+    if client is None:
+        return False
+    if isinstance(message, (ValueMessage, _ButtonHold)):
+        return message.uuid in client.gui._gui_input_handle_from_uuid
+    if isinstance(message, FormMessage):
+        return message.uuid in client.gui._container_handle_from_uuid
+    if isinstance(message, _Command):
+        return message.uuid in client.gui._command_handle_from_uuid
+    if isinstance(message, (UploadStart, UploadPart)):
+        return message.source_component_uuid in client.gui._gui_input_handle_from_uuid
+    return getattr(message, "owner", "") == str(client.client_id)
 
 
 def _numbers(message: PageMessage) -> Iterator[float]:

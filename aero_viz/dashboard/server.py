@@ -10,6 +10,7 @@ import io
 import logging
 import socket
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -22,8 +23,10 @@ from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.access import SECURITY_HEADERS, Access
+from aero_viz.dashboard.access import ANY_ADDRESS, SECURITY_HEADERS, Access
 from aero_viz.dashboard.connection import PageConnection
+from aero_viz.dashboard.tokens import Role, Tokens
+from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
 
 __all__ = ["UPLOAD_LIMIT", "LocalServer", "notify", "sky"]
@@ -65,6 +68,7 @@ _NOTIFICATIONS: dict[str, tuple[str, Any, float]] = {
     "error": ("That did not work", "red", 12.0),
 }
 """Title, colour and duration [s] of a notification by level."""
+_NO_TOKEN = "This page needs a link with a token; the terminal in which AERO-Viz was started shows it."
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 
 
@@ -93,10 +97,16 @@ class LocalServer(viser.ViserServer):
         upload_limit: int = UPLOAD_LIMIT,
     ) -> None:
         self._access = Access(host, allowed_hosts)
+        self.visitors = Visitors()
+        """Who is on the page."""
+        self._tokens: Tokens | None = None
+        """Links that are required; None if only this machine can reach the page."""
         self._is_open = threading.Event()
         _require_free(host, port)
         options = {
-            "create_connection": functools.partial(PageConnection, page=self, upload_limit=upload_limit),
+            "create_connection": functools.partial(
+                PageConnection, page=self, visitors=self.visitors, upload_limit=upload_limit
+            ),
             "process_response": _add_security_headers,
             "max_queue": _QUEUED_FRAMES,
             "logger": _quiet_logger(),
@@ -110,18 +120,35 @@ class LocalServer(viser.ViserServer):
         server = self._websock_server
         server.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
         server.on_client_connect(self._prepare_client)
-        # viser forgets this for a client that has not sent its camera.
-        server.on_client_disconnect(lambda client: self.gui._drop_uploads_from_client(client.client_id))  # type: ignore[arg-type]
+        server.on_client_disconnect(lambda client: self.visitors.leave(client.client_id))  # type: ignore[arg-type]
+        if not self._access.is_private:
+            self._tokens = Tokens(self.get_port())
         self._acknowledge_uploads_privately()
         self._style()
         self._is_open.set()
 
-    async def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _admit(self, connection: PageConnection, request: Request) -> Response | None:
         """Return the answer to a request that is refused, None for one that viser answers."""
         while not self._is_open.is_set():  # viser listens before its own constructor has ended
             await asyncio.sleep(0.01)
         refusal = self._access.refusal(request.headers)
-        return None if refusal is None else connection.respond(403, f"{refusal}\n")
+        if refusal is not None:
+            return connection.respond(403, f"{refusal}\n")
+        return None if self._tokens is None else self._check_token(self._tokens, connection, request)
+
+    def _check_token(self, tokens: Tokens, connection: PageConnection, request: Request) -> Response | None:
+        """Answer a request without a valid token, and a link; note the role of the others."""
+        role = tokens.role(request.path, request.headers)
+        if role is None:
+            return connection.respond(401, f"{_NO_TOKEN}\n")
+        connection.role = role
+        cookie = tokens.cookie(request.path)
+        if cookie is None or "Upgrade" in request.headers:
+            return None
+        response = connection.respond(303, "")
+        response.headers["Location"] = "./"
+        response.headers["Set-Cookie"] = cookie
+        return response
 
     async def _prepare_client(self, client: WebsockClientConnection) -> None:
         client.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
@@ -151,15 +178,36 @@ class LocalServer(viser.ViserServer):
         host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.get_host(), self.get_host())
         return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
 
+    def link(self, *, address: str | None = None, view_only: bool = False) -> str:
+        """Return the link that opens the page, with a token if one is required.
+
+        Args:
+            address: address of the page for others, such as https://viz.example.org; None is the one for this machine.
+            view_only: return the link that cannot control the session. There is none if no token is required.
+        """
+        address = address or self.url
+        if self._tokens is None:
+            return address
+        return address + self._tokens.query(Role.VIEW if view_only else Role.CONTROL)
+
     @property
-    def is_local(self) -> bool:
-        """True if only this machine can reach the page."""
-        return self._access.is_local
+    def addresses(self) -> list[str]:
+        """Addresses of the page for other machines."""
+        host = self.get_host()
+        if host in ANY_ADDRESS:
+            host = _outward_address()
+        own = [] if self._access.is_local else [f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"]
+        return [*own, *(f"https://{name}" for name in self._access.proxies)]
+
+    @property
+    def is_private(self) -> bool:
+        """True if only this machine can reach the page, so that no token is required."""
+        return self._access.is_private
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuse to open a public tunnel.
 
-        Any client could request one, which would put the page on the internet without a password.
+        Any client could request one, which would put the page on the internet.
         """
         _log.warning(REFUSAL)
         notify(self, REFUSAL, level="error")
@@ -208,6 +256,7 @@ class _LoopEvent(asyncio.Event):
                 self._target_loop.call_soon_threadsafe(self.set)
 
 
+warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")  # of a visitor who has just left
 _patch_lock = threading.Lock()
 
 
@@ -236,6 +285,14 @@ def _serving(admit: Any, options: dict[str, Any]) -> Iterator[None]:
             yield
         finally:
             websockets.asyncio.server.serve = original
+
+
+def _outward_address() -> str:
+    """Return the address of this machine in the network, or its name if it has none."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # sends nothing
+        return probe.getsockname()[0]
+    return socket.gethostname()
 
 
 def _add_security_headers(_: ServerConnection, request: Request, response: Response) -> None:

@@ -23,10 +23,10 @@ CAMERA = {
 """The first message of a page; viser counts a client from then on."""
 
 
-def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), **options: Any) -> Connection:
+def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), *, path: str = "", **options: Any) -> Connection:
     """Open a websocket to the server as the page does."""
     protocol: Any = f"viser-v{viser.__version__}"
-    url = server.url.replace("http", "ws")
+    url = server.url.replace("http", "ws") + path
     return connect(url, subprotocols=[protocol], max_size=None, additional_headers=headers, **options)
 
 

@@ -47,6 +47,8 @@ def desk() -> Iterator[SimpleNamespace]:
     with join(dashboard.server) as client:
         send(client, **CAMERA)
         wait_for(dashboard.server.get_clients, "the client")
+        desk = SimpleNamespace(dashboard=dashboard)
+        wait_for(lambda: control(desk, "Ground grid"), "the client's own controls")
         busy = session.step(1)
         yield SimpleNamespace(session=session, dashboard=dashboard, client=client, source=source, busy=busy)
         source.may_advance.set()
@@ -55,8 +57,10 @@ def desk() -> Iterator[SimpleNamespace]:
 
 
 def control(desk: SimpleNamespace, label: str):
-    controls = desk.dashboard.server.gui._gui_input_handle_from_uuid.values()
-    return next(control for control in controls if control.label == label)
+    server = desk.dashboard.server
+    scopes = (server.gui, *(client.gui for client in server.get_clients().values()))
+    controls = [control for gui in scopes for control in list(gui._gui_input_handle_from_uuid.values())]
+    return next((control for control in controls if control.label == label), None)
 
 
 def set_control(desk: SimpleNamespace, label: str, value: object) -> None:

@@ -32,6 +32,7 @@ from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.parameters import ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.errors import UserError
 from aero_viz.session import live_session
 from aero_viz.session.frame import Frame, Notice
@@ -290,7 +291,15 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
     assert session.speed == 1.0 and session.config == SMALL
     with closing(Dashboard(session, port=0)) as dashboard:
         offered = {type(panel) for panel in dashboard.panels}
-        assert offered == {PlaybackPanel, CameraPanel, ChartPanel, LayerPanel, ParameterTablePanel, StatusPanel}
+        assert offered == {
+            PlaybackPanel,
+            CameraPanel,
+            ChartPanel,
+            LayerPanel,
+            ParameterTablePanel,
+            StatusPanel,
+            VisitorPanel,
+        }
         assert not any(layer.needs_samples for layer in dashboard.layers.values()), "the drone sends no samples"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -37,9 +37,13 @@ Change = tuple[Any, str, Any]
 
 
 def apply(changes: Iterable[Change]) -> None:
-    """Assign every change; viser sends only properties that differ."""
+    """Assign every change; viser sends only properties that differ. Handles of visitors who have left are skipped."""
     for handle, name, value in changes:
-        setattr(handle, name, value)
+        try:
+            setattr(handle, name, value)
+        except RuntimeError:
+            if not handle._impl.removed:
+                raise
 
 
 @dataclass(frozen=True)
@@ -118,16 +122,39 @@ class Layer:
         self.options: tuple[Option, ...] = ()
         """Choices that the page offers for this layer."""
         self._root = server.scene.add_frame(f"/{self.name}", show_axes=False, visible=self.on_by_default)
+        self._own_roots: dict[int, viser.FrameHandle] = {}
+        """The root as each visitor alone sees it, by the number of the client; viser shows it instead of the other."""
         self.create(server.scene)
 
     @property
     def visible(self) -> bool:
-        """True if the layer is shown and updated."""
-        return bool(self._root.visible)
+        """True if the layer is updated: a visitor sees it, or the next one will. Setting it sets it for everyone."""
+        roots = list(self._own_roots.values())
+        return any(root.visible for root in roots) if roots else bool(self._root.visible)
 
     @visible.setter
     def visible(self, visible: bool) -> None:
-        self._root.visible = visible
+        for root in (self._root, *list(self._own_roots.values())):
+            root.visible = visible
+
+    def welcome(self, client: viser.ClientHandle) -> None:
+        """Let a new visitor show or hide the layer independently of the others."""
+        root = client.scene.add_frame(f"/{self.name}", show_axes=False, visible=self._root.visible)
+        self._own_roots[client.client_id] = root
+
+    def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        """Drop what belongs to visitors who have left."""
+        for number in set(self._own_roots) - set(clients):
+            self._own_roots.pop(number, None)
+
+    def is_visible_to(self, number: int) -> bool:
+        """Return True if the visitor with this number sees the layer."""
+        return bool(self._own_roots.get(number, self._root).visible)
+
+    def show_to(self, number: int, visible: bool) -> None:
+        """Show the layer to one visitor, or hide it."""
+        if number in self._own_roots:
+            self._own_roots[number].visible = visible
 
     def create(self, scene: viser.SceneApi) -> None:
         """Create the scene nodes, below `/name`, and the options."""

@@ -83,6 +83,12 @@ class Panel:
         """Create the controls, in the container that is open."""
         raise NotImplementedError
 
+    def welcome(self, client: viser.ClientHandle) -> None:
+        """Create what belongs to a new visitor alone, with `client.gui`."""
+
+    def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        """Drop what belongs to visitors who have left."""
+
     def close(self) -> None:
         """Stop the panel's threads."""
 

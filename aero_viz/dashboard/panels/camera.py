@@ -117,21 +117,21 @@ class CameraPanel(Panel):
         self._views = Viewpoints()
         self._modes: dict[int, str] = {}
         self._marks: dict[int, viser.GuiHtmlHandle] = {}
+        self._order = gui.add_html("", visible=False).order
         self._settled: dict[int, float] = {}
         self._targets: dict[int, Point] = {}
         """Point that each camera was last moved to look at [m]."""
         self.page.server.initial_camera.fov = FIELD_OF_VIEW
-        self._buttons = gui.add_button_group("Camera", MODES, hint=_HINT)
-
-        @self._buttons.on_click
-        async def _(event: viser.GuiEvent) -> None:
-            if event.client is not None:
-                self.select(event.client, self._buttons.value)
 
     def welcome(self, client: viser.ClientHandle) -> None:
-        """Show a new visitor the mode of the visitor's camera."""
-        order = self._buttons.order - 0.5
-        self._marks[client.client_id] = client.gui.add_html(_mark(self._mode(client.client_id)), order=order)
+        """Offer a new visitor the modes, and mark the active one."""
+        number = client.client_id
+        self._marks[number] = client.gui.add_html(_mark(self._mode(number)), order=self._order + 0.2)
+        buttons = client.gui.add_button_group("Camera", MODES, hint=_HINT, order=self._order + 0.4)
+
+        @buttons.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.select(client, buttons.value)
 
     def select(self, client: viser.ClientHandle, mode: str) -> None:
         """Change the mode of one visitor's camera."""
@@ -155,7 +155,6 @@ class CameraPanel(Panel):
         _, target = view("follow", position, np.asarray(frame.observation.goal.position, dtype=np.float64))
         changes: list[Change] = []
         clients = self.page.server.get_clients()
-        self._forget_all_but(clients)
         if not self._settled:
             # The first view of pages that are opened from now on.
             start, look_at = self._views.find("follow", frame)
@@ -184,7 +183,7 @@ class CameraPanel(Panel):
     def _mode(self, number: int) -> str:
         return self._modes.get(number, MODES[0])
 
-    def _forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+    def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         for table in (self._modes, self._marks, self._settled, self._targets):
             for number in set(table) - set(clients):
                 table.pop(number, None)

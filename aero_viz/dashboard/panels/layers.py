@@ -2,42 +2,71 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Mapping
 from typing import Any
 
 import viser
 
 from aero_viz.dashboard.layers import Change, Layer, Option
-from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.session.frame import Frame
 
 __all__ = ["LayerPanel"]
 
+_ROOM = 100.0
+"""Difference in order between two layers; their options are between them."""
+
 
 class LayerPanel(Panel):
-    """A switch for every layer, with the layer's options below it."""
+    """A switch for every layer, for each visitor alone, with the layer's options below it, which all share.
+
+    Args:
+        page: page of the panel.
+        tab: where to add the controls.
+    """
+
+    def __init__(self, page: Page, tab: viser.GuiTabHandle) -> None:
+        self._tab = tab
+        self._lock = threading.Lock()
+        """Only one thread may add controls to a tab at a time."""
+        super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._switches: list[tuple[Layer, viser.GuiCheckboxHandle]] = []
+        self._switches: dict[int, list[tuple[Layer, viser.GuiCheckboxHandle]]] = {}
         self._dropdowns: list[tuple[Layer, Option, viser.GuiDropdownHandle[Any]]] = []
-        for layer in self.page.layers.values():
-            self._add_switch(gui, layer)
-            for option in layer.options:
-                self._add_dropdown(gui, layer, option)
+        for row, layer in enumerate(self.page.layers.values()):
+            for k, option in enumerate(layer.options, start=1):
+                self._add_dropdown(gui, layer, option, _ROOM * row + k)
 
-    def _add_switch(self, gui: viser.GuiApi, layer: Layer) -> None:
-        switch = gui.add_checkbox(layer.title, layer.visible, hint=type(layer).__doc__)
-        self._switches.append((layer, switch))
+    def welcome(self, client: viser.ClientHandle) -> None:
+        with self._lock, self._tab:
+            self._switches[client.client_id] = [
+                (layer, self._add_switch(client, layer, _ROOM * row))
+                for row, layer in enumerate(self.page.layers.values())
+            ]
+
+    def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        for number in set(self._switches) - set(clients):
+            self._switches.pop(number, None)
+
+    def _add_switch(self, client: viser.ClientHandle, layer: Layer, order: float) -> viser.GuiCheckboxHandle:
+        number = client.client_id
+        visible, hint = layer.is_visible_to(number), type(layer).__doc__
+        switch = client.gui.add_checkbox(layer.title, visible, hint=hint, order=order, visible=layer.available)
 
         @switch.on_update
         async def _(event: viser.GuiEvent) -> None:
-            layer.visible = switch.value
+            layer.show_to(number, switch.value)
             if layer.needs_samples and event.client is not None:
                 self.page.update_samples()
             self.page.refresh()
 
-    def _add_dropdown(self, gui: viser.GuiApi, layer: Layer, option: Option) -> None:
+        return switch
+
+    def _add_dropdown(self, gui: viser.GuiApi, layer: Layer, option: Option, order: float) -> None:
         choices = tuple(option.choices(self.session.config))
-        dropdown = gui.add_dropdown(option.label, choices, initial_value=option.value, hint=option.hint)
+        dropdown = gui.add_dropdown(option.label, choices, initial_value=option.value, hint=option.hint, order=order)
         self._dropdowns.append((layer, option, dropdown))
 
         @dropdown.on_update
@@ -47,8 +76,9 @@ class LayerPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         changes: list[Change] = []
-        for layer, switch in self._switches:
-            changes += [(switch, "visible", layer.available), (switch, "value", layer.visible)]
+        for number, switches in list(self._switches.items()):
+            for layer, switch in switches:
+                changes += [(switch, "visible", layer.available), (switch, "value", layer.is_visible_to(number))]
         for layer, option, dropdown in self._dropdowns:
             choices = tuple(option.choices(self.session.config))
             if dropdown.options != choices:

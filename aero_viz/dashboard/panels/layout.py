@@ -19,6 +19,7 @@ from aero_viz.dashboard.panels.parameters import LiveParameterPanel, ParameterTa
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
 
@@ -42,7 +43,7 @@ def build(
     gui, controls = page.server.gui, page.session.controls
     gui.main_panel.dock_right()
     gui.main_panel.set_width(350)
-    panels: list[Panel] = [PlaybackPanel(page)]
+    panels: list[Panel] = [VisitorPanel(page), PlaybackPanel(page)]
     camera = CameraPanel(page)
     tabs = gui.add_tab_group()
     with tabs.add_tab("Fly", viser.Icon.DRONE):
@@ -57,8 +58,8 @@ def build(
         panels.append(ChartPanel(page))
     with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
         panels.append(WhyPanel(page))
-    with tabs.add_tab("Layers", viser.Icon.STACK_2):
-        panels.append(LayerPanel(page))
+    with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
+        panels.append(LayerPanel(page, tab))
     if controls is not None:
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
             panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls)]

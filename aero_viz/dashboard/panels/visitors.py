@@ -1,0 +1,57 @@
+"""The number of visitors, and the button that takes control."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import viser
+
+from aero_viz.dashboard.layers import Change, apply
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.base import Panel
+
+__all__ = ["VisitorPanel"]
+
+_HINT = "Control the session; whoever does now looks on from then on."
+
+
+class VisitorPanel(Panel):
+    """A line for each visitor alone, above all controls. It is empty for a visitor who is alone and in control."""
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._rows: dict[int, tuple[viser.GuiHtmlHandle, viser.GuiButtonHandle]] = {}
+        self._visitors = self.page.server.visitors
+        self._visitors.on_change = self._show
+
+    def welcome(self, client: viser.ClientHandle) -> None:
+        number = client.client_id
+        text = client.gui.add_html("", order=-2.0, visible=False)
+        button = client.gui.add_button(
+            "Take control", icon=viser.Icon.STEERING_WHEEL, order=-1.0, hint=_HINT, visible=False
+        )
+        self._rows[number] = (text, button)
+
+        @button.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self._visitors.take_control(number)
+
+        self._show()
+
+    def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        for number in set(self._rows) - set(clients):
+            self._rows.pop(number, None)
+
+    def _show(self) -> None:
+        visitors = self._visitors
+        for number, (text, button) in list(self._rows.items()):
+            controls, may_control = visitors.has_control(number), visitors.may_control(number)
+            role = "You control the session." if controls else "You look on; your camera and layers are your own."
+            if not may_control:
+                role += " This link cannot control the session."
+            count = f"<b>{visitors.count} visitors</b>" if visitors.count != 1 else "<b>1 visitor</b>"
+            changes: list[Change] = [
+                (text, "content", markup.block(f"{count} {markup.muted(role)}")),
+                (text, "visible", visitors.count > 1 or not controls),
+                (button, "visible", may_control and not controls),
+            ]
+            apply(changes)

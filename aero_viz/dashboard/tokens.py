@@ -1,0 +1,69 @@
+"""The secret links of a page that other machines can reach: one that controls the session, one that only looks on."""
+
+from __future__ import annotations
+
+import enum
+import secrets
+from urllib.parse import parse_qs, urlsplit
+
+from websockets import Headers
+
+__all__ = ["Role", "Tokens"]
+
+
+class Role(enum.Enum):
+    """What a link allows."""
+
+    CONTROL = "control"
+    VIEW = "view"
+
+
+class Tokens:
+    """Two random tokens, new at every start.
+
+    A link carries its token in the query. The answer to it moves the token to a cookie, so that it does not stay in the
+    address, which others see and which browsers keep and pass on. Programs may leave it in the query.
+
+    Args:
+        port: port of the server, since all ports of a machine share their cookies.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._values = {role: secrets.token_urlsafe(24) for role in Role}
+        self._cookie = f"aero_viz_{port}"
+
+    def query(self, role: Role) -> str:
+        """Return what follows the address in the link of a role."""
+        return f"/?token={self._values[role]}"
+
+    def role(self, path: str, headers: Headers) -> Role | None:
+        """Return the role by the token in the query of a request, else in its cookie; None without a valid one."""
+        given = self._in_query(path)
+        return self._role(self._in_cookies(headers) if given is None else given)
+
+    def cookie(self, path: str) -> str | None:
+        """Return the header that makes a browser keep the token in the query; None if there is no valid one."""
+        role = self._role(self._in_query(path))
+        if role is None:
+            return None
+        return f"{self._cookie}={self._values[role]}; Path=/; HttpOnly; SameSite=Lax"
+
+    def _role(self, given: str | None) -> Role | None:
+        found = None
+        for role, value in self._values.items():  # both, so that the time does not depend on what was given
+            if secrets.compare_digest((given or "").encode(errors="replace"), value.encode()):
+                found = role
+        return found
+
+    def _in_query(self, path: str) -> str | None:
+        """Return the token in a query, empty if it is given twice; None if there is none."""
+        try:
+            given = parse_qs(urlsplit(path).query, keep_blank_values=True, max_num_fields=10).get("token", [])
+        except ValueError:
+            return ""
+        return given[0] if len(given) == 1 else "" if given else None
+
+    def _in_cookies(self, headers: Headers) -> str | None:
+        pairs = [pair.strip().partition("=") for line in headers.get_all("Cookie") for pair in line.split(";")]
+        given = [value for name, _, value in pairs if name == self._cookie]
+        return given[0] if len(given) == 1 else None

@@ -1,0 +1,65 @@
+"""Who is on the page, and who of them controls the session."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+__all__ = ["Visitors"]
+
+
+class Visitors:
+    """One visitor holds control; the others look on until they take it. Safe to use from any thread.
+
+    The first visitor who may hold control gets it. When the holder leaves, it passes to whoever has been here longest.
+    """
+
+    def __init__(self) -> None:
+        self.on_change: Callable[[], None] = lambda: None
+        """Called after a visitor has come, gone or taken control."""
+        self._may_control: dict[int, bool] = {}
+        """By the number of the client in viser, in the order of arrival."""
+        self._holder: int | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def count(self) -> int:
+        """Number of visitors."""
+        return len(self._may_control)
+
+    def has_control(self, number: int) -> bool:
+        """Return True if a visitor holds control."""
+        return self._holder == number
+
+    def may_control(self, number: int) -> bool:
+        """Return True if a visitor holds control or may take it."""
+        return self._may_control.get(number, False)
+
+    def join(self, number: int, *, may_control: bool) -> None:
+        """Add a visitor, unless that is done."""
+        if number not in self._may_control:
+            with self._lock:
+                self._may_control[number] = may_control
+                self._appoint()
+            self.on_change()
+
+    def leave(self, number: int) -> None:
+        """Remove a visitor."""
+        if number in self._may_control:
+            with self._lock:
+                self._may_control = {other: may for other, may in self._may_control.items() if other != number}
+                self._appoint()
+            self.on_change()
+
+    def take_control(self, number: int) -> bool:
+        """Give control to a visitor who may have it; return False if this one may not."""
+        with self._lock:
+            if not self.may_control(number):
+                return False
+            self._holder = number
+        self.on_change()
+        return True
+
+    def _appoint(self) -> None:
+        if self._holder not in self._may_control:
+            self._holder = next((number for number, may in self._may_control.items() if may), None)

@@ -1,0 +1,80 @@
+"""Two visitors with browsers of their own: one has control, the other looks on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests.browser.desk import Desk, open_desk
+
+
+@pytest.fixture(scope="module")
+def desk(browser: Browser) -> Iterator[Desk]:
+    """A paused flight whose first visitor has control."""
+    with open_desk(browser, ticks=10, layers=["drone"], size=(1000, 700)) as desk:
+        desk.page.get_by_role("tab", name="Tune").wait_for()
+        yield desk
+        assert desk.console == []
+
+
+@pytest.fixture
+def second(desk: Desk, browser: Browser) -> Iterator[Page]:
+    """Page of a second visitor."""
+    context = browser.new_context(viewport={"width": 1000, "height": 700})
+    context.set_default_timeout(90_000)
+    page = context.new_page()
+    page.goto(desk.dashboard.url)
+    desk.wait_for(lambda: desk.dashboard.server.visitors.count == 2, "the second visitor")
+    page.get_by_text("You look on; your camera and layers are your own.").wait_for()
+    yield page
+    context.close()
+    desk.wait_for(lambda: desk.dashboard.server.visitors.count == 1, "the second visitor to leave")
+
+
+def checkbox(page: Page, label: str):
+    row = page.locator("label", has_text=re.compile(f"^{re.escape(label)}$"))
+    return row.locator("xpath=ancestor::div[contains(@class, 'Flex')][1]").get_by_role("checkbox")
+
+
+def test_a_visitor_who_looks_on_cannot_step_until_taking_control(desk: Desk, second: Page):
+    desk.page.get_by_text("2 visitors").wait_for()
+    assert desk.page.get_by_role("button", name="Take control").count() == 0
+    before = desk.session.frame
+    assert before is not None
+    second.get_by_role("button", name="+10").click()
+    second.locator(".mantine-Notification-root", has_text="You look on").wait_for()
+    second.get_by_role("tab", name="Tune").click()
+    slider = second.get_by_role("slider").last
+    shown = slider.get_attribute("aria-valuenow")
+    slider.focus()
+    second.keyboard.press("ArrowRight")
+    desk.wait_for(lambda: slider.get_attribute("aria-valuenow") == shown, "the old value of the slider")
+    assert desk.session.frame is before and desk.session.config is before.config
+    second.get_by_role("button", name="Take control").click()
+    desk.page.get_by_role("button", name="Take control").wait_for()
+    second.get_by_text("You control the session.").wait_for()
+    second.get_by_role("button", name="+10").click()
+    desk.wait_for(lambda: desk.session.frame is not before, "a step")
+    desk.page.get_by_role("button", name="Take control").click()
+    second.get_by_role("button", name="Take control").wait_for()
+
+
+def test_layers_and_camera_belong_to_each_visitor(desk: Desk, second: Page):
+    cells = desk.dashboard.layers["coarse_cells"]
+    assert not cells.visible
+    empty = desk.settled_screenshot()
+    second.get_by_role("tab", name="Layers").click()
+    checkbox(second, cells.title).check()
+    desk.wait_for(lambda: cells.visible, "the layer")
+    desk.open_tab("Layers")
+    assert desk.checkbox(cells.title).is_checked() is False
+    second.get_by_role("button", name="top", exact=True).click()
+    numbers = list(desk.dashboard.server.get_clients())
+    heights = lambda: [desk.dashboard.server.get_clients()[n].camera.position[2] for n in numbers]  # noqa: E731
+    desk.wait_for(lambda: heights()[1] > 2.0 * heights()[0], "the view from above")
+    assert (desk.settled_screenshot() == empty).all(), "the first visitor sees the second one's choice"
+    checkbox(second, cells.title).uncheck()
+    desk.wait_for(lambda: not cells.visible, "nobody to see the layer")
