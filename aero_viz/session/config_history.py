@@ -13,6 +13,8 @@ __all__ = ["ConfigHistory"]
 
 _DRAG_INTERVAL = 1.0
 """Changes of the same parameters within this time are one step of undo, as when a slider is dragged [s]."""
+_MOST = 500
+"""Number of configurations that are kept; the oldest one goes first."""
 
 
 class ConfigHistory:
@@ -49,8 +51,8 @@ class ConfigHistory:
             if is_same_drag:
                 self._configs[self._index] = config
             else:
-                self._configs.append(config)
-                self._index += 1
+                self._configs = [*self._configs, config][-_MOST:]
+                self._index = len(self._configs) - 1
             self._version += 1
             return config
 

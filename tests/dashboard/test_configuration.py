@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import re
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig
+from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.configuration import differences
+from aero_viz.session import Session
+from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
 
 def test_differences_show_old_and_new_value_and_the_flags():
@@ -18,3 +26,41 @@ def test_differences_show_old_and_new_value_and_the_flags():
 
 def test_the_default_differs_in_nothing():
     assert differences(PlannerConfig()) == ""
+
+
+class WaitingSession(Session):
+    """A session that takes a configuration only after an event."""
+
+    may_configure = threading.Event()
+
+    def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+        assert self.may_configure.wait(30.0)
+        return super().configure(change)
+
+
+def test_the_page_answers_while_an_uploaded_file_is_read():
+    session = WaitingSession(small_source(), config=small_config())
+    dashboard = Dashboard(session, port=0)
+    controls = dashboard.server.gui._gui_input_handle_from_uuid
+    upload = next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == "Upload YAML")
+    box = dashboard.server.gui.add_checkbox("box", False)
+
+    @box.on_update
+    async def _(_: object) -> None:
+        session.may_configure.set()
+
+    content = b"costs:\n  q_track: 7.5\n"
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        send(
+            client, type="FileTransferStartUpload", source_component_uuid=upload, transfer_uuid="a",
+            filename="a.yaml", mime_type="", part_count=1, size_bytes=len(content),
+        )  # fmt: skip
+        send(
+            client, type="FileTransferPart", source_component_uuid=upload, transfer_uuid="a", part_index=0,
+            content=content,
+        )  # fmt: skip
+        send(client, type="GuiUpdateMessage", uuid=box._impl.uuid, updates={"value": True})
+        wait_for(lambda: session.config.costs.q_track == 7.5, "the configuration")
+    dashboard.close()
+    session.close()

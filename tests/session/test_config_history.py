@@ -91,3 +91,13 @@ def test_an_equal_configuration_does_not_count_as_a_change() -> None:
     history = ConfigHistory(PlannerConfig())
     history.change(PlannerConfig())
     assert history.current[1] == 0
+
+
+def test_the_oldest_of_many_configurations_are_forgotten() -> None:
+    history = ConfigHistory(PlannerConfig())
+    for k in range(1200):
+        history.change({("costs.q_track", "costs.q_position")[k % 2]: 1.0 + 0.001 * k})
+    steps = [history.go(-1) for _ in range(1200)]
+    assert steps[0].costs.q_position != steps[1].costs.q_position or steps[0].costs.q_track != steps[1].costs.q_track
+    assert steps[498] == steps[-1] != PlannerConfig() and steps[497] != steps[498]
+    assert history.go(+1) == steps[497]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import tempfile
 from pathlib import Path
 
@@ -78,7 +79,9 @@ class ConfigurationPanel(Panel):
 
         @load.on_upload
         async def _(event: viser.GuiEvent) -> None:
-            self.page.attempt(lambda: self._load(load.value), event.client)
+            file = load.value
+            # A large file takes a while, and the event loop serves all pages.
+            await asyncio.to_thread(self.page.attempt, lambda: self._load(file), event.client)
 
     def _load(self, file: viser.UploadedFile) -> None:
         config, onboard = parse_upload(file)
