@@ -31,9 +31,10 @@ def test_the_default_differs_in_nothing():
 class WaitingSession(Session):
     """A session that takes a configuration only after an event."""
 
-    may_configure = threading.Event()
+    is_asked, may_configure = threading.Event(), threading.Event()
 
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+        self.is_asked.set()
         assert self.may_configure.wait(30.0)
         return super().configure(change)
 
@@ -60,6 +61,7 @@ def test_the_page_answers_while_an_uploaded_file_is_read():
             client, type="FileTransferPart", source_component_uuid=upload, transfer_uuid="a", part_index=0,
             content=content,
         )  # fmt: skip
+        wait_for(session.is_asked.is_set, "the file to be read")
         send(client, type="GuiUpdateMessage", uuid=box._impl.uuid, updates={"value": True})
         wait_for(lambda: session.config.costs.q_track == 7.5, "the configuration")
     dashboard.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from small_source import small_config, small_source
@@ -56,7 +57,7 @@ def desk() -> Iterator[SimpleNamespace]:
     session.close()
 
 
-def control(desk: SimpleNamespace, label: str):
+def control(desk: SimpleNamespace, label: str) -> Any:
     server = desk.dashboard.server
     scopes = (server.gui, *(client.gui for client in server.get_clients().values()))
     controls = [control for gui in scopes for control in list(gui._gui_input_handle_from_uuid.values())]
