@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import weakref
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 __all__ = ["PackedArrays", "allocate", "array", "as_dict", "as_scalars", "as_vectors"]
 
 Arrays = TypeVar("Arrays")
 _ALIGNMENT = 256
+_MOST_BUFFERS = 8
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,9 @@ class PackedArrays(Generic[Arrays]):
         self._host = self._memory if device.is_cpu else wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=True)
         self._device = device
         self._downloaded = None if device.is_cpu else wp.Event(device)
+        self._free_buffers: list[wp.array] = []
+        self._buffer_count = 0
+        self._target: NDArray[np.uint8] | None = None
         self._host_bytes: np.ndarray = self._host.numpy()
         self._host_record = self._as_record(self._host_bytes)
 
@@ -97,14 +103,36 @@ class PackedArrays(Generic[Arrays]):
     def start_download(self) -> None:
         """Order the copy to the host, after the launches so far and before later ones."""
         if self._downloaded is not None:
-            wp.copy(self._host, self._memory)
+            buffer, self._target = self._take_buffer()
+            wp.copy(self._host if buffer is None else buffer, self._memory)
             self._device.stream.record_event(self._downloaded)
 
     def finish_download(self) -> np.ndarray:
-        """Wait for the copy that `start_download` has ordered; return a record with copies of the arrays."""
+        """Wait for the copy that `start_download` has ordered; return a record of arrays that nothing changes later."""
         if self._downloaded is not None:
             wp.synchronize_event(self._downloaded)
-        return self._as_record(self._host_bytes.copy())
+        else:
+            _, self._target = self._take_buffer()
+            if self._target is not None:
+                self._target[:] = self._host_bytes
+        target, self._target = self._target, None
+        return self._as_record(self._host_bytes.copy() if target is None else target)
+
+    def _take_buffer(self) -> tuple[wp.array | None, NDArray[np.uint8] | None]:
+        """Return host memory for one download, and the same as NumPy array; None if too much is in use.
+
+        It is free again when that array and all views of it are gone.
+        """
+        if not self._free_buffers:
+            if self._buffer_count == _MOST_BUFFERS:
+                return None, None
+            self._buffer_count += 1
+            is_pinned = self._downloaded is not None
+            self._free_buffers.append(wp.zeros(self._memory.size, dtype=wp.uint8, device="cpu", pinned=is_pinned))
+        buffer = self._free_buffers.pop()
+        values: Any = buffer.numpy()
+        weakref.finalize(values, self._free_buffers.append, buffer).atexit = False
+        return buffer, values
 
 
 def array_specs(kind: type) -> dict[str, ArraySpec]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -130,6 +132,21 @@ class Plan:
     """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
     braking: BrakingCandidates | None = None
     """None in plans that a drone has sent."""
+
+    @classmethod
+    def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Plan:
+        """Return a plan whose fields are `known`, or the results of `make` for their names when they are first read."""
+        plan = object.__new__(cls)
+        plan.__dict__.update(known, _make=make)
+        return plan
+
+    if not TYPE_CHECKING:  # a type checker would accept every name
+
+        def __getattr__(self, name: str) -> Any:
+            make = None if name.startswith("_") else self.__dict__.get("_make")
+            if make is None:
+                raise AttributeError(f"a plan has no attribute {name!r}")
+            return self.__dict__.setdefault(name, make(name))
 
     @property
     def command(self) -> Array:

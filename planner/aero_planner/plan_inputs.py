@@ -40,7 +40,8 @@ def check_inputs(
         "ground_height": _check_ground_height(ground_height, batch),
     }
     for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
-        if (np.square(values[name]).sum(axis=-1) < 1e-12).any():
+        squares = values[name] * values[name]
+        if (squares.sum(axis=-1) < 1e-12).any():
             raise ValueError(f"{field} is zero; give a unit quaternion in the order w, x, y, z.")
     return values
 
@@ -49,6 +50,8 @@ def _check_ground_height(height: ArrayLike | None, batch: tuple[int, ...]) -> ND
     """Return ground heights [m] of shape [] or [B], -inf where they are unknown."""
     if height is None:
         return np.full(batch, -np.inf)
+    if type(height) is float and -_FARTHEST <= height <= _FARTHEST:
+        return np.full(batch, height)
     array = np.asarray(height)
     shape = batch if array.ndim else ()
     if array.dtype.kind != "f":
@@ -63,13 +66,15 @@ def _check(
     """Return `value` as an array of `shape`, full of `missing` if it is None and may be omitted."""
     if value is None and missing is not None:
         return np.full(shape, missing)
+    if not shape and type(value) is float and -limit <= value <= limit:
+        return np.array(value)
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} is {value!r}; it must be numbers of shape {shape}.") from error
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; it must have shape {shape}.")
-    if (abs(array) <= limit).all():  # false for NaN
+    if abs(array).max(initial=0.0) <= limit:  # false for NaN
         return array
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {array.tolist()}; every value must be finite.")

@@ -14,6 +14,13 @@ from aero_planner.plan import BrakingCandidates, Plan, PlanStatus
 
 __all__ = ["make_plan"]
 
+_PER_INSTANCE = frozenset({
+    "initial_endpoints", "anchors", "guide_coefficients", "guides", "controls", "positions", "velocities",
+    "quaternions", "stage2_cost", "goal_cost", "collision_cost", "clearance",
+})  # fmt: skip
+"""Arrays with rows of the M instances and the braking candidates, of which a plan shows the instances."""
+_ARRAYS = _PER_INSTANCE | {"fine_range", "safe_range", "safe_direction", "filtered_points", "stage1_cost"}
+
 
 def make_plan(
     values: NDArray[Any],
@@ -32,48 +39,62 @@ def make_plan(
         stage_ms: time of each stage [ms].
         samples: positions of the Stage I rollouts [m], shape [B, M, K, N + 1, 3], or None.
     """
-    B, M, part = len(values["best"]), len(config.kinds), config.partition
-    coarse = (B, part.coarse_rows, part.coarse_columns)
-    filtered = [
-        cloud.take(np.flatnonzero(occupied), axis=0)
-        for cloud, occupied in zip(values["filtered_points"], values["occupied"] != 0, strict=True)
-    ]
-    kinds = list(config.kinds)
-    if not batched and values["braking_instance"][0] >= 0:
-        kinds[values["braking_instance"][0]] = "brake"
-
-    def per_drone(array: NDArray[Any]) -> Any:
-        return array if batched else array[0]
-
-    def instances(name: str) -> Any:
-        return per_drone(values[name][:, :M])
-
-    def braking(name: str) -> Any:
-        return per_drone(values[name][:, M : M + int(BRAKING_FAN)])
-
-    return Plan(
-        fine_range=per_drone(values["fine_range"].reshape(B, *fine_shape(config))),
-        safe_range=per_drone(values["safe_range"].reshape(coarse)),
-        safe_direction=per_drone(values["safe_direction"].reshape(*coarse, 3)),
-        filtered_points=filtered if batched else filtered[0],
-        initial_endpoints=instances("initial_endpoints"),
-        anchors=instances("anchors"),
-        guide_coefficients=np.swapaxes(instances("guide_coefficients"), -1, -2),
-        guides=instances("guides"),
-        kinds=tuple(kinds),
-        controls=instances("controls"),
-        positions=instances("positions"),
-        velocities=instances("velocities"),
-        quaternions=instances("quaternions"),
-        stage1_cost=per_drone(values["stage1_cost"].reshape(B, M, -1))[..., : config.sampling.samples],
-        stage2_cost=instances("stage2_cost"),
-        goal_cost=instances("goal_cost"),
-        collision_cost=instances("collision_cost"),
-        clearance=instances("clearance"),
-        best=values["best"] if batched else int(values["best"][0]),
-        status=values["status"] if batched else PlanStatus(int(values["status"][0])),
-        dropped_points=values["dropped_points"] if batched else int(values["dropped_points"][0]),
+    arrays = _PlanArrays(values, config, batched)
+    best, status, dropped_points = values["best"], values["status"], values["dropped_points"]
+    return Plan.with_lazy_arrays(
+        arrays,
+        best=best if batched else int(best[0]),
+        status=status if batched else PlanStatus(int(status[0])),
+        dropped_points=dropped_points if batched else int(dropped_points[0]),
         stage_ms=stage_ms,
-        braking=BrakingCandidates(braking("positions"), braking("velocities"), braking("clearance").min(axis=-1)),
-        samples=None if samples is None else per_drone(samples),
+        samples=None if samples is None else arrays.per_drone(samples),
+        braking=arrays.braking(),
     )
+
+
+class _PlanArrays:
+    """Makes the arrays of a plan, each when it is first read: most readers need few of them."""
+
+    def __init__(self, values: NDArray[Any], config: PlannerConfig, batched: bool) -> None:
+        self._values, self._config, self._batched = values, config, batched
+        self._drones, self._instances = len(values["best"]), len(config.kinds)
+
+    def per_drone(self, array: Any) -> Any:
+        return array if self._batched else array[0]
+
+    def braking(self) -> BrakingCandidates:
+        rows = slice(self._instances, self._instances + int(BRAKING_FAN))
+        positions, velocities, clearance = (
+            self.per_drone(self._values[name][:, rows]) for name in ("positions", "velocities", "clearance")
+        )
+        return BrakingCandidates(positions, velocities, clearance.min(axis=-1))
+
+    def __call__(self, name: str) -> Any:
+        """Return a field of `Plan`; raises AttributeError for another name."""
+        if name == "kinds":
+            return self._kinds()
+        if name not in _ARRAYS:
+            raise AttributeError(f"a plan has no attribute {name!r}")
+        array, part, B = self._values[name], self._config.partition, self._drones
+        if name in _PER_INSTANCE:
+            array = array[:, : self._instances]
+        match name:
+            case "fine_range":
+                array = array.reshape(B, *fine_shape(self._config))
+            case "safe_range" | "safe_direction":
+                array = array.reshape(B, part.coarse_rows, part.coarse_columns, *array.shape[2:])
+            case "guide_coefficients":
+                array = np.swapaxes(array, -1, -2)
+            case "stage1_cost":
+                array = array.reshape(B, self._instances, -1)[..., : self._config.sampling.samples]
+            case "filtered_points":
+                clouds = zip(array, self._values["occupied"] != 0, strict=True)
+                array = [cloud.take(np.flatnonzero(occupied), axis=0) for cloud, occupied in clouds]
+        return self.per_drone(array)
+
+    def _kinds(self) -> tuple[str, ...]:
+        kinds = list(self._config.kinds)
+        replaced = self._values["braking_instance"][0]
+        if not self._batched and replaced >= 0:
+            kinds[replaced] = "brake"
+        return tuple(kinds)

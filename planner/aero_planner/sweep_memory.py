@@ -70,6 +70,7 @@ class SweepMemory:
         self._held: Sweeps | None = None
         self._is_changed = False  # the table on the host, since it was copied
         self._host_points: Any = None  # the same places on the host, to copy from
+        self._staging: Any = None  # `_host_points` as NumPy array
         self._copied: Any = None
         cloud, B = self.arrays.bundle(), sizes.B
         self._commands: list[tuple[Any, bool]] = []
@@ -179,8 +180,7 @@ class SweepMemory:
                 everything = [entry.points for entry in self._entries] + sweeps[len(added) :]
                 self._entries.clear()
                 return self._place(everything)
-            rows = {entry.row for entry in self._entries}
-            row = next(row for row in range(self._sizes.S) if row not in rows)
+            row = min(set(range(self._sizes.S)).difference(entry.row for entry in self._entries))
             added.append(_Entry(points, row, start))
             self._entries.append(added[-1])
         return added
@@ -218,11 +218,11 @@ class SweepMemory:
         if self._host_points is None:
             dtype: Any = wp.vec3
             self._host_points = wp.empty(self._sizes.P, dtype=dtype, device="cpu", pinned=True)
+            self._staging = self._host_points.numpy()
             self._copied = wp.Event(self._device)
         else:
             wp.synchronize_event(self._copied)  # has happened long ago, unless sweeps arrive without plans
-        staging: Any = self._host_points.numpy()
-        staging[entry.start : entry.end] = entry.points
+        self._staging[entry.start : entry.end] = entry.points
         wp.copy(points, self._host_points, entry.start, entry.start, len(entry.points))
         self._device.stream.record_event(self._copied)
 

@@ -44,7 +44,9 @@ class Sweeps:
 
     def add(self, sweep: NDArray[np.float32], *, limit: int = 10) -> Sweeps:
         """Return the newest `limit` sweeps, of which `sweep` is the last."""
-        return Sweeps((*self._sweeps, sweep)[-limit:], whole=self._whole)
+        added = Sweeps(whole=self._whole)
+        added._sweeps = (*self._sweeps, as_constant(sweep))[-limit:]
+        return added
 
     @property
     def thinned(self) -> int:
