@@ -161,7 +161,7 @@ class Pipeline(LaunchSequence):
             self.serial("guides", self.end_fork, self._make_guides()),
             self._optimize(),
             self.side_branch("partition", self._pool_coarse_cells()),  # only shown: no later stage needs it
-            self.serial("stage2", *self._evaluate_instances(), *self._prove_stops(), self._commit_plan(), self.join),
+            self.serial("stage2", *self._evaluate_instances(), self._commit_plan(), self.join),
         ]
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
@@ -368,7 +368,10 @@ class Pipeline(LaunchSequence):
         )  # fmt: skip
 
     def _evaluate_instances(self) -> list[Callable[[], Any]]:
-        """Stage II: roll out the optimised controls and sum S2."""
+        """Stage II: roll out the optimised controls, sum S2, and find the clearance of the stops.
+
+        On a CPU stops are only proven as far as the selection needs it.
+        """
         i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
         lanes, threads = self._tuning.threads_per_instance, self._batch_tuning.threads_per_query
         roll_out = self.record(
@@ -395,37 +398,39 @@ class Pipeline(LaunchSequence):
             outputs=[self._costs, w.instance_scores],
             block_dim=32,
         )
-        return [roll_out, evaluate, score]
+        proof = self._evaluate_all_stops() if self._tuning.is_cuda else self._prove_stops()
+        return [roll_out, evaluate, score, *proof]
 
     def _prove_stops(self) -> list[Callable[[], Any]]:
-        """Find the clearance of the stops of the candidates, on a CPU as far as the selection needs it."""
         i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
-        count = sizes.M * sizes.J
-        sizes_of_arrays = [sizes.Q - sizes.N, self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range]
-        if not self._tuning.is_cuda:
-            prove = self.record(
-                stops.prove_stops(self._batch_tuning),
-                (sizes.B,),
-                inputs=[
-                    self._drone, i.position, i.quaternion, i.ground_height, self._params, sizes.M, *sizes_of_arrays,
-                    w.plan_period, self._rollouts, w.cell_ends, w.point_packs, w.state_terms, w.instance_scores,
-                ],
-                outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
-            )  # fmt: skip
-            return [prove]
+        prove = self.record(
+            stops.prove_stops(self._batch_tuning),
+            (sizes.B,),
+            inputs=[
+                self._drone, i.position, i.quaternion, i.ground_height, self._params, sizes.M, sizes.Q - sizes.N,
+                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, self._rollouts, w.cell_ends,
+                w.point_packs, w.state_terms, w.instance_scores,
+            ],
+            outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
+        )  # fmt: skip
+        return [prove]
+
+    def _evaluate_all_stops(self) -> list[Callable[[], Any]]:
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
         roll_out = self.record(
             stops.roll_out_stops,
-            (sizes.B, count),
+            (sizes.B, sizes.M * sizes.J),
             inputs=[self._drone, self._params, w.plan_period, self._rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
             block_dim=32,
         )
         evaluate = self.record(
             stops.evaluate_stops(self._batch_tuning),
-            (sizes.B, count, 4 * sizes.N, self._batch_tuning.threads_per_query),
+            (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_query),
             inputs=[
-                i.position, i.quaternion, i.ground_height, self._params, *sizes_of_arrays, o.positions, w.plan_period,
-                w.cell_ends, w.point_packs, w.stop_positions, w.state_terms,
+                i.position, i.quaternion, i.ground_height, self._params, sizes.Q - sizes.N, self._duplicate_rows,
+                sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs,
+                w.stop_positions, w.state_terms,
             ],
             outputs=[w.stop_clearance],
             block_dim=32,

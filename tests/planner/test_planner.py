@@ -312,3 +312,14 @@ def test_a_read_only_cloud_is_copied_once(device: str):
         again = case.plan(planner)
         np.testing.assert_array_equal(again.filtered_points, fresh.filtered_points)
         np.testing.assert_array_equal(again.controls, fresh.controls)
+
+
+def test_plans_that_are_kept_are_read_later_as_they_were(device: str):
+    """Their arrays are made when they are first read, from memory that later plans may not use."""
+    planner, again = (Planner(config_of(), device=device) for _ in range(2))
+    cases = [random_case(seed) for seed in range(12)]
+    kept = [case.plan(planner) for case in cases]
+    for case, plan in zip(cases, kept, strict=True):
+        assert_same(plan, case.plan(again))
+    with pytest.raises(AttributeError, match="no attribute 'commands'"):
+        getattr(kept[0], "commands")  # noqa: B009

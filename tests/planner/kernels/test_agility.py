@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aero_planner import Goal, Planner, PlanStatus, VehicleState
+from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.kernels.stops import STOPS
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case, shell
@@ -141,3 +141,55 @@ def test_the_prediction_follows_the_commands_of_the_previous_plan_with_the_lags(
     np.testing.assert_allclose(second.positions[0, 0], x.p[-1], atol=1e-4)
     np.testing.assert_allclose(second.velocities[0, 0], x.v[-1], atol=1e-3)
     np.testing.assert_allclose(second.quaternions[0, 0], x.q[-1], atol=1e-4)
+
+
+@pytest.mark.parametrize("above", [0.0, 3.0])
+def test_continued_cells_are_those_of_the_rule(device: str, above: float):
+    """Each is compared with the search of its surface, step by step; rounding may decide for a few of them."""
+    config = config_of(partition__continue_below=2.0, partition__continue_above=above)
+    without = config.replace({"partition.continue_below": 0.0, "partition.continue_above": 0.0})
+    planner, filled, different = Planner(config, device=device), 0, 0
+    for seed in range(3):
+        case = random_case(seed, count=3000, tilt=0.4)
+        measured = case.plan(Planner(without, device=device))
+        points, ranges = measured.filtered_points, measured.fine_range.ravel()
+        expected = ranges.copy()
+        cells = np.flatnonzero(ranges < config.farthest_range)
+        point_of = dict(zip(cells, np.asarray(points, dtype=np.float64) - case.position, strict=True))
+        for cell in np.flatnonzero(ranges == config.farthest_range):
+            expected[cell] = continued_range(int(cell), case, config, point_of)
+        found = case.plan(planner).fine_range.ravel()
+        filled += np.sum(expected != ranges)
+        different += np.sum(np.abs(found - expected) > 1e-3)
+    assert filled > 100 and different <= 0.01 * filled
+
+
+def continued_range(cell: int, case: Case, config: PlannerConfig, point_of: dict[int, np.ndarray]) -> float:
+    """Return the range of an empty cell with the continued surface [m]; `point_of` are measured points by cell."""
+    part, R = config.partition, reference.rotation(reference.unit(case.quaternion))
+    rows, columns = part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
+    b, a = (cell // columns + 0.5) * np.pi / rows - np.pi / 2, (cell % columns + 0.5) * 2 * np.pi / columns - np.pi
+    below, above = np.degrees(b) < part.view_min, np.degrees(b) > part.view_max and part.continue_above > 0
+    d = R @ [np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)]
+    flat, inside = np.hypot(d[0], d[1]), 0
+    if not (below or above) or flat < 0.2 or (above and d[2] < 0.1):
+        return config.farthest_range
+    start, ahead = np.arctan2(d[2], flat), np.array([d[0], d[1], 0.0]) / flat
+    for k in range(1, rows // 2):
+        angle = start + (k if below else -k) * np.pi / rows
+        if inside >= 2 or abs(angle) >= np.pi / 2:
+            break
+        x, y, z = R.T @ (np.cos(angle) * ahead + [0.0, 0.0, np.sin(angle)])
+        inside += bool(np.sin(np.radians(part.view_min)) <= z <= np.sin(np.radians(part.view_max)))
+        row = int(np.floor((np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5) * rows))
+        column = int(np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * columns)) % columns
+        source = point_of.get(min(row, rows - 1) * columns + column)
+        if source is not None:
+            away = np.hypot(source[0], source[1])
+            end = away * ahead + [0.0, 0.0, away * np.tan(start)]
+            is_continued = source[2] - end[2] <= part.continue_below
+            if above:
+                end, is_continued = source[2] / d[2] * d, 0 < source[2] <= part.continue_above
+            distance = float(np.linalg.norm(end))
+            return distance if is_continued and distance <= config.farthest_range else config.farthest_range
+    return config.farthest_range

@@ -1,0 +1,65 @@
+"""Proof of stops: on a CPU only those that the selection needs are evaluated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from aero_planner import Planner, PlannerConfig, PlanStatus
+from aero_planner.kernels.kernel_tuning import CPU
+from aero_planner.kernels.mppi import PROBES
+from aero_planner.kernels.records import DroneState, Rollouts, bundle
+from aero_planner.kernels.stops import STOPS, evaluate_stops, roll_out_stops
+from tests.planner.cases import config_of, random_case
+
+
+def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarray:
+    """Return the clearance of every stop of the last plan [m], shape [M, STOPS], from the kernels for CUDA."""
+    i, o, w, M = planner.inputs, planner.outputs, planner.workspace, len(config.kinds)
+    drone = bundle(
+        DroneState, position=w.position, velocity=w.velocity, quaternion=w.quaternion, acceleration=w.acceleration,
+        command=w.command, control=w.control,
+    )  # fmt: skip
+    rollouts = bundle(
+        Rollouts, controls=o.controls, positions=o.positions, velocities=o.velocities, quaternions=o.quaternions
+    )
+    count, part = M * int(STOPS), config.partition
+    rows, columns = part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
+    controls, positions, clearance = (wp.empty_like(a) for a in (w.stop_controls, w.stop_positions, w.stop_clearance))
+    wp.launch(
+        roll_out_stops, (1, count), inputs=[drone, planner.params, w.plan_period, rollouts],
+        outputs=[controls, positions, clearance],
+    )  # fmt: skip
+    wp.launch(
+        evaluate_stops(CPU),
+        (1, count, 4 * config.sampling.steps, 1),
+        inputs=[
+            i.position, i.quaternion, i.ground_height, planner.params, int(PROBES), 1, rows, columns, o.fine_range,
+            o.positions, w.plan_period, w.cell_ends, w.point_packs, positions, w.state_terms,
+        ],
+        outputs=[clearance],
+    )  # fmt: skip
+    return clearance.numpy().reshape(M, int(STOPS))
+
+
+@pytest.mark.parametrize("proof", ["instead", "required"])
+@pytest.mark.parametrize("prefer_safe", [True, False])
+def test_the_selection_is_that_among_all_stops(proof: str, prefer_safe: bool):
+    config = config_of(candidates__prove_stop=proof, candidates__prefer_safe=prefer_safe, candidates__brake=False)
+    planner, safe_plans = Planner(config, threads=1), 0
+    for seed in range(40):
+        planner.reset()
+        plan = random_case(seed, nearest=0.8 + 0.05 * (seed % 20), tilt=0.3).plan(planner)
+        if plan.status != PlanStatus.OK:  # a braking candidate has replaced what the stops belong to
+            assert planner.workspace.stop_clearance.numpy().max() < 0.28
+            continue
+        safe_plans += 1
+        clearance, scores = clearance_of_all_stops(planner, config), planner.workspace.instance_scores.numpy()[0]
+        is_safe = (clearance >= 0.28).any(axis=1) & ((proof == "instead") | (scores[: len(clearance), 1] >= 0.3))
+        among = is_safe if prefer_safe else np.ones_like(is_safe)
+        assert plan.best == np.argmin(np.where(among, scores[: len(clearance), 0], np.inf))
+        first = int(np.argmax(clearance[plan.best] >= 0.28))
+        kept = planner.workspace.stop_clearance.numpy().reshape(clearance.shape)[plan.best]
+        assert kept[first] >= 0.28 and (kept[:first] < 0.28).all()
+    assert safe_plans > 5
