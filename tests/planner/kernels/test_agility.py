@@ -154,7 +154,7 @@ def test_continued_cells_are_those_of_the_rule(device: str, above: float):
         measured = case.plan(Planner(without, device=device))
         points, ranges = measured.filtered_points, measured.fine_range.ravel()
         expected = ranges.copy()
-        cells = np.flatnonzero(ranges < config.farthest_range)
+        cells = np.flatnonzero(ranges < config.farthest_range).tolist()
         point_of = dict(zip(cells, np.asarray(points, dtype=np.float64) - case.position, strict=True))
         for cell in np.flatnonzero(ranges == config.farthest_range):
             expected[cell] = continued_range(int(cell), case, config, point_of)
