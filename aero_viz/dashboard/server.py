@@ -45,13 +45,22 @@ _STYLE = "".join(
         # Room for the number 100000 beside a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # What is below the controls of time scrolls by itself, so that these stay in view.
-        ".mantine-Tabs-panel{max-height:calc(100vh - 19rem);overflow-y:auto;overflow-x:hidden}",
+        ".mantine-ScrollArea-content div:has(>[role=tab])+div"
+        "{max-height:calc(100vh - 19rem);overflow-y:auto!important;overflow-x:hidden}",
+        # All tabs fit in one row without their icons.
+        ".mantine-ScrollArea-content [role=tab] svg{display:none}",
+        ".mantine-ScrollArea-content [role=tab]{padding:0 0.6em!important}",
         # A number or a checkbox needs little room, its label much.
         f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
         # A slider without a label belongs to the number field above it: it takes the whole row and has no number.
         "div:has(>.mantine-Text-root>label:empty){display:none}",
         "div:has(>.mantine-Flex-root>div>.mantine-Text-root>label:empty){padding-bottom:1.1em!important}",
         "div:has(>.mantine-Text-root>label:empty)+div .mantine-NumberInput-root{display:none}",
+        # A parameter that differs from the preset; an element before it tells so.
+        f"div:has(>.aero-changed)+div{{box-shadow:inset 3px 0 {palette.css(palette.WARNING)};"
+        f"background:{palette.css(palette.WARNING, 0.10)}}}",
+        ".aero-copy{float:right;font-size:11px;padding:0 8px;border:1px solid;border-radius:4px;background:none;"
+        "color:inherit;cursor:pointer}",
         # The active one of a group of buttons; an element before the group tells its number.
         *(
             f"div:has(>.aero-camera-{i})+div .mantine-Button-root:nth-child({i})"

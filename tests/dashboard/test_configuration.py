@@ -10,22 +10,34 @@ from typing import Any
 from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig
+from aero_planner.config.file import load_config
 from aero_viz.dashboard import Dashboard
-from aero_viz.dashboard.panels.configuration import differences
+from aero_viz.dashboard.panels.configuration import Baseline, differences
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
 
 def test_differences_show_old_and_new_value_and_the_flags():
     config = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.brake": False})
-    html = differences(config)
+    html = differences(config, Baseline.of(PlannerConfig()))
     text = re.sub("<[^>]*>", " ", html)
     assert "5.0 → 7.5" in text and "True → False" in text
     assert "--costs.q-track 7.5" in text and "--candidates.brake False" in text
 
 
 def test_the_default_differs_in_nothing():
-    assert differences(PlannerConfig()) == ""
+    assert differences(PlannerConfig(), Baseline.of(PlannerConfig())) == ""
+
+
+def test_changes_of_another_preset_can_be_pasted_as_flags_and_as_a_file(tmp_path):
+    paper = PlannerConfig.preset("paper")
+    config = paper.replace({"costs.q_track": 7.5, "costs.shape": "quadratic", "candidates.brake": True})
+    html = differences(config, Baseline.of(paper))
+    flags, text = (re.search(f'aero-{name}"[^>]*>([^<]*)<', html) for name in ("flags", "yaml"))
+    assert flags is not None and text is not None
+    assert flags[1].startswith("--config paper ") and "--costs.shape quadratic" in flags[1]
+    (tmp_path / "pasted.yaml").write_text(text[1])
+    assert load_config(tmp_path / "pasted.yaml") == config
 
 
 class WaitingSession(Session):

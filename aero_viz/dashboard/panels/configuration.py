@@ -4,23 +4,47 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config.file import ConfigFile, format_config
+from aero_planner.config.file import ConfigFile, format_changes, format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard, load_flight_config
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
+from aero_viz.dashboard.preset_store import PresetStore
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["ConfigurationPanel", "differences", "parse_upload"]
+__all__ = ["Baseline", "ConfigurationPanel", "differences", "parse_upload"]
 
 _CHANGED = "(changed)"
-_HISTORY_HINT = "undo and redo one change of the configuration; reset all returns to the default preset."
+_HISTORY_HINT = "undo and redo one change of the configuration; reset all returns to the preset."
+
+
+_COPY = (
+    "getSelection().selectAllChildren(this.nextElementSibling);document.execCommand('copy');this.textContent='copied'"
+)
+"""Script of a button that copies the text of the next element; the clipboard's own interface needs HTTPS."""
+
+
+@dataclass
+class Baseline:
+    """Preset that the page compares the configuration with: the one that was chosen last."""
+
+    name: str
+    config: PlannerConfig
+
+    @classmethod
+    def of(cls, config: PlannerConfig) -> Baseline:
+        """Return the preset that equals `config`, or the default."""
+        names = PlannerConfig.presets()
+        name = next((name for name in names if PlannerConfig.preset(name) == config), "default")
+        return cls(name, PlannerConfig.preset(name))
 
 
 class ConfigurationPanel(Panel):
@@ -28,46 +52,81 @@ class ConfigurationPanel(Panel):
 
     The page does not use the settings of the drone's node, under `onboard:` in an uploaded file; a later download
     contains them unchanged.
+
+    Args:
+        page: page of the panel.
+        controls: commands of the session.
+        baseline: the preset that was chosen last; this panel changes it.
+        store: presets of the user; None are those in the user's configuration folder.
     """
 
-    def __init__(self, page: Page, controls: SessionControls) -> None:
+    def __init__(
+        self, page: Page, controls: SessionControls, baseline: Baseline, store: PresetStore | None = None
+    ) -> None:
         self._controls = controls
+        self._baseline = baseline
+        self._store = store or PresetStore()
+        self._saved = self._store.names()
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
         self._onboard = OnboardConfig()
-        presets = PlannerConfig.presets()
-        hint = " ".join(f"{name}: {help}" for name, help in presets.items())
-        self._preset = gui.add_dropdown("Preset", (*presets, _CHANGED), initial_value=_CHANGED, hint=hint)
+        hint = " ".join(f"{name}: {help}" for name, help in PlannerConfig.presets().items())
+        self._preset = gui.add_dropdown("Preset", self._names(), initial_value=_CHANGED, hint=hint)
         self.differences = gui.add_html("")
-        """Parameters that differ from the default preset, with their defaults and as flags."""
+        """Parameters that differ from the preset, as flags and as YAML."""
         steps = gui.add_button_group("History", ("undo", "redo", "reset all"), hint=_HISTORY_HINT)
+        with gui.add_folder("Save as a preset", expand_by_default=False):
+            self._create_saving(gui)
         with gui.add_folder("File", expand_by_default=False):
-            save = gui.add_button(
-                "Download YAML", icon=viser.Icon.DOWNLOAD, color="gray", hint="Save the configuration as YAML."
-            )
-            load = gui.add_upload_button(
-                "Upload YAML",
-                icon=viser.Icon.UPLOAD,
-                color="gray",
-                mime_type=".yaml,.yml",
-                hint="Use the configuration of a YAML file.",
-            )
+            self._create_files(gui)
 
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None and self._preset.value != _CHANGED:
-                preset = PlannerConfig.preset(self._preset.value)
-                self.page.attempt(lambda: self._controls.configure(preset), event.client)
+                name = self._preset.value
+                self.page.attempt(lambda: self._choose(name), event.client)
 
         @steps.on_click
         async def _(event: viser.GuiEvent) -> None:
             actions = {
                 "undo": self._controls.undo,
                 "redo": self._controls.redo,
-                "reset all": lambda: self._controls.configure(PlannerConfig()),
+                "reset all": lambda: self._controls.configure(self._baseline.config),
             }
             self.page.attempt(actions[steps.value], event.client)
+
+    def _create_saving(self, gui: viser.GuiApi) -> None:
+        hint = f"Name of the preset, which is kept with the goal in {self._store.folder}."
+        with gui.add_form(None) as form:
+            name = gui.add_text("Name", "", hint=hint)
+        save = gui.add_button("Save preset", icon=viser.Icon.DEVICE_FLOPPY, color="gray")
+        hint = "Delete the saved preset of this name."
+        delete = gui.add_button("Delete preset", icon=viser.Icon.TRASH, color="gray", hint=hint)
+
+        async def save_it(event: viser.GuiEvent) -> None:
+            await asyncio.sleep(TYPING_DELAY)
+            self.page.attempt(lambda: self._save(name.value.strip()), event.client)
+
+        form.on_submit(save_it)
+        save.on_click(save_it)
+
+        @delete.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            await asyncio.sleep(TYPING_DELAY)
+            self.page.attempt(lambda: self._delete(name.value.strip()), event.client)
+
+    def _create_files(self, gui: viser.GuiApi) -> None:
+        save = gui.add_button(
+            "Download YAML", icon=viser.Icon.DOWNLOAD, color="gray", hint="Save the configuration as YAML."
+        )
+        load = gui.add_upload_button(
+            "Upload YAML",
+            icon=viser.Icon.UPLOAD,
+            color="gray",
+            mime_type=".yaml,.yml",
+            hint="Use the configuration of a YAML file.",
+        )
 
         @save.on_click
         async def _(event: viser.GuiEvent) -> None:
@@ -83,28 +142,79 @@ class ConfigurationPanel(Panel):
             # A large file takes a while, and the event loop serves all pages.
             await asyncio.to_thread(self.page.attempt, lambda: self._load(file), event.client)
 
+    def _names(self) -> tuple[str, ...]:
+        return (*PlannerConfig.presets(), *self._saved, _CHANGED)
+
+    def _choose(self, name: str) -> None:
+        """Use a preset, and its goal if it has one."""
+        goal = None
+        if name in PlannerConfig.presets():
+            config = PlannerConfig.preset(name)
+        else:
+            saved = self._store.load(name)
+            config, goal = saved.config, saved.goal
+        self._baseline.name, self._baseline.config = name, config
+        self._controls.configure(config)
+        if goal is not None:
+            self._controls.set_goal(goal)  # if it cannot be flown to here, the session says so
+
+    def _save(self, name: str) -> None:
+        config, frame = self.session.config, self.session.frame
+        self._store.save(name, config, None if frame is None else np.asarray(frame.observation.goal.position).tolist())
+        self._saved = self._store.names()
+        self._baseline.name, self._baseline.config = name, config
+
+    def _delete(self, name: str) -> None:
+        self._store.delete(name)
+        self._saved = self._store.names()
+        if self._baseline.name == name:
+            self._baseline.name, self._baseline.config = "default", PlannerConfig()
+
     def _load(self, file: viser.UploadedFile) -> None:
         config, onboard = parse_upload(file)
         self._controls.configure(config)
         self._onboard = onboard
 
     def update(self, frame: Frame) -> list[Change]:
-        config = self.session.config
-        presets = PlannerConfig.presets()
-        name = next((name for name in presets if PlannerConfig.preset(name) == config), _CHANGED)
-        return [(self._preset, "value", name), (self.differences, "content", differences(config))]
+        config, baseline = self.session.config, self._baseline
+        names = self._names()
+        name = next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), _CHANGED)
+        if baseline.config == config and baseline.name in names:
+            name = baseline.name
+        return [
+            (self._preset, "options", names),
+            (self._preset, "value", name),
+            (self.differences, "content", differences(config, baseline)),
+        ]
 
 
-def differences(config: PlannerConfig) -> str:
-    """Return what differs from the default preset as HTML: labels, old and new values, and the flags."""
-    changed = PlannerConfig().differences(config)
+def differences(config: PlannerConfig, baseline: Baseline) -> str:
+    """Return what differs from a preset as HTML: labels, old and new values, and the text of flags and of a file."""
+    changed = baseline.config.differences(config)
     if not changed:
         return ""
     rows = [(PlannerConfig.find(path).title, f"{old} → {new}", path) for path, (old, new) in changed.items()]
-    flags = " ".join(f"--{path.replace('_', '-')} {new}" for path, (_, new) in changed.items())
-    heading = markup.heading("differs from the default", f"{len(changed)}")
-    code = f'<code class="aero-flags" style="user-select:all;overflow-wrap:anywhere">{markup.text(flags)}</code>'
-    return markup.block(heading, markup.table(rows), f"{markup.muted('as flags: ')}{code}")
+    heading = markup.heading(f"differs from {baseline.name}", f"{len(changed)}")
+    start = Baseline.of(baseline.config)  # what the program knows by its name; a saved preset is written out
+    return markup.block(
+        heading,
+        markup.table(rows),
+        _copyable("flags", _flags(config, start)),
+        _copyable("yaml", format_changes(config, preset=start.name)),
+    )
+
+
+def _flags(config: PlannerConfig, start: Baseline) -> str:
+    base = [] if start.name == "default" else [f"--config {start.name}"]
+    changed = start.config.differences(config)
+    return " ".join([*base, *(f"--{path.replace('_', '-')} {new}" for path, (_, new) in changed.items())])
+
+
+def _copyable(name: str, text: str) -> str:
+    """Return a button that copies a text, and the text."""
+    button = f'<button type="button" class="aero-copy" onclick="{markup.text(_COPY)}">copy {name}</button>'
+    style = "user-select:all;overflow-wrap:anywhere;white-space:pre-wrap;display:block;max-height:7em;overflow:auto"
+    return f'{button}<code class="aero-{name}" style="{style}">{markup.text(text)}</code>'
 
 
 def parse_upload(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:

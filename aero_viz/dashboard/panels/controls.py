@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import viser
@@ -39,6 +39,11 @@ class Control(ABC):
     def show(self, value: Value) -> list[Change]:
         """Return the changes that show `value`; none if the page already does."""
 
+    @property
+    @abstractmethod
+    def handles(self) -> Sequence[Any]:
+        """The control's elements on the page."""
+
     def disturb(self) -> list[Change]:
         """Return the changes that let the page show another number for a moment; none without a number field."""
         return []
@@ -61,6 +66,10 @@ class _SingleControl(Control):
 
     def show(self, value: Value) -> list[Change]:
         return [] if self._handle.value == value else [(self._handle, "value", value)]
+
+    @property
+    def handles(self) -> Sequence[Any]:
+        return (self._handle,)
 
     def on_change(self, callback: ChangeCallback) -> None:
         _on_user_change(self._handle, callback)
@@ -100,6 +109,10 @@ class SliderControl(Control):
                 changes.append((self.slider, "max", self._to_slider(min(self.info.high, _round_up(2.0 * number)))))
             changes.append((self.slider, "value", position))
         return changes
+
+    @property
+    def handles(self) -> Sequence[Any]:
+        return (self.number, self.slider)
 
     def disturb(self) -> list[Change]:
         return [(self.number, "value", self.number.value * (1.0 + 1e-6) + 1e-6)]

@@ -12,10 +12,10 @@ from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.compare import ComparePanel
-from aero_viz.dashboard.panels.configuration import ConfigurationPanel
+from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
-from aero_viz.dashboard.panels.parameters import LiveParameterPanel, ParameterTablePanel, StructureParameterPanel
+from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
@@ -62,8 +62,9 @@ def build(
         panels.append(LayerPanel(page, tab))
     if controls is not None:
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
-            panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls)]
-            panels += [LiveParameterPanel(page, controls), StructureParameterPanel(page, controls)]
+            baseline = Baseline.of(page.session.config)
+            panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls, baseline)]
+            panels.append(ParameterPanel(page, controls, baseline))
     else:
         with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
             panels.append(ParameterTablePanel(page))

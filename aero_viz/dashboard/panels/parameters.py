@@ -3,99 +3,165 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import viser
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo
 from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
-from aero_viz.dashboard.panels.controls import Control, add_control
+from aero_viz.dashboard.panels.configuration import Baseline
+from aero_viz.dashboard.panels.parameter_row import ParameterRow
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["LiveParameterPanel", "ParameterTablePanel", "StructureParameterPanel"]
+__all__ = ["ParameterPanel", "ParameterTablePanel"]
 
-_RESET_HINT = "Return these parameters to their defaults."
+_RESET_HINT = "Return these parameters to the preset."
+_SHOW = ("basic", "expert", "changed")
+_SHOW_HINT = (
+    "basic: the few parameters that are tuned first, and what differs from the preset; expert: all; changed: only what "
+    "differs. A search looks through all of them."
+)
 
 
-class _ParameterPanel(Panel):
-    """Controls that show the configuration of the session, whoever changes it."""
+@dataclass(frozen=True)
+class _Group:
+    folder: viser.GuiFolderHandle
+    rows: Sequence[ParameterRow]
 
-    def __init__(self, page: Page, session_controls: SessionControls) -> None:
+
+class ParameterPanel(Panel):
+    """Controls that show the configuration of the session, whoever changes it, in a folder per group of parameters.
+
+    Live parameters act at once. Those that size the planner's buffers are applied together with a button.
+
+    Args:
+        page: page of the panel.
+        session_controls: commands of the session.
+        baseline: preset that the page compares the configuration with.
+    """
+
+    def __init__(self, page: Page, session_controls: SessionControls, baseline: Baseline) -> None:
         self._session_controls = session_controls
-        self._shown: PlannerConfig | None = None
-        self._controls: list[Control] = []
+        self._baseline = baseline
+        self._shown: tuple[object, ...] | None = None
+        self._groups: list[_Group] = []
         super().__init__(page)
 
-    def update(self, frame: Frame) -> list[Change]:
-        config = self.session.config
-        if config is self._shown:
-            return []
-        self._shown = config
-        return [change for control in self._controls for change in control.show(config.get(control.info.path))]
-
-    def _refill(self, controls: list[Control]) -> None:
-        """Let fields that were cleared on a page show their numbers again.
-
-        The page does not report a cleared field, and ignores a number that it believes to show.
-        """
-        for control in controls:
-            apply(control.disturb())
-        self.page.server.flush()
-        self._shown = None
-        self.page.refresh_after(TYPING_DELAY)
-
-    def _configure(self, changes: dict[str, object], client: viser.ClientHandle | None) -> None:
-        """Change some parameters; if the change is refused, show the values that stay."""
-        if not self.page.attempt(lambda: self._session_controls.configure(changes), client):
-            self._shown = None
-
-
-class LiveParameterPanel(_ParameterPanel):
-    """Controls that act at once, in a folder per group of parameters."""
-
     def create(self, gui: viser.GuiApi) -> None:
+        self._search = gui.add_text("Search", "", hint="Words of a name, a symbol, a group or an explanation.")
+        self._level = gui.add_dropdown("Show", _SHOW, initial_value="basic", hint=_SHOW_HINT)
+        self._none = gui.add_html(markup.note("No parameter matches."), visible=False)
+        for handle in (self._search, self._level):
+            handle.on_update(self._refresh)
         live = [info for info in PlannerConfig.parameters() if info.live]
         for group in dict.fromkeys(info.group for info in live):
-            infos = [info for info in live if info.group == group]
-            with gui.add_folder(group, expand_by_default=infos[0].section == "costs"):
-                for info in infos:
-                    self._add(gui, info)
+            with gui.add_folder(group) as folder:
+                rows = [
+                    ParameterRow(
+                        gui, info, self.session.config.get(info.path), on_change=self._take, on_reset=self._reset
+                    )
+                    for info in live
+                    if info.group == group
+                ]
                 reset = gui.add_button(
                     f"Reset {group.lower()}", icon=viser.Icon.RESTORE, color="gray", hint=_RESET_HINT
                 )
-                self._on_reset(reset, [info.path for info in infos])
+            self._groups.append(_Group(folder, rows))
+            self._on_reset(reset, rows)
+        self._create_structure(gui)
 
-    def _add(self, gui: viser.GuiApi, info: ParameterInfo) -> None:
-        control = add_control(gui, info, self.session.config.get(info.path))
-        control.on_change(lambda client: self._configure({info.path: control.value}, client))
-        self._controls.append(control)
-
-    def _on_reset(self, button: viser.GuiButtonHandle, paths: list[str]) -> None:
-        @button.on_click
-        async def _(event: viser.GuiEvent) -> None:
-            default = PlannerConfig()
-            self._refill([control for control in self._controls if control.info.path in paths])
-            self._configure({path: default.get(path) for path in paths}, event.client)
-
-
-class StructureParameterPanel(_ParameterPanel):
-    """Numbers that size the planner's buffers, applied together with a button."""
-
-    def create(self, gui: viser.GuiApi) -> None:
+    def _create_structure(self, gui: viser.GuiApi) -> None:
         # No form: Enter would submit it, and viser drops a number that was typed in the 50 ms before.
-        with gui.add_folder("Structure", expand_by_default=False):
-            infos = [info for info in PlannerConfig.parameters() if not info.live]
-            self._controls = [add_control(gui, info, self.session.config.get(info.path)) for info in infos]
+        with gui.add_folder("Structure") as folder:
+            rows = [
+                ParameterRow(gui, info, self.session.config.get(info.path), on_change=None, on_reset=self._reset)
+                for info in PlannerConfig.parameters()
+                if not info.live
+            ]
             hint = "Rebuild the planner with these values; this takes a moment."
             apply = gui.add_button("Apply", hint=hint, icon=viser.Icon.CHECK)
+        self._groups.append(_Group(folder, rows))
 
         @apply.on_click
         async def _(event: viser.GuiEvent) -> None:
             await asyncio.sleep(TYPING_DELAY)
-            self._configure({control.info.path: control.value for control in self._controls}, event.client)
+            self._configure(rows, {row.info.path: row.control.value for row in rows}, event.client)
+
+    async def _refresh(self, _: viser.GuiEvent) -> None:
+        self.page.refresh()
+
+    def update(self, frame: Frame) -> list[Change]:
+        config, query, level = self.session.config, self._search.value.strip(), self._level.value
+        preset = self._baseline.config
+        shown = (config, preset, query, level)
+        if shown == self._shown:
+            return []
+        self._shown = shown
+        changes: list[Change] = []
+        is_any = False
+        for group in self._groups:
+            are_visible = []
+            for row in group.rows:
+                value, default = config.get(row.info.path), preset.get(row.info.path)
+                is_visible = row.matches(query) if query else self._is_shown(row, level, differs=value != default)
+                changes += row.show(value, default, visible=is_visible)
+                are_visible.append(is_visible)
+            changes.append((group.folder, "visible", any(are_visible)))
+            is_any = is_any or any(are_visible)
+        return [*changes, (self._none, "visible", not is_any)]
+
+    def _is_shown(self, row: ParameterRow, level: str, *, differs: bool) -> bool:
+        return differs or level == "expert" or (level == "basic" and row.info.basic)
+
+    def _take(self, row: ParameterRow, client: viser.ClientHandle) -> None:
+        self._configure([row], {row.info.path: row.control.value}, client)
+
+    def _reset(self, row: ParameterRow, client: viser.ClientHandle | None) -> None:
+        self._refill([row])
+        self._configure([row], {row.info.path: self._baseline.config.get(row.info.path)}, client)
+
+    def _on_reset(self, button: viser.GuiButtonHandle, rows: Sequence[ParameterRow]) -> None:
+        @button.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self._refill(rows)
+            preset = self._baseline.config
+            self._configure(rows, {row.info.path: preset.get(row.info.path) for row in rows}, event.client)
+
+    def _refill(self, rows: Sequence[ParameterRow]) -> None:
+        """Let fields that were cleared on a page show their numbers again.
+
+        The page does not report a cleared field, and ignores a number that it believes to show.
+        """
+        for row in rows:
+            apply(row.control.disturb())
+        self.page.server.flush()
+        self._shown = None
+        self.page.refresh_after(TYPING_DELAY)
+
+    def _configure(
+        self, rows: Sequence[ParameterRow], changes: dict[str, object], client: viser.ClientHandle | None
+    ) -> None:
+        """Change some parameters; if the change is refused, show the values that stay, and the reason beside them."""
+        reason = ""
+
+        def configure() -> None:
+            nonlocal reason
+            try:
+                self._session_controls.configure(changes)
+            except ValueError as error:
+                reason = str(error)
+                raise
+
+        self.page.attempt(configure, client)
+        named = [row for row in rows if row.info.path in reason] or list(rows[:1])
+        for row in rows:
+            row.refuse(f"Refused: {reason}" if reason and row in named else "")
+        self._shown = None
+        self.page.refresh()
 
 
 class ParameterTablePanel(Panel):

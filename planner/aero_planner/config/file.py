@@ -6,11 +6,16 @@ costs:
 onboard:             # optional: settings of the node on the drone, one level deeper
   limits:
     plan_age: 0.25
+goal:                # optional: goal of a preset that was saved in the dashboard [m]; the planner ignores it
+  x: 40.0
+  y: 0.0
+  z: 2.0
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -24,20 +29,26 @@ from aero_planner.config.yaml_entries import Entry, parse_entries
 from aero_planner.user_file import open_user_file
 
 __all__ = [
+    "GOAL",
     "ONBOARD",
     "ConfigFile",
     "config_from_name",
+    "format_changes",
     "format_config",
+    "format_goal",
     "format_sections",
     "load_config",
     "read_text",
     "save_config",
+    "write_text",
 ]
 
 Config = TypeVar("Config", bound=SectionedConfig)
 
 ONBOARD = "onboard"
 """Key of the settings of the node."""
+GOAL = "goal"
+"""Key of the goal."""
 
 _YAML_WORDS = {"on", "off", "yes", "no", "true", "false", "null"}
 _MAX_BYTES = 2**20
@@ -60,7 +71,7 @@ class ConfigFile:
         return cls(str(path), parse_entries(read_text(path), str(path)))
 
     def planner_config(self) -> PlannerConfig:
-        """Return the configuration of the planner; entries below `onboard:` are ignored.
+        """Return the configuration of the planner; entries below `onboard:` and `goal:` are ignored.
 
         Raises:
             ValueError: there is an unknown name or a value out of bounds; names the file, the line and the nearest
@@ -71,7 +82,7 @@ class ConfigFile:
             if entry.key == "preset":
                 with self._located(entry):
                     base = PlannerConfig.preset(str(_value_of(entry, "preset")))
-            elif entry.key != ONBOARD:
+            elif entry.key not in (ONBOARD, GOAL):
                 sections.append(entry)
         return self.change(base, sections)
 
@@ -83,6 +94,18 @@ class ConfigFile:
                     if entry.value is not None:
                         raise ValueError(f"put the sections of {ONBOARD!r} on lines below it.")
                 return entry.entries
+        return None
+
+    def goal(self) -> tuple[float, float, float] | None:
+        """Return the goal x, y, z [m], or None if the file has none; raises ValueError unless it is three numbers."""
+        for entry in self.entries:
+            if entry.key == GOAL:
+                with self._located(entry):
+                    values = {part.key: part.value for part in entry.entries}
+                    if set(values) != {"x", "y", "z"} or not all(_is_coordinate(value) for value in values.values()):
+                        raise ValueError("a goal is three finite numbers, on lines 'x:', 'y:' and 'z:' below it.")
+                    x, y, z = (float(values[axis] or 0.0) for axis in "xyz")
+                    return x, y, z
         return None
 
     def change(self, config: Config, sections: Sequence[Entry]) -> Config:
@@ -170,11 +193,20 @@ def save_config(config: PlannerConfig, path: str | os.PathLike[str]) -> None:
     Raises:
         ValueError: the file can't be written.
     """
+    write_text(format_config(config), path)
+
+
+def write_text(text: str, path: str | os.PathLike[str]) -> None:
+    """Write a file, which is replaced as a whole or not at all.
+
+    Raises:
+        ValueError: the file can't be written.
+    """
     target = Path(path).resolve()
     temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(format_config(config))
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, target)
@@ -188,6 +220,25 @@ def format_config(config: PlannerConfig) -> str:
     """Return the text of a configuration file with every parameter, its help, range and unit."""
     header = "# Configuration of aero-planner. Any line may be left out; the default value then applies."
     return "\n".join([header, *format_sections(config), ""])
+
+
+def format_changes(config: PlannerConfig, *, preset: str = "default") -> str:
+    """Return the text of a configuration file with only what differs from a preset."""
+    lines = [] if preset == "default" else [f"preset: {preset}"]
+    section = ""
+    for path in PlannerConfig.preset(preset).differences(config):
+        info = config.find(path)
+        if info.section != section:
+            section = info.section
+            lines.append(f"{section}:")
+        lines.append(f"  {info.name}: {_format_value(info, config.get(path))}")
+    return "\n".join([*lines, ""])
+
+
+def format_goal(goal: Sequence[float]) -> str:
+    """Return the lines of a goal x, y, z [m]."""
+    lines = (f"  {axis}: {_number(float(value))}" for axis, value in zip("xyz", goal, strict=True))
+    return "\n".join([f"{GOAL}:", *lines, ""])
 
 
 def format_sections(config: SectionedConfig, indent: str = "") -> list[str]:
@@ -210,9 +261,17 @@ def _format_value(info: ParameterInfo, value: Value) -> str:
     if isinstance(value, str):
         # A text may look like a number, and YAML 1.1 reads some words as booleans.
         return f"'{value}'" if info.pattern or value in _YAML_WORDS else value
+    return _number(value)
+
+
+def _number(value: float) -> str:
     text = repr(value)
     # YAML 1.1 reads 1e-05 as a text: its numbers with an exponent need a point.
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _is_coordinate(value: Value | None) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _value_of(entry: Entry, path: str) -> Value:

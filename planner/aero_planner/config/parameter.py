@@ -54,6 +54,8 @@ class ParameterInfo:
     """Name for people, such as "Goal position weight"; derived from `name` if empty."""
     group: str = ""
     """Heading under which a page shows the parameter; derived from `section` if empty."""
+    basic: bool = False
+    """True if the parameter is among the few that are tuned first."""
     pattern: str = ""
     """Regular expression that a text must match as a whole."""
     form: str = ""
@@ -115,7 +117,7 @@ def live(default: Any, unit: str, low: float, high: float, help: str, **more: An
 
     Args:
         default, unit, low, high, help: as in `ParameterInfo`.
-        **more: `label`, `group`, `symbol` and `scale`, as in `ParameterInfo`.
+        **more: `label`, `group`, `symbol`, `scale` and `basic`, as in `ParameterInfo`.
     """
     return _field(default, unit=unit, low=low, high=high, help=help, **more)
 

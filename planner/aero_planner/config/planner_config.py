@@ -1,4 +1,4 @@
-"""Every parameter of the planner: default, unit, bounds, label, help, and whether it is live or structural.
+"""Every parameter of the planner: default, unit, bounds, label, help, and whether it is basic, live or structural.
 
 A *live* parameter is held in device memory and can change between two plans at no cost. A *structural* parameter sizes
 buffers or selects kernels; changing it rebuilds the planner. Sliders, command line flags, YAML files and the
@@ -70,7 +70,7 @@ class VehicleConfig(ParameterSection, section="vehicle"):
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
-        "more speed, and costs.q_speed penalizes the excess.",
+        "more speed, and costs.q_speed penalizes the excess.", basic=True,
     )  # fmt: skip
 
 
@@ -79,7 +79,14 @@ class PartitionConfig(ParameterSection, section="partition"):
     """Spherical partition of the point cloud."""
 
     range_max: float = live(
-        10.0, "m", 1.0, 100.0, "Points farther away than this are ignored.", label="Maximum range", symbol="r_max"
+        10.0,
+        "m",
+        1.0,
+        100.0,
+        "Points farther away than this are ignored.",
+        label="Maximum range",
+        symbol="r_max",
+        basic=True,
     )
     range_time: float = live(
         1.0, "s", 0.0, 5.0, "A fast drone sees farther: the maximum range is at least this times the speed limit; 0 as "
@@ -126,11 +133,11 @@ class AnchorConfig(ParameterSection, section="anchors"):
     columns: int = structural(5, 1, 15, "Anchor directions side by side.", label="Anchor columns", symbol="M_h")
     rows: int = structural(3, 1, 9, "Anchor directions one above the other.", label="Anchor rows", symbol="M_v")
     spacing: float = live(
-        18.0, "deg", 1.0, 45.0, "Angle between neighbouring anchor directions.", label="Anchor spacing"
+        18.0, "deg", 1.0, 45.0, "Angle between neighbouring anchor directions.", label="Anchor spacing", basic=True
     )
     lookahead: float = live(
         5.0, "m", 0.2, 30.0, "Distance of the anchors from the drone, at most the distance of the goal.",
-        label="Look-ahead distance", symbol="l",
+        label="Look-ahead distance", symbol="l", basic=True,
     )  # fmt: skip
     lookahead_time: float = live(
         0.65, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
@@ -181,7 +188,12 @@ class CandidateConfig(ParameterSection, section="candidates"):
         live=False, label="Braking candidate",
     )  # fmt: skip
     safe_clearance: float = live(
-        0.30, "m", 0.0, 5.0, "Clearance below which a candidate is unsafe: the radius of the drone plus a margin."
+        0.30,
+        "m",
+        0.0,
+        5.0,
+        "Clearance below which a candidate is unsafe: the radius of the drone plus a margin.",
+        basic=True,
     )
     speed_margin: float = live(
         0.01, "s", 0.0, 0.5, "Addition to the clearances of candidates and stops per speed: a fast drone follows its "
@@ -195,7 +207,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
     prefer_safe: bool = switch(
         True, "Select the cheapest safe candidate, and brake if no candidate is safe. Off as in the paper: the "
         "candidate with the lowest S2 is selected, and the drone brakes if it is unsafe.",
-        label="Prefer safe candidates",
+        label="Prefer safe candidates", basic=True,
     )  # fmt: skip
     prove_stop: str = choice(
         "instead", ("off", "required", "instead"),
@@ -229,22 +241,22 @@ class CandidateConfig(ParameterSection, section="candidates"):
 class SamplingConfig(ParameterSection, section="sampling"):
     """MPPI: rollouts, horizon, noise and weights."""
 
-    samples: int = structural(128, 1, 4096, "Rollouts per instance.", symbol="K", group="Horizon")
+    samples: int = structural(128, 1, 4096, "Rollouts per instance.", symbol="K", group="Horizon", basic=True)
     steps: int = structural(
-        25, 2, 200, "Time steps of the horizon.", label="Horizon steps", symbol="N", group="Horizon"
+        25, 2, 200, "Time steps of the horizon.", label="Horizon steps", symbol="N", group="Horizon", basic=True
     )
     dt: float = live(0.05, "s", 0.005, 0.5, "Length of a time step.", label="Time step", symbol="dt", group="Horizon")
     temperature: float = live(
         0.1, "", 1e-3, 1e3, "Temperature of the weights: higher values average over more samples.",
-        scale="log", symbol="lambda", group="Noise and weights",
+        scale="log", symbol="lambda", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_thrust: float = live(
         1.0, "N^2", 0.0, 100.0, "Variance of the noise on the thrust.",
-        label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights",
+        label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_rate_xy: float = live(
         1.0, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the roll and pitch rates.",
-        label="Roll and pitch rate noise variance", symbol="Sigma_xy", group="Noise and weights",
+        label="Roll and pitch rate noise variance", symbol="Sigma_xy", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_rate_z: float = live(
         0.5, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the yaw rate.",
@@ -279,11 +291,11 @@ class CostConfig(ParameterSection, section="costs"):
 
     q_position: float = live(
         3.0, "1/m", 0.0, 1e3, "Weight of the distance to the goal.",
-        label="Goal position weight", symbol="Q_p", group="Goal",
+        label="Goal position weight", symbol="Q_p", group="Goal", basic=True,
     )  # fmt: skip
     q_velocity: float = live(
         0.25, "s/m", 0.0, 1e3, "Weight of the difference to the goal velocity.",
-        label="Goal velocity weight", symbol="Q_v", group="Goal",
+        label="Goal velocity weight", symbol="Q_v", group="Goal", basic=True,
     )  # fmt: skip
     q_height: float = live(
         0.0, "1/m", 0.0, 1e3, "Weight of the difference in height to the goal, beyond its part of the distance; 0 as "
@@ -300,11 +312,11 @@ class CostConfig(ParameterSection, section="costs"):
     )  # fmt: skip
     q_track: float = live(
         5.0, "1/m", 0.0, 1e3, "Weight of the distance to the guide; 15 in the paper.",
-        label="Guide tracking weight", symbol="Q_track", group="Tracking and effort",
+        label="Guide tracking weight", symbol="Q_track", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control: float = live(
         0.5, "", 0.0, 1e3, "Weight of the squared controls.",
-        label="Control effort weight", symbol="Q_c", group="Tracking and effort",
+        label="Control effort weight", symbol="Q_c", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control_rate: float = live(
         0.5, "", 0.0, 1e3, "Weight of the squared change of the controls between time steps.",
@@ -321,15 +333,15 @@ class CostConfig(ParameterSection, section="costs"):
     )  # fmt: skip
     distance_min: float = live(
         0.30, "m", 0.0, 5.0, "Clearance below which the full penalty applies; 0.4 in the paper.",
-        label="Full-penalty clearance", symbol="d_min", group="Obstacles",
+        label="Full-penalty clearance", symbol="d_min", group="Obstacles", basic=True,
     )  # fmt: skip
     distance_max: float = live(
         0.55, "m", 0.05, 5.0, "Clearance above which there is no penalty; 1.0 in the paper.",
-        label="Penalty-free clearance", symbol="d_max", group="Obstacles",
+        label="Penalty-free clearance", symbol="d_max", group="Obstacles", basic=True,
     )  # fmt: skip
     penalty: float = live(
         1e5, "", 0.0, 1e9, "Penalty of a time step with a clearance below d_min; 1e6 in the paper.",
-        label="Collision penalty", symbol="C", group="Obstacles",
+        label="Collision penalty", symbol="C", group="Obstacles", basic=True,
     )  # fmt: skip
     shape: str = choice(
         "quadratic", ("quadratic", "exponential"),
@@ -344,7 +356,7 @@ class CostConfig(ParameterSection, section="costs"):
     )  # fmt: skip
     soft_weight: float = live(
         100.0, "", 0.0, 1e6, "Weight of the quadratic penalty for speed limits of at least soft_speed.",
-        label="Quadratic penalty weight", group="Obstacles",
+        label="Quadratic penalty weight", group="Obstacles", basic=True,
     )  # fmt: skip
     soft_speed: float = live(
         7.0, "m/s", 0.1, 50.0,
@@ -368,7 +380,7 @@ class CostConfig(ParameterSection, section="costs"):
     q_blocked: float = live(
         300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the path from the final state to the "
         "goal; 0 in the paper.",
-        label="Blocked path weight", group="Cost-to-go",
+        label="Blocked path weight", group="Cost-to-go", basic=True,
     )  # fmt: skip
     waypoint_distance: float = live(
         3.0, "m", 0.0, 30.0,
@@ -394,7 +406,7 @@ class EscapeConfig(ParameterSection, section="escape"):
     q_escape: float = live(
         120.0, "1/m", 0.0, 1e4, "Weight of the depth of a rollout's end in the neighbourhood of each remembered place; "
         "0 as in the paper.",
-        label="Escape weight",
+        label="Escape weight", basic=True,
     )  # fmt: skip
     radius: float = live(4.0, "m", 0.1, 20.0, "Radius of the neighbourhood of a remembered place.")
     rise: float = live(

@@ -1,0 +1,79 @@
+"""One parameter on the page: its control, whether it differs from the preset, and why a value was refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import viser
+
+from aero_planner.config import ParameterInfo, Value
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.controls import Control, add_control
+
+__all__ = ["CHANGED_CLASS", "ParameterRow"]
+
+CHANGED_CLASS = "aero-changed"
+"""Class of the element before a control whose value differs from the preset."""
+
+
+class ParameterRow:
+    """A control with a mark before it and a button below it, which are visible while the value differs.
+
+    Args:
+        gui: where to add them.
+        info: the parameter.
+        value: value to show at first.
+        on_change: called with the row and the client after a user has changed the value.
+        on_reset: called with the row and the client when the value of the preset is asked for.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        info: ParameterInfo,
+        value: Value,
+        *,
+        on_change: Callable[[ParameterRow, viser.ClientHandle], None] | None,
+        on_reset: Callable[[ParameterRow, viser.ClientHandle | None], None],
+    ) -> None:
+        self.info = info
+        self._mark = gui.add_html("", visible=False)
+        self.control: Control = add_control(gui, info, value)
+        self._reset = gui.add_button_group("", ("reset",), hint=f"Return {info.path} to the preset.", visible=False)
+        self._words = f"{info.path} {info.title} {info.group} {info.help}".lower().replace("_", " ")
+        self._refusal = ""
+        self._is_visible = True
+        if on_change is not None:
+            self.control.on_change(lambda client: on_change(self, client))
+
+        @self._reset.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            on_reset(self, event.client)
+
+    def matches(self, query: str) -> bool:
+        """Return True if the parameter's path, label, symbol, group or help contains every word of `query`."""
+        return all(word in self._words for word in query.lower().replace("_", " ").split())
+
+    def refuse(self, reason: str) -> None:
+        """Show why a value was refused, until another one is accepted; empty if it was accepted."""
+        self._refusal = reason
+
+    def show(self, value: Value, preset: Value, *, visible: bool) -> list[Change]:
+        """Return the changes that show the value and how it differs from the preset."""
+        differs = value != preset
+        refusal = f'<div style="color:{palette.css(palette.BAD)};font-size:11px;padding:2px 12px">{{}}</div>'
+        content = refusal.format(markup.text(self._refusal)) if self._refusal else ""
+        if differs:
+            content += f'<i class="{CHANGED_CLASS}"></i>'
+        changes: list[Change] = [
+            (self._mark, "content", content),
+            (self._mark, "visible", visible and bool(content)),
+            (self._reset, "label", f"was {preset}"),
+            (self._reset, "visible", visible and differs),
+        ]
+        if visible != self._is_visible:
+            self._is_visible = visible
+            changes += [(handle, "visible", visible) for handle in self.control.handles]
+        return [*changes, *self.control.show(value)]

@@ -1,0 +1,134 @@
+"""Search, levels, resets, refusals and saved presets of the parameters, through the page."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard.preset_store import PresetStore
+from tests.browser.desk import Desk, open_desk
+
+
+@pytest.fixture
+def tune(browser, tmp_path, monkeypatch):
+    """The tab with the parameters; presets are saved in a folder of the test."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    config = small_config().replace({"sampling.samples": 128})
+    with open_desk(browser, small_source(), ticks=3, size=(1280, 720), config=config, layers=["drone"]) as desk:
+        desk.open_tab("Tune")
+        desk.parameter("costs.q_track").wait_for()
+        yield desk
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
+def choose(desk: Desk, label: str, option: str) -> None:
+    desk.control(label).locator("input").first.click()
+    desk.page.get_by_role("option", name=option, exact=True).click()
+
+
+def is_shown(desk: Desk, path: str) -> bool:
+    return desk.parameter(path).count() > 0 and desk.parameter(path).is_visible()
+
+
+def test_a_search_and_two_levels_narrow_the_parameters(tune):
+    desk = tune
+    assert is_shown(desk, "costs.q_position") and not is_shown(desk, "costs.soft_speed")
+    choose(desk, "Show", "expert")
+    desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "every parameter")
+    choose(desk, "Show", "basic")
+    desk.control("Search").locator("input").fill("full weight")
+    desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "an expert parameter to be found by its words")
+    assert not is_shown(desk, "costs.q_position")
+    desk.control("Search").locator("input").fill("q_p")
+    desk.wait_for(lambda: is_shown(desk, "costs.q_position"), "a parameter to be found by its symbol")
+    desk.control("Search").locator("input").fill("nonsense")
+    desk.page.get_by_text("No parameter matches.").wait_for()
+    desk.control("Search").locator("input").fill("")
+    desk.wait_for(lambda: is_shown(desk, "costs.q_position"), "the basic ones")
+
+
+def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
+    desk, session = tune, tune.session
+    assert desk.page.locator(".aero-changed").count() == 0
+    desk.parameter("costs.q_track").locator("input").fill("7.5")
+    desk.parameter("costs.q_track").locator("input").press("Enter")
+    session.configure({"costs.soft_speed": session.config.costs.soft_speed + 1.0})
+    desk.wait_for(lambda: desk.page.locator(".aero-changed").count() == 2, "two marks, one on an expert parameter")
+    row = desk.control("was 5.0")
+    row.get_by_role("button", name="reset").click()
+    desk.wait_for(lambda: session.config.costs.q_track == 5.0, "the value of the preset")
+    desk.wait_for(
+        lambda: float(desk.parameter("costs.q_track").locator("input").input_value()) == 5.0, "it to be shown"
+    )
+    desk.wait_for(lambda: desk.page.locator(".aero-changed").count() == 1, "one mark")
+    assert session.config.costs.soft_speed != PlannerConfig().costs.soft_speed, "the others stay"
+    flags = desk.page.locator(".aero-flags")
+    assert flags.inner_text() == f"--costs.soft-speed {session.config.costs.soft_speed}"
+    desk.page.get_by_role("button", name="copy yaml").click()
+    desk.page.get_by_role("button", name="copied").wait_for()
+    assert "soft_speed" in desk.page.evaluate("getSelection().toString()")
+
+
+def test_a_refused_value_says_why_in_place_and_the_old_one_stays(tune):
+    desk = tune
+    number = desk.parameter("costs.distance_min").locator("input")
+    number.fill("1.5")
+    number.press("Enter")
+    reason = desk.page.get_by_text("Refused: costs.distance_min is 1.5")
+    reason.wait_for()
+    above, field = reason.bounding_box(), number.bounding_box()
+    assert above["y"] < field["y"] < above["y"] + 120, "beside its field"
+    desk.wait_for(lambda: float(number.input_value()) == PlannerConfig().costs.distance_min, "the old value")
+    number.fill("0.2")
+    number.press("Enter")
+    desk.wait_for(lambda: desk.session.config.costs.distance_min == 0.2, "a valid value")
+    reason.wait_for(state="detached")
+
+
+def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser):
+    desk: Any = tune
+    goal = np.add(desk.session.frame.observation.goal.position, (0.0, 0.5, 0.25))
+    desk.session.set_goal(goal).result()
+    saved = desk.session.configure({"costs.q_track": 7.5})
+    desk.open_folder("Save as a preset", "Save preset")
+    name = desk.control("Name").locator("input")
+    for attempt, words in (("../escape", "is no name for a preset"), ("paper", "is the name of a preset")):
+        name.fill(attempt)
+        desk.click("Save preset")
+        notice = desk.refusal(words)
+        notice.wait_for()
+        desk.dismiss(notice)
+    name.fill("narrow gap")
+    desk.click("Save preset")
+    preset = desk.control("Preset").locator("input").first
+    desk.wait_for(lambda: preset.input_value() == "narrow gap", "it to be the preset")
+    assert PresetStore().load("narrow gap").config == saved
+
+    with open_desk(browser, small_source(), ticks=2, size=(1280, 720), layers=["drone"]) as tomorrow:
+        session: Any = tomorrow.session
+        tomorrow.open_tab("Tune")
+        choose(tomorrow, "Preset", "narrow gap")
+        tomorrow.wait_for(lambda: session.config == saved, "its parameters")
+        tomorrow.wait_for(lambda: tuple(session.frame.observation.goal.position) == tuple(goal), "its goal")
+        (PresetStore().folder / "narrow gap.yaml").write_text("costs:\n  q_trak: 1\n")
+        choose(tomorrow, "Preset", "paper")
+        tomorrow.wait_for(lambda: session.config == PlannerConfig.preset("paper"), "another preset")
+        choose(tomorrow, "Preset", "narrow gap")
+        tomorrow.refusal("narrow gap.yaml, line 2").wait_for()
+        assert session.config == PlannerConfig.preset("paper")
+
+
+def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):
+    desk = tune
+    choose(desk, "Show", "expert")
+    last = desk.page.get_by_role("button", name="Apply", exact=True)
+    last.scroll_into_view_if_needed()
+    assert last.bounding_box()["y"] < 720
+    for control in (desk.page.get_by_role("button", name="Play", exact=True), desk.control("Time")):
+        assert 0 < control.bounding_box()["y"] < 300
+    tabs = [tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()]
+    assert max(tabs) - min(tabs) < 5, "one row"
