@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import numpy as np
 import viser
 
@@ -55,7 +57,8 @@ class ComparePanel(Panel):
 
         @self._swap.on_click
         async def _(event: viser.GuiEvent) -> None:
-            self.page.attempt(self._exchange, event.client)
+            # Pinning waits for the session, and the event loop serves all pages.
+            await asyncio.to_thread(self.page.attempt, self._exchange, event.client)
 
         @self._stop.on_click
         async def _(event: viser.GuiEvent) -> None:
