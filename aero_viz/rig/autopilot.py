@@ -17,13 +17,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.frames import attitude_from_ned, attitude_to_ned, flu_from_frd, frd_from_flu, ned_from_world
+from aero_planner.onboard.frames import attitude_to_ned, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.faults import Channel
 from aero_viz.rig.offboard import Mode, OffboardControl, Setpoint
+from aero_viz.rig.setpoint_decoder import PILOT_MESSAGES, decode_setpoint
 
 __all__ = ["PERIOD", "SimulatedAutopilot"]
 
@@ -44,7 +45,6 @@ _POSITION_STD, _VELOCITY_STD = 0.2, 0.05  # [m], [m/s]; reported while the posit
 _DRIFT = np.array([0.05, 0.05, 0.0])  # acceleration of the error [m/s^2]
 _POSITION_STD_GROWTH, _VELOCITY_STD_GROWTH = 0.032, 0.065  # both [m/s^2], the first with the square of the time
 _HOLD_ACCELERATION = 2.0  # [m/s^2], the largest that HOLD asks for; PX4 limits the jerk as well
-_PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
 
 
 class SimulatedAutopilot:
@@ -155,6 +155,20 @@ class SimulatedAutopilot:
     def velocity(self) -> NDArray[np.float64]:
         """True velocity [m/s], shape [3], world frame."""
         return self._v.astype(np.float64)
+
+    @property
+    def quaternion(self) -> NDArray[np.float64]:
+        """True attitude, body to world, w x y z, shape [4]."""
+        return self._q.astype(np.float64)
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the mode."""
+        return self.mode.name
+
+    def local(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a position [m], shape [3], world frame, in the autopilot's own frame, which is the same."""
+        return position
 
     @property
     def streaming(self) -> bool:
@@ -274,35 +288,23 @@ class SimulatedAutopilot:
                 self._handle_command(message)
             elif name == "PARAM_REQUEST_READ":
                 self._send_parameter(str(message.param_id))
-            elif name in _PILOT_MESSAGES:
+            elif name in PILOT_MESSAGES:
                 self.violations.append(name)
 
     def _handle_setpoint(self, message: Any) -> None:
-        d, mask = self._dialect, message.type_mask
-        rates_ignored = (
-            d.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
-            | d.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
-            | d.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
+        setpoint = decode_setpoint(
+            message,
+            self._dialect,
+            time=self._arrival,
+            mode=self.mode,
+            force=lambda signal: self._motors.force(self._compensation.signal(signal)),
         )
-        has_attitude = not mask & d.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
-        has_rates = not mask & rates_ignored
-        is_addressed = message.target_system in (0, 1) and message.target_component in (0, 1)
-        rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
-        values = [message.thrust, *(rates if has_rates else []), *(message.q if has_attitude else [])]
-        is_complete = (has_attitude or has_rates) and not mask & d.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
-        if not (is_complete and is_addressed and np.isfinite(values).all()):
+        if setpoint is None:
             self.refused += 1
             return
         if self._now - self._last_setpoint_time > self._loss_time:
             self._stream_start = self._now
         self._last_setpoint_time = self._now
-        setpoint = Setpoint(
-            self._arrival,
-            self._motors.force(self._compensation.signal(min(max(message.thrust, 0.0), 1.0))),
-            tuple(flu_from_frd(rates).tolist()) if has_rates else None,
-            tuple(attitude_from_ned(message.q).tolist()) if has_attitude else None,
-            self.mode,
-        )
         self.setpoints.append(setpoint)
         self._offboard.receive(setpoint, self._now)
 

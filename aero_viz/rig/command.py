@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
 
+from aero_viz.rig.px4_log import Px4LogSummary
 from aero_viz.rig.result import RigResult
 
 __all__ = ["main"]
@@ -52,9 +54,17 @@ def _parser() -> argparse.ArgumentParser:
                         help="data type of the LiDAR's packets: 1 millimetres (default), 2 centimetres")  # fmt: skip
     parser.add_argument("--pair", action="store_true",
                         help="send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY")  # fmt: skip
-    parser.add_argument("--loss-time", type=float, default=0.5, metavar="S",
+    parser.add_argument("--loss-time", type=float, metavar="S",
                         help="time without setpoints after which the autopilot takes over, PX4's COM_OF_LOSS_T "
-                        "[s] (default 0.5)")  # fmt: skip
+                        "[s] (default 0.5; with PX4, what preflight sets)")  # fmt: skip
+    parser.add_argument("--autopilot", choices=("own", "px4"), default="own",
+                        help="the rig's own autopilot and vehicle (default), or PX4 in its own simulation")  # fmt: skip
+    parser.add_argument("--px4", metavar="DIR", help="folder of PX4's sources, in which you have built its simulation "
+                        "by PX4's own guide (make px4_sitl_default)")  # fmt: skip
+    parser.add_argument("--parameter", action="append", default=[], metavar="NAME=VALUE",
+                        help="parameter of PX4 to set before the flight; may be repeated")  # fmt: skip
+    parser.add_argument("--lockstep", action="store_true",
+                        help="fly in simulated time, with the node in this process, for a busy machine")  # fmt: skip
     parser.add_argument("--shuttle", action="store_true",
                         help="fly back and forth until the duration is over, for statistics of deadlines")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object per flight")
@@ -67,8 +77,9 @@ def _fly(options: argparse.Namespace) -> int:
     from aero_viz.rig import fly_rig, parse_fault
 
     faults = [parse_fault(text) for text in options.fault]
-    if options.count < 1 or not (options.duration > 0.0 and options.loss_time > 0.0):
+    if options.count < 1 or not (options.duration > 0.0 and (options.loss_time is None or options.loss_time > 0.0)):
         raise UserError("--count, --duration and --loss-time must be positive.")
+    parameters = _check_px4(options)
     config, onboard, speed = None, None, 5.0 if options.speed is None else options.speed
     if options.config is not None:
         from aero_planner.onboard.settings import load_flight_config
@@ -88,6 +99,9 @@ def _fly(options: argparse.Namespace) -> int:
             state_pair=options.pair,
             loss_time=options.loss_time,
             shuttle=options.shuttle,
+            lockstep=options.lockstep,
+            px4=options.px4,
+            px4_parameters=parameters,
             progress=None if options.json else print,
         )
         if options.json:
@@ -97,6 +111,30 @@ def _fly(options: argparse.Namespace) -> int:
             if not result.arrived:
                 print("last lines of the node's log:", *result.log[-20:], sep="\n    ", file=sys.stderr)
     return 0
+
+
+def _check_px4(options: argparse.Namespace) -> dict[str, float]:
+    """Check the options for PX4 and return its parameters by name."""
+    from aero_viz.errors import UserError
+    from aero_viz.rig.px4_process import find_px4
+
+    if options.autopilot == "own":
+        if options.px4 is not None or options.parameter:
+            raise UserError("--px4 and --parameter need --autopilot px4.")
+        return {}
+    if options.px4 is None:
+        raise UserError("--autopilot px4 needs --px4 DIR, the folder of PX4's sources, in which PX4 was built.")
+    if options.pair:
+        raise UserError("--pair is an option of the rig's own autopilot.")
+    find_px4(options.px4)
+    parameters = {}
+    for text in options.parameter:
+        name, _, value = text.partition("=")
+        try:
+            parameters[name.strip()] = float(value)
+        except ValueError:
+            raise UserError(f"--parameter {text} is not of the form NAME=VALUE, with a number.") from None
+    return parameters
 
 
 def format_result(result: RigResult) -> str:
@@ -114,11 +152,30 @@ def format_result(result: RigResult) -> str:
             f"setpoints: {gaps.count}, every {1e3 * gaps.mean:.1f} ms, jitter {1e3 * gaps.jitter:.2f} ms, "
             f"99 % within {1e3 * gaps.p99:.1f} ms, longest {1e3 * gaps.longest:.0f} ms, {gaps.missed} missed"
         )
+    if result.handover is not None:
+        gone = result.handover
+        tilt = math.degrees(gone.tilt)
+        lines.append(f"left OFFBOARD after {gone.time:.1f} s at {gone.speed:.2f} m/s, tilted by {tilt:.1f} deg")
+    if result.px4_log is not None:
+        lines += _format_log(result.px4_log)
     if result.violations:
         lines.append(f"VIOLATION: the node requested {', '.join(sorted(set(result.violations)))}; only the pilot may")
     if result.overruns:
         lines.append(f"the simulation was late {result.overruns} times: this machine is too slow or too busy")
     return "\n".join(lines)
+
+
+def _format_log(log: Px4LogSummary) -> list[str]:
+    def numbers(values: Sequence[float], scale: float, form: str) -> str:
+        return ", ".join(format(scale * value, form) for value in values)
+
+    return [
+        f"PX4's log: estimate off by up to {log.position_error:.2f} m, {log.height_error:.2f} m in height; "
+        f"{log.velocity_error:.2f} m/s and {math.degrees(log.tilt_error):.1f} deg (root mean squares)",
+        f"PX4's log: lags of roll, pitch, yaw {numbers(log.rate_lags, 1e3, '.0f')} ms, "
+        f"{numbers(log.sign_changes, 1.0, '.1f')} sign changes per second, a motor at its limit "
+        f"{100 * log.saturated:.1f} % of the time, hover thrust {log.hover_thrust:.3f}",
+    ]
 
 
 def _faults_help() -> str:

@@ -35,6 +35,7 @@ FAULT_KINDS: dict[str, FaultKind] = {
     "lose-position": FaultKind("the autopilot's position drifts and grows uncertain", duration=60.0),
     "kill-sensor": FaultKind("the LiDAR sends nothing", duration=60.0),
     "pause-node": FaultKind("the node's process is paused, then resumed", duration=0.5),
+    "kill-node": FaultKind("the node's process is killed"),
     "restart-node": FaultKind("the node's process is killed and restarted"),
 }
 """Kinds of faults by name."""

@@ -11,12 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.quaternions import rotate
 from aero_viz.flight.rules import FlightRules
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import NETWORK_FAULTS, Fault
+from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.process import NodeProcess
-from aero_viz.rig.result import Event, RigResult, Trajectory, intervals_of
+from aero_viz.rig.px4_autopilot import Px4Autopilot
+from aero_viz.rig.result import Event, Handover, RigResult, Trajectory, intervals_of
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 
@@ -36,7 +39,7 @@ class RigFlight:
     Args:
         world: where to fly.
         autopilot, sensor: the simulated drone.
-        node: the process under test.
+        node: the process under test. A `LockstepNode` makes the flight run in simulated time.
         send_goal: sends a goal [m], shape [3], world frame, to the node.
         faults: faults to inject.
         duration: longest flight [s].
@@ -47,9 +50,9 @@ class RigFlight:
     def __init__(
         self,
         world: World,
-        autopilot: SimulatedAutopilot,
+        autopilot: SimulatedAutopilot | Px4Autopilot,
         sensor: SimulatedMid360,
-        node: NodeProcess,
+        node: NodeProcess | LockstepNode,
         *,
         send_goal: Callable[[NDArray[np.float64]], None],
         faults: Sequence[Fault],
@@ -68,10 +71,12 @@ class RigFlight:
         self._arrivals = 0
         self._events: list[Event] = []
         self._engaged_at: float | None = None  # [s] since the start of the simulation
-        self._rows: list[tuple[float, ...]] = []  # time, position, velocity, 1.0 in OFFBOARD
+        self._rows: list[tuple[float, ...]] = []  # time, position, velocity, 1.0 in OFFBOARD, tilt [rad]
+        self._now, self._tick, self._goal_sent_at = 0.0, 0, -math.inf  # [s], and number of the next step
         self._overruns = 0
         self._at_rest_since = self._near_goal_since = math.inf
         self._mode = autopilot.mode
+        self._handover: Handover | None = None
         self._reason = ""
 
     def run(self) -> None:
@@ -88,7 +93,7 @@ class RigFlight:
             seed: seed of the flight, for the result.
             period: nominal time between two setpoints [s].
         """
-        rows = np.array(self._rows) if self._rows else np.zeros((0, 8))
+        rows = np.array(self._rows) if self._rows else np.zeros((0, 9))
         trajectory = Trajectory(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7] > 0.0)
         length = float(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum())
         flight_time = float(rows[-1, 0]) if len(rows) else 0.0
@@ -111,32 +116,49 @@ class RigFlight:
             violations=self._autopilot.violations,
             intervals=None if self._faults else intervals_of(setpoints, period),
             overruns=self._overruns,
+            handover=self._handover,
             log=self._node.log(),
             trajectory=trajectory,
             commands=setpoints,
         )
 
+    @property
+    def now(self) -> float:
+        """Time since the start of the simulation [s]."""
+        return self._now
+
+    def advance(self, seconds: float) -> None:
+        """Simulate for some time, or until the flight ends, without waiting for the clock."""
+        for _ in range(round(seconds / PERIOD)):
+            if not self._reason:
+                self._step()
+
     def _run_loop(self) -> None:
         start = time.monotonic()
         self._autopilot.start()
-        tick, goal_sent_at = 0, -math.inf
         while not self._reason:
-            now = (tick + 1) * PERIOD
-            wait = start + now - time.monotonic()
-            if wait > 0.0:
-                time.sleep(wait)
-            elif wait < -PERIOD and self._engaged_at is not None:
-                self._overruns += 1
-            self._autopilot.step(tick, now)
-            self._sensor.step(tick, self._autopilot.vehicle, now)
-            if now - goal_sent_at >= _GOAL_PERIOD:
-                self._send_goal(self._goal)
-                goal_sent_at = now
-            if self._engaged_at is None:
-                self._act_as_pilot(now)
-            else:
-                self._observe(tick, now - self._engaged_at)
-            tick += 1
+            if not isinstance(self._node, LockstepNode):
+                wait = start + (self._tick + 1) * PERIOD - time.monotonic()
+                if wait > 0.0:
+                    time.sleep(wait)
+                elif wait < -PERIOD and self._engaged_at is not None:
+                    self._overruns += 1
+            self._step()
+
+    def _step(self) -> None:
+        tick = self._tick
+        self._tick, self._now = tick + 1, (tick + 1) * PERIOD
+        self._autopilot.step(tick, self._now)
+        self._sensor.step(tick, self._autopilot.vehicle, self._now)
+        if self._now - self._goal_sent_at >= _GOAL_PERIOD:
+            self._send_goal(self._goal)
+            self._goal_sent_at = self._now
+        if self._engaged_at is None:
+            self._act_as_pilot(self._now)
+        else:
+            self._observe(tick, self._now - self._engaged_at)
+        if isinstance(self._node, LockstepNode):
+            self._node.step(self._now)
 
     def _act_as_pilot(self, now: float) -> None:
         """Arm and take off once the node runs, and switch to OFFBOARD when it has been streaming for a while."""
@@ -157,10 +179,15 @@ class RigFlight:
     def _observe(self, tick: int, now: float) -> None:
         """Record one step at the time `now` after the engagement, switch faults, and end the flight if it is over."""
         autopilot = self._autopilot
-        self._rows.append((now, *autopilot.position, *autopilot.velocity, float(autopilot.mode is Mode.OFFBOARD)))
+        is_offboard = autopilot.mode is Mode.OFFBOARD
+        tilt = math.acos(min(1.0, float(rotate(autopilot.quaternion, [0.0, 0.0, 1.0])[2])))
+        self._rows.append((now, *autopilot.position, *autopilot.velocity, float(is_offboard), tilt))
         if autopilot.mode is not self._mode:
             self._mode = autopilot.mode
-            self._add_event(f"autopilot leaves OFFBOARD: no setpoint for too long, {self._mode.name}", now)
+            change = "returns to OFFBOARD" if is_offboard else f"leaves OFFBOARD for {autopilot.mode_name}"
+            self._add_event(f"autopilot {change}", now)
+            if not is_offboard:
+                self._handover = self._handover or Handover(now, float(np.linalg.norm(autopilot.velocity)), tilt)
         self._switch_faults(now)
         arrived = self._has_arrived(now)
         self._arrivals += arrived
@@ -210,9 +237,10 @@ class RigFlight:
         while self._pending_faults and self._pending_faults[0].at <= now:
             fault = self._pending_faults.pop(0)
             self._add_event(f"fault: {fault}", now)
-            if fault.kind == "restart-node":
+            if fault.kind in ("kill-node", "restart-node"):
                 self._node.kill()
-                self._node.start()
+                if fault.kind == "restart-node":
+                    self._node.start()
             else:
                 self._active_faults.append(fault)
                 self._apply(fault, active=True)

@@ -8,25 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aero_planner import Planner
-from aero_planner.onboard.connections import open_lidar, open_link
-from aero_planner.onboard.failsafe_process import FailsafeGuard
-from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
-from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.watchdog import Heartbeat
-from aero_planner.plan import Plan
 from aero_planner.quaternions import rotate
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
+from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.rig import HOST, PX4_RESPONSE, free_ports, ground_below, rig_settings
 from aero_viz.rig.sensor import SimulatedMid360
@@ -38,41 +30,6 @@ __all__ = ["LockstepRig"]
 _PILOT_PERIOD = 0.1  # [s] between two attempts of the pilot to take off
 
 
-class _MemoryFailsafe:
-    """The node's side of the failsafe process, without the process."""
-
-    lost = False
-    interventions = 0
-
-    def __init__(self, memory: HeartbeatMemory, link: MavlinkLink) -> None:
-        self._memory, self._link = memory, link
-
-    @property
-    def braking(self) -> bool:
-        return self._memory.read_status().braking
-
-    def report(self, heartbeat: Heartbeat) -> None:
-        self._memory.write(heartbeat, self._link.peer, self._link.min_signing_time)
-        self.interventions = self._memory.read_status().interventions
-
-    def close(self) -> None:
-        pass
-
-
-class _SlowPlanner:
-    """A planner whose plans take simulated time."""
-
-    def __init__(self, planner: Planner, rig: LockstepRig, plan_time: float) -> None:
-        self.config, self.device = planner.config, planner.device
-        self.reserve_sweeps, self.reset = planner.reserve_sweeps, planner.reset
-        self._planner, self._rig, self._plan_time = planner, rig, plan_time
-
-    def plan(self, *arguments: Any, **options: Any) -> Plan:
-        plan = self._planner.plan(*arguments, **options)
-        self._rig.run(self._plan_time)
-        return plan
-
-
 class LockstepRig:
     """One flight in simulated time. Use it as a context manager.
 
@@ -81,15 +38,14 @@ class LockstepRig:
         world: where to fly.
         onboard: settings of the node; ports and the mount of the LiDAR are replaced.
         vehicle: model of the vehicle; None is the planner's with the response of PX4.
+        hover_thrust: thrust setpoint at which the vehicle hovers, in [0, 1]; None is what the node assumes.
         loss_time: PX4's COM_OF_LOSS_T [s].
         plan_time: duration of a plan [s].
         seed: seed of the LiDAR and of gusts.
 
     Attributes:
         now: time since the start [s].
-        autopilot, sensor, node, guard: the parts. `guard` does the work of the failsafe process.
-        node_runs: False stops the node as SIGSTOP does.
-        node_lives: False ends the node as SIGKILL does.
+        autopilot, sensor: the simulated drone.
         min_clearance: smallest distance from the vehicle's centre to a surface since the take-over [m].
         speeds, tilts: speed [m/s] and tilt [rad] after each step since the take-over.
     """
@@ -101,24 +57,20 @@ class LockstepRig:
         *,
         onboard: OnboardConfig | None = None,
         vehicle: VehicleModel | None = None,
+        hover_thrust: float | None = None,
         loss_time: float = 0.5,
         plan_time: float = 0.02,
         seed: int = 0,
     ) -> None:
-        planner.reset()
         self.now = 0.0
-        self.node_runs = self.node_lives = True
         self.min_clearance = math.inf
         self.speeds: list[float] = []
         self.tilts: list[float] = []
         self._world = world
         self._tick = 0
-        self._planning = False
         config, lidar = planner.config, LIDARS["mid360"]
         lidar_port, mavlink_port = free_ports(2)
         onboard = (onboard or OnboardConfig()).replace(rig_settings(lidar, lidar_port, mavlink_port))
-        self._control_period, self._plan_period = 1.0 / onboard.rates.control, 1.0 / onboard.rates.replan
-        self._next_control = self._next_plan = self._next_guard = 0.0
         direction = world.goal - world.start
         self._resources = contextlib.ExitStack()
         with contextlib.ExitStack() as stack:
@@ -127,7 +79,7 @@ class LockstepRig:
                 world.start,
                 math.atan2(direction[1], direction[0]),
                 (HOST, mavlink_port),
-                hover_thrust=onboard.thrust.hover_thrust,
+                hover_thrust=hover_thrust or onboard.thrust.hover_thrust,
                 curve=onboard.thrust.curve,
                 loss_time=loss_time,
                 ground=ground_below(world),
@@ -136,23 +88,11 @@ class LockstepRig:
             stack.callback(self.autopilot.close)
             self.sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed)
             stack.callback(self.sensor.close)
-            link = open_link(onboard, config.vehicle, clock=lambda: self.now)
-            source = open_lidar(onboard, clock=lambda: self.now)
-            file = HeartbeatMemory.create_file()
-            memory, reader = HeartbeatMemory(file), HeartbeatMemory(file)
-            os.close(file)
-            self.guard = FailsafeGuard(reader, onboard, config.vehicle)
-            stack.callback(self.guard.close)
-            self.node = Node(
-                _SlowPlanner(planner, self, plan_time),  # type: ignore[arg-type]
-                link,
-                source,
-                onboard,
-                goal=world.goal,
-                clock=lambda: self.now,
-                failsafe=_MemoryFailsafe(memory, link),
+            self._process = LockstepNode(
+                planner, onboard, clock=lambda: self.now, advance=self.run, goal=world.goal, plan_time=plan_time
             )
-            stack.callback(self.node.close)
+            stack.callback(self._process.close)
+            self._process.start()
             self._resources = stack.pop_all()
 
     def __enter__(self) -> LockstepRig:
@@ -162,6 +102,31 @@ class LockstepRig:
         self._resources.close()
 
     @property
+    def node(self) -> Node:
+        """The node."""
+        assert self._process.node is not None
+        return self._process.node
+
+    @property
+    def node_runs(self) -> bool:
+        """False stops the node as SIGSTOP does."""
+        return self._process.runs
+
+    @node_runs.setter
+    def node_runs(self, runs: bool) -> None:
+        self._process.runs = runs
+
+    @property
+    def node_lives(self) -> bool:
+        """False ends the node as SIGKILL does."""
+        return self._process.lives
+
+    @node_lives.setter
+    def node_lives(self, lives: bool) -> None:
+        if not lives:
+            self._process.kill()
+
+    @property
     def speed(self) -> float:
         """Speed of the vehicle [m/s]."""
         return float(np.linalg.norm(self.autopilot.velocity))
@@ -169,7 +134,7 @@ class LockstepRig:
     @property
     def tilt(self) -> float:
         """Angle between the vehicle's axis and the vertical [rad]."""
-        axis = rotate(self._quaternion(), [0.0, 0.0, 1.0])
+        axis = rotate(self.autopilot.quaternion, [0.0, 0.0, 1.0])
         return math.acos(min(1.0, float(axis[2])))
 
     @property
@@ -202,20 +167,4 @@ class LockstepRig:
             self.speeds.append(self.speed)
             self.tilts.append(self.tilt)
             self.min_clearance = min(self.min_clearance, float(self._world.distance(self.autopilot.position[None])[0]))
-        if self.now >= self._next_control:
-            self._next_control += self._control_period
-            if self.node_runs and self.node_lives:
-                self.node.control_once()
-                self.node.watch_once()
-        if self.now >= self._next_guard:
-            self._next_guard += self._control_period
-            self.guard.check(self.now, is_alone=not self.node_lives)
-        if not self._planning and self.node_runs and self.node_lives and self.now >= self._next_plan:
-            self._planning = True
-            self.node.plan_once()
-            self._planning = False
-            self._next_plan = max(self._next_plan + self._plan_period, self.now)
-
-    def _quaternion(self) -> NDArray[np.float64]:
-        values: Any = self.autopilot.vehicle.quaternion.numpy()
-        return values[0].astype(np.float64)
+        self._process.step(self.now)

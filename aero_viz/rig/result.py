@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.rig.offboard import Mode, Setpoint
+from aero_viz.rig.px4_log import Px4LogSummary
 
-__all__ = ["Event", "Intervals", "RigResult", "Trajectory", "intervals_of"]
+__all__ = ["Event", "Handover", "Intervals", "RigResult", "Trajectory", "intervals_of"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,18 @@ class Intervals:
     longest: float
     missed: int
     """Number of control periods without a setpoint. An interval of n and a half periods misses n of them."""
+
+
+@dataclass(frozen=True)
+class Handover:
+    """State of the vehicle when the autopilot first left OFFBOARD."""
+
+    time: float
+    """Time since the engagement [s]."""
+    speed: float
+    """[m/s]"""
+    tilt: float
+    """Angle between the vehicle's axis and the vertical [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +103,19 @@ class RigResult:
     trajectory: Trajectory = field(repr=False, compare=False)
     commands: list[Setpoint] = field(repr=False, compare=False)
     """Every setpoint that was understood, obeyed or not."""
+    handover: Handover | None = None
+    """None if the autopilot did not leave OFFBOARD."""
+    px4_log: Px4LogSummary | None = None
+    """What PX4's log says of the flight; None with the rig's own autopilot."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields in types that JSON has, without trajectory and commands."""
         content = vars(self).copy()
         del content["trajectory"], content["commands"]
         content["events"] = [dataclasses.asdict(event) for event in self.events]
+        for name in ("handover", "px4_log"):
+            value = content[name]
+            content[name] = dataclasses.asdict(value) if value else None
         content["intervals"] = dataclasses.asdict(self.intervals) if self.intervals else None
         return content
 

@@ -8,15 +8,18 @@ which sends the goal.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner import Planner, PlannerConfig
+from aero_planner.onboard.connections import thrust_model
 from aero_planner.onboard.frames import ned_from_world
 from aero_planner.onboard.livox import CARTESIAN_MM
 from aero_planner.onboard.mavlink_sender import load_dialect
@@ -25,7 +28,12 @@ from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import Fault
 from aero_viz.rig.flight import RigFlight
+from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.process import NodeProcess
+from aero_viz.rig.px4_autopilot import Px4Autopilot
+from aero_viz.rig.px4_log import summarize_log
+from aero_viz.rig.px4_process import HOST, Px4Process
+from aero_viz.rig.px4_setup import set_parameters
 from aero_viz.rig.result import RigResult
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
@@ -38,7 +46,7 @@ PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max
 `VehicleModel`. The largest rates are those of PX4's attitude controller about x and y (MC_ROLLRATE_MAX), and what the
 motors reach about z."""
 
-HOST = "127.0.0.1"
+_START_HEIGHT = 2.0  # [m] of the start above the ground in a world without ground
 _STAND = 0.1  # [m] height of the vehicle's centre above the ground on which it stands
 
 
@@ -54,8 +62,11 @@ def fly_rig(
     lidar: LidarModel | None = None,
     data_type: int = CARTESIAN_MM,
     state_pair: bool = False,
-    loss_time: float = 0.5,
+    loss_time: float | None = None,
     shuttle: bool = False,
+    lockstep: bool = False,
+    px4: str | Path | None = None,
+    px4_parameters: Mapping[str, float] | None = None,
     command: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> RigResult:
@@ -73,14 +84,21 @@ def fly_rig(
         lidar: None is the Mid-360.
         data_type: data type of the LiDAR's packets, see `aero_planner.onboard.livox`.
         state_pair: send LOCAL_POSITION_NED and ATTITUDE_QUATERNION instead of ODOMETRY.
-        loss_time: time without setpoints after which the autopilot takes over, PX4's COM_OF_LOSS_T [s].
+        loss_time: time without setpoints after which the autopilot takes over, PX4's COM_OF_LOSS_T [s]. None is 0.5 s,
+            and with PX4 what preflight sets.
         shuttle: fly back and forth between start and goal until the duration is over. The flight counts as arrived if
             it reaches one of them at least once.
+        lockstep: run the node and the failsafe process's code in this process and in simulated time, in which a plan
+            takes 20 ms: the result depends little on the load of the machine, and with the rig's own autopilot not at
+            all.
+        px4: folder of PX4's sources with a build of its simulation, which replaces the rig's own autopilot and vehicle.
+        px4_parameters: PX4's parameters to set, besides those that preflight wants.
         command: command to run instead of the node, see `NodeProcess`.
         progress: called with a sentence when something happens.
 
     Raises:
         ImportError: pymavlink is not installed.
+        UserError: there is no PX4 in the folder, it does not start, or it does not accept a parameter.
         ValueError: the speed is out of range.
     """
     config = config or PlannerConfig()
@@ -89,24 +107,23 @@ def fly_rig(
     lidar = lidar or LIDARS["mid360"]
     lidar_port, mavlink_port = free_ports(2)
     onboard = (onboard or OnboardConfig()).replace(rig_settings(lidar, lidar_port, mavlink_port))
-    direction = world.goal - world.start
     with contextlib.ExitStack() as stack:
-        autopilot = SimulatedAutopilot(
-            VehicleModel.from_config(config, **PX4_RESPONSE),
-            world.start,
-            math.atan2(direction[1], direction[0]),
-            (HOST, mavlink_port),
-            hover_thrust=onboard.thrust.hover_thrust,
-            curve=onboard.thrust.curve,
-            loss_time=loss_time,
-            pair=state_pair,
-            ground=ground_below(world),
-            seed=seed,
-        )
-        stack.callback(autopilot.close)
+        process = None if px4 is None else stack.enter_context(contextlib.closing(Px4Process(px4)))
+        if process is None:
+            autopilot = _simulated_autopilot(world, config, onboard, mavlink_port, loss_time or 0.5, state_pair, seed)
+        else:
+            onboard = onboard.replace({"mavlink.system": process.system})
+            parameters = dict(px4_parameters or {}) | ({} if loss_time is None else {"COM_OF_LOSS_T": loss_time})
+            autopilot = _px4_autopilot(process, world, config, onboard, mavlink_port, parameters, lockstep, seed)
+        close_autopilot = stack.enter_context(contextlib.ExitStack())
+        close_autopilot.callback(autopilot.close)
         sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed, data_type=data_type)
         stack.callback(sensor.close)
-        node = NodeProcess(config, onboard, command=command)
+        if lockstep:
+            planner = stack.enter_context(contextlib.closing(Planner(config, device="cpu")))
+            node = LockstepNode(planner, onboard, clock=lambda: flight.now, advance=lambda time: flight.advance(time))
+        else:
+            node = NodeProcess(config, onboard, command=command)
         stack.callback(node.close)
         station = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         flight = RigFlight(
@@ -114,7 +131,7 @@ def fly_rig(
             autopilot,
             sensor,
             node,
-            send_goal=lambda goal: _send_goal(station, mavlink_port, goal),
+            send_goal=lambda goal: _send_goal(station, mavlink_port, autopilot.local(goal), onboard.mavlink.system),
             faults=faults,
             duration=duration,
             shuttle=shuttle,
@@ -122,7 +139,55 @@ def fly_rig(
         )
         flight.run()
         node.stop()
-        return flight.result(seed, 1.0 / onboard.rates.control)
+        result = flight.result(seed, 1.0 / onboard.rates.control)
+        if process is None:
+            return result
+        close_autopilot.close()  # ends PX4's log
+        log = process.stop()
+        return dataclasses.replace(result, px4_log=None if log is None else summarize_log(log))
+
+
+def _simulated_autopilot(
+    world: World, config: PlannerConfig, onboard: OnboardConfig, port: int, loss_time: float, pair: bool, seed: int
+) -> SimulatedAutopilot:
+    direction = world.goal - world.start
+    return SimulatedAutopilot(
+        VehicleModel.from_config(config, **PX4_RESPONSE),
+        world.start,
+        math.atan2(direction[1], direction[0]),
+        (HOST, port),
+        hover_thrust=onboard.thrust.hover_thrust,
+        curve=onboard.thrust.curve,
+        loss_time=loss_time,
+        pair=pair,
+        ground=ground_below(world),
+        seed=seed,
+    )
+
+
+def _px4_autopilot(
+    process: Px4Process,
+    world: World,
+    config: PlannerConfig,
+    onboard: OnboardConfig,
+    port: int,
+    parameters: Mapping[str, float],
+    lockstep: bool,
+    seed: int,
+) -> Px4Autopilot:
+    ground, direction = ground_below(world), world.goal - world.start
+    origin = np.array([world.start[0], world.start[1], world.start[2] - _START_HEIGHT if ground is None else ground])
+    height = float(world.start[2] - origin[2])
+    set_parameters(process, onboard, config.vehicle, {"MIS_TAKEOFF_ALT": height, **parameters})
+    return Px4Autopilot(
+        process,
+        (HOST, port),
+        origin=origin,
+        heading=math.atan2(direction[1], direction[0]),
+        thrust=thrust_model(onboard, config.vehicle),
+        lockstep=lockstep,
+        seed=seed,
+    )
 
 
 def ground_below(world: World) -> float | None:
@@ -159,14 +224,14 @@ def free_ports(count: int) -> list[int]:
         return [probe.getsockname()[1] for probe in sockets]
 
 
-def _send_goal(station: socket.socket, port: int, goal: NDArray[np.float64]) -> None:
-    """Send the goal [m], shape [3], world frame, to the onboard computer, as a ground station would."""
+def _send_goal(station: socket.socket, port: int, goal: NDArray[np.float64], system: int) -> None:
+    """Send the goal [m], shape [3], local frame, to the onboard computer of `system`, as a ground station would."""
     dialect = load_dialect()
     protocol = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
     ignored_fields = 0b110111111000  # all but the position
     position = ned_from_world(goal).tolist()
     message = dialect.MAVLink_set_position_target_local_ned_message(
-        0, 1, 191, dialect.MAV_FRAME_LOCAL_NED, ignored_fields, *position, *[0.0] * 8
+        0, system, 191, dialect.MAV_FRAME_LOCAL_NED, ignored_fields, *position, *[0.0] * 8
     )
     with contextlib.suppress(OSError):
         station.sendto(bytes(message.pack(protocol)), (HOST, port))

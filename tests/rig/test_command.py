@@ -29,6 +29,10 @@ def test_help_lists_every_kind_of_fault(capsys):
         (["forest", "--duration", "-3"], "positive"),
         (["forest", "--speed", "1000"], "speed_limit"),
         (["forest", "--config", "missing.yaml"], "missing.yaml"),
+        (["forest", "--autopilot", "px4"], "needs --px4 DIR"),
+        (["forest", "--autopilot", "px4", "--px4", "missing"], "missing is not a folder"),
+        (["forest", "--px4", "."], "need --autopilot px4"),
+        (["forest", "--parameter", "SIH_KDV=1"], "need --autopilot px4"),
     ],
 )
 def test_a_mistake_is_reported_in_one_sentence(arguments, error):

@@ -230,6 +230,7 @@ class FailsafeGuard:
             if newest.peer is not None and newest.peer != self._peer:
                 self._connect(newest.peer)
             self._sender.min_signing_time = newest.signing_time
+            self._sender.thrust_gain = newest.heartbeat.thrust_gain
             self._watchdog.report(newest.heartbeat)
         if is_alone:
             self._watchdog.declare_dead(now)

@@ -53,11 +53,12 @@ class HeartbeatMemory:
         ValueError: The memory was created by another version of this program.
     """
 
-    _LAYOUT = struct.pack("<I", 3)  # to be increased with every change of what follows
+    _LAYOUT = struct.pack("<I", 4)  # to be increased with every change of what follows
     _HEAD = struct.Struct("<QQ256s")  # number, time stamp of signatures, peer
     _UPCOMING = 20  # after time, motion with its control, and command
     _PATH = _UPCOMING + 4 * UPCOMING_MAX
-    _NUMBERS = _PATH + 1 + 6 * PATH_POINTS  # with the upcoming commands and the path; NaN where there is none
+    _GAIN = _PATH + 1 + 6 * PATH_POINTS  # after the upcoming commands and the path, NaN where there is none
+    _NUMBERS = _GAIN + 1
     _SIZE = _HEAD.size + 8 * _NUMBERS + 4  # with the checksum
     _STATUS = struct.Struct("<QII")  # number of the heartbeat since which the reader brakes, running, interventions
 
@@ -93,6 +94,7 @@ class HeartbeatMemory:
             points = np.hstack([heartbeat.path.positions, heartbeat.path.velocities]).ravel()
             numbers[self._PATH] = heartbeat.path.period
             numbers[self._PATH + 1 : self._PATH + 1 + len(points)] = points
+        numbers[self._GAIN] = heartbeat.thrust_gain
         data = self._HEAD.pack(self._number, signing_time, (peer or "").encode()) + numbers.tobytes()
         start = self._number % 2 * self._SIZE
         self._memory[start : start + self._SIZE] = data + struct.pack("<I", zlib.crc32(data))
@@ -109,7 +111,7 @@ class HeartbeatMemory:
         motion = MotionState(float(numbers[1]), numbers[2:5], numbers[5:8], numbers[8:12], control)
         command, upcoming = numbers[16:20], numbers[self._UPCOMING : self._PATH].reshape(-1, 4)
         upcoming = upcoming[np.isfinite(upcoming).all(axis=1)]
-        points = numbers[self._PATH + 1 :].reshape(-1, 6)
+        points = numbers[self._PATH + 1 : self._GAIN].reshape(-1, 6)
         points = points[np.isfinite(points).all(axis=1)]
         path = BrakingPath(float(numbers[self._PATH]), points[:, :3], points[:, 3:]) if len(points) > 1 else None
         heartbeat = Heartbeat(
@@ -118,6 +120,7 @@ class HeartbeatMemory:
             command if np.isfinite(command).all() else None,
             upcoming if len(upcoming) else None,
             path,
+            float(numbers[self._GAIN]),
         )
         return SharedHeartbeat(number, heartbeat, peer.rstrip(b"\0").decode() or None, signing_time)
 

@@ -112,6 +112,9 @@ class CommandSink(Protocol):
 class VehicleLink(CommandSink, Protocol):
     """Connection to an autopilot. `send` and `poll` may be called from different threads."""
 
+    thrust_gain: float
+    """True thrust divided by what the vehicle's thrust model says; `send` divides by it."""
+
     @property
     def state(self) -> VehicleSample | None:
         """The newest sample; None before the first. Heartbeats update its flags between two states."""

@@ -51,6 +51,7 @@ class MavlinkSender:
     Attributes:
         transport: Connection to the autopilot.
         sent: Number of commands sent.
+        thrust_gain: True thrust divided by what the thrust model says, see `aero_planner.onboard.thrust_estimate`.
         min_signing_time: Earliest time stamp of the next signature, see `aero_planner.onboard.mavlink_signing`. The
             autopilot accepts none that is much older than its own clock.
     """
@@ -69,6 +70,7 @@ class MavlinkSender:
         self.transport = transport
         self.sent = 0
         self.min_signing_time = 0
+        self.thrust_gain = 1.0
         self._dialect = load_dialect()
         self._system = system
         self._component = component
@@ -94,7 +96,7 @@ class MavlinkSender:
         values = np.asarray(command, dtype=np.float64)
         if values.shape != (4,) or not np.isfinite(values).all():
             raise ValueError(f"the command is {values.tolist()}; it must be a thrust and three rates, all finite.")
-        thrust = self._thrust.signal(float(values[0]))
+        thrust = self._thrust.signal(float(values[0]) / self.thrust_gain)
         rates = frd_from_flu(values[1:])
         message = self._dialect.MAVLink_set_attitude_target_message(
             int(1e3 * self._time()) & 0xFFFFFFFF,

@@ -44,6 +44,7 @@ from aero_planner.onboard.replanner import ControlSnapshot, Replanner
 from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.stop_controller import StopCommand, StopController
+from aero_planner.onboard.thrust_estimate import ThrustEstimate
 from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
@@ -121,6 +122,7 @@ class Node:
         self.safety = SafetyMachine(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle, config.response)
         self._stop_controller = StopController(self._vehicle, config.brake)
+        self._thrust = ThrustEstimate(self._vehicle, config.thrust)
         self._drift = DriftMonitor()
         self._watchdog = Watchdog(
             link,
@@ -190,6 +192,7 @@ class Node:
             "lidar_bad": counters.bad,
             "messages_ignored": sum(self._link.ignored.values()),
             "points_dropped": self._replanner.dropped_points,
+            "thrust_gain": self._thrust.gain,
             "ground_height": self.ground.height,
             "ground_source": self.ground.source.name,
             "changes": [f"{change.time:.3f} {change}" for change in self.changes],
@@ -269,6 +272,9 @@ class Node:
                     # In the new estimate, places have other coordinates.
                     self._hold, self._path, self._reset_time = None, None, sample.time
                     self.ground.clear()
+                if self._sample is not None:
+                    self._thrust.update(self._sample, self._reckoning.at(sample.time), sample)
+                    self._link.thrust_gain = self._thrust.gain
                 self._sample = sample
                 self._reckoning.correct(sample)
                 self._replanner.add_arrival(sample)
@@ -355,7 +361,8 @@ class Node:
         if self._sample is not None and motion is not None:
             self.snapshot = ControlSnapshot(self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan)
         upcoming = self._upcoming_commands(now) if follows_plan else None
-        heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._path or self.schedule.path(self._reset_time))
+        path = self._path or self.schedule.path(self._reset_time)
+        heartbeat = Heartbeat(now, motion, obeyed, upcoming, path, self._thrust.gain)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)

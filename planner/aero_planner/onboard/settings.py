@@ -136,6 +136,10 @@ class ThrustSettings(ParameterSection, section="thrust"):
         "it, with THR_MDL_FAC set to fit the motors; the share of the motors only if THR_MDL_FAC is 0.",
         label="Thrust curve",
     )  # fmt: skip
+    adapt: bool = switch(
+        True, "Correct the hover thrust in flight, from the vertical acceleration that commands cause.",
+        label="Correct the hover thrust",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

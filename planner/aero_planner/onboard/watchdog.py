@@ -42,13 +42,15 @@ class Heartbeat(NamedTuple):
     """Planned commands of the next control periods, shape [n, 4], n <= `UPCOMING_MAX`; None if no plan is flown."""
     path: BrakingPath | None = None
     """Where to brake; None if no cloud is known."""
+    thrust_gain: float = 1.0
+    """See `aero_planner.onboard.thrust_estimate.ThrustEstimate`."""
 
 
 class Watchdog:
     """Sends commands in place of a control loop that is late or has stalled.
 
     At the end of each tick, the loop reports its heartbeat. `check` must be called from elsewhere. When a tick is late,
-    it sends the planned commands of the last heartbeat. When the loop has been silent for `deadline`, it brakes and
+    it sends the planned commands of the last heartbeat, or, if no plan was flown, commands that stop the drone. When the loop has been silent for `deadline`, it brakes and
     levels the drone by dead reckoning for `blind_time`, on the braking path of the last heartbeat if there is one. Then
     it commands to hover without turning and falls silent, so that the autopilot's own failsafe takes over. Braking
     commands contain the attitude, too: an autopilot that controls it ends level although dead reckoning drifts.
@@ -128,14 +130,18 @@ class Watchdog:
         motion = propagate(last.motion, last.command, max(now, last.motion.time), self._vehicle, self._response)
         if silence >= self._deadline:
             return self._brake(heartbeat, now, motion)
+        if heartbeat.upcoming is None:
+            # The loop was stopping the drone, whose last body rates must not last until the deadline.
+            stop = self._stop.command(motion, path=heartbeat.path, remaining=self._time_left(silence))
+            return self._send(heartbeat, now, motion, stop.control)
         step = int(silence / self._period + _ROUNDING)
-        if heartbeat.upcoming is None or step > len(heartbeat.upcoming):
+        if step > len(heartbeat.upcoming):
             return None
         return self._send(heartbeat, now, motion, heartbeat.upcoming[step - 1], heartbeat.upcoming[step:])
 
     def _brake(self, heartbeat: Heartbeat, now: float, motion: MotionState) -> Heartbeat | None:
         silence = now - heartbeat.time
-        remaining = self._deadline + self._blind_time - silence
+        remaining = self._time_left(silence)
         is_first = self._braked_on is not heartbeat
         self._braked_on = heartbeat
         if remaining < 0.0:
@@ -152,6 +158,10 @@ class Watchdog:
             _log.error("the control loop has stalled for %.0f ms: the %s brakes", 1e3 * silence, self._name)
         return action
 
+    def _time_left(self, silence: float) -> float:
+        """Return the time until the drone is handed back [s]."""
+        return self._deadline + self._blind_time - silence
+
     def _send(
         self,
         heartbeat: Heartbeat,
@@ -162,7 +172,8 @@ class Watchdog:
         attitude: NDArray[np.float64] | None = None,
     ) -> Heartbeat:
         self._link.send(command, attitude)
-        self._acted_on, self._own_action = heartbeat, Heartbeat(now, motion, command, upcoming, heartbeat.path)
+        self._acted_on = heartbeat
+        self._own_action = heartbeat._replace(time=now, motion=motion, command=command, upcoming=upcoming)
         return self._own_action
 
     def _last_action(self, heartbeat: Heartbeat) -> Heartbeat:

@@ -47,6 +47,7 @@ class SimulatedLink:
         self.dropped: dict[str, int] = {}
         self.ignored: dict[str, int] = {}
         self.resets = 0
+        self.thrust_gain = 1.0
         self.armed = self.offboard = False
         self.in_air: bool | None = True
         self.position_std, self.velocity_std = 0.2, 0.05

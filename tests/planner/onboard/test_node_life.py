@@ -102,6 +102,7 @@ class StandingLink:
         self.many = threading.Event()
         """Set when twenty commands have arrived since `count` was zero."""
         self.count = 0
+        self.thrust_gain = 1.0
         self.failing = False
         self.velocity = np.zeros(3)
         self.peer = None

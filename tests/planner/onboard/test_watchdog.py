@@ -62,7 +62,7 @@ def test_it_brakes_by_dead_reckoning_then_hovers_and_falls_silent(watchdog: Watc
     watchdog.report(Heartbeat(10.0, moving(10.0), TURNING))
     checks = [(now, watchdog.check(now)) for now in times(10.01, 13.0)]
     acted = [(now, action) for now, action in checks if action is not None]
-    assert DEADLINE < acted[0][0] - 10.0 <= DEADLINE + PERIOD
+    assert 1.5 * PERIOD <= acted[0][0] - 10.0 <= 2.5 * PERIOD
     assert DEADLINE + BLIND_TIME < acted[-1][0] - 10.0 <= DEADLINE + BLIND_TIME + PERIOD
     np.testing.assert_allclose(np.diff([now for now, _ in acted]), PERIOD)
     # Each command acts from the state that TURNING and the commands before it have led to.
@@ -97,6 +97,20 @@ def test_until_the_deadline_it_sends_the_planned_commands(watchdog: Watchdog, li
     np.testing.assert_allclose(actions[5][1].motion.quaternion, motion.quaternion, atol=1e-9)
 
 
+def test_a_late_loop_that_was_stopping_the_drone_is_replaced_before_the_deadline(
+    watchdog: Watchdog, link: RecordingLink
+):
+    watchdog.report(Heartbeat(10.0, moving(10.0), TURNING))
+    acted = [now for now in times(10.0, 10.0 + DEADLINE) if watchdog.check(now) is not None]
+    # Not the rates of TURNING, which would last until the deadline: the nose goes up, against the velocity.
+    np.testing.assert_allclose(acted, times(10.04, 10.0 + DEADLINE))
+    assert all(command[1] < 0.0 and command[2] < -1.0 for command in link.commands)
+    # This is no intervention: the loop may come back.
+    assert watchdog.interventions == 0 and not watchdog.braking
+    watchdog.report(Heartbeat(10.1, moving(10.1), TURNING))
+    assert watchdog.check(10.11) is None
+
+
 def test_a_dead_loop_is_replaced_even_before_a_tick_is_late(watchdog: Watchdog, link: RecordingLink):
     watchdog.report(Heartbeat(10.0, moving(10.0), HOVER, np.tile(HOVER, (3, 1))))
     assert watchdog.check(10.004) is None
@@ -119,10 +133,10 @@ def test_a_loop_that_comes_back_is_left_alone_until_it_stalls_again(watchdog: Wa
     count = len(link.commands)
     assert count > 0
     watchdog.report(Heartbeat(10.2, moving(10.2), HOVER))
-    for now in times(10.2, 10.28):
+    for now in times(10.2, 10.23):
         assert watchdog.check(now) is None
     assert len(link.commands) == count
-    for now in times(10.28, 10.4):
+    for now in times(10.23, 10.4):
         watchdog.check(now)
     assert len(link.commands) > count and watchdog.interventions == 2
 
@@ -173,6 +187,6 @@ def test_a_loop_declared_dead_later_is_replaced_for_the_same_time(watchdog: Watc
     for now in times(10.0, 13.0):
         if now > 11.4:
             watchdog.declare_dead(now)
-        if watchdog.check(now) is not None:
+        if watchdog.check(now) is not None and watchdog.braking:
             acted.append(now)
     assert BLIND_TIME < acted[-1] - acted[0] + PERIOD <= BLIND_TIME + 2 * PERIOD

@@ -1,0 +1,64 @@
+"""Sets PX4's parameters before a flight on the rig, by the node's own preflight code."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping
+
+from aero_planner.config import VehicleConfig
+from aero_planner.onboard.connections import thrust_model
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.px4_parameters import (
+    ParameterChange,
+    find_changes,
+    parameter_names,
+    read_parameters,
+    write_parameters,
+)
+from aero_planner.onboard.settings import OnboardConfig
+from aero_viz.errors import UserError
+from aero_viz.rig.px4_process import HOST, Px4Process
+
+__all__ = ["set_parameters"]
+
+_START_TIME = 90.0  # [s] for PX4 to start and to find its position
+_POLL_PERIOD = 0.02  # [s]
+
+
+def set_parameters(
+    px4: Px4Process, onboard: OnboardConfig, vehicle: VehicleConfig, values: Mapping[str, float]
+) -> list[ParameterChange]:
+    """Set what preflight wants to be set, and other parameters; return the changes.
+
+    Args:
+        px4: a PX4 that is starting.
+        onboard, vehicle: configuration of the flight.
+        values: other parameters by name; they take precedence.
+
+    Raises:
+        UserError: PX4 has ended or does not start, or a parameter does not exist or was not accepted.
+    """
+    link = MavlinkLink(
+        f"udpin:{HOST}:{px4.companion_remote}", thrust_model(onboard, vehicle), system=px4.system
+    )  # fmt: skip
+    with contextlib.closing(link):
+        _wait(px4, link, lambda: link.state is not None, "does not report a position")
+        present = read_parameters(link, {*parameter_names(onboard), *values})
+        if unknown := sorted(set(values) - set(present)):
+            raise UserError(f"PX4 has no parameter {', '.join(unknown)}.")
+        changes = [change for change in find_changes(present, onboard) if change.name not in values]
+        changes += [ParameterChange(name, value, present[name]) for name, value in values.items()]
+        if refused := write_parameters(link, changes):
+            raise UserError(f"PX4 did not accept {', '.join(refused)}.")
+    return changes
+
+
+def _wait(px4: Px4Process, link: MavlinkLink, condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + _START_TIME
+    while not condition():
+        px4.check()
+        if time.monotonic() > end:
+            raise UserError(f"PX4 {what} within {_START_TIME:g} s.")
+        time.sleep(_POLL_PERIOD)
+        link.poll()
