@@ -50,10 +50,11 @@ class Watchdog:
     """Sends commands in place of a control loop that is late or has stalled.
 
     At the end of each tick, the loop reports its heartbeat. `check` must be called from elsewhere. When a tick is late,
-    it sends the planned commands of the last heartbeat, or, if no plan was flown, commands that stop the drone. When the loop has been silent for `deadline`, it brakes and
-    levels the drone by dead reckoning for `blind_time`, on the braking path of the last heartbeat if there is one. Then
-    it commands to hover without turning and falls silent, so that the autopilot's own failsafe takes over. Braking
-    commands contain the attitude, too: an autopilot that controls it ends level although dead reckoning drifts.
+    it sends the planned commands of the last heartbeat, or commands that stop the drone if no plan was flown. When the
+    loop has been silent for `deadline`, it brakes and levels the drone by dead reckoning for `blind_time`, on the
+    braking path of the last heartbeat if there is one. Then it commands to hover without turning and falls silent, so
+    that the autopilot's own failsafe takes over. Braking commands contain the attitude, too: an autopilot that controls
+    it ends level although dead reckoning drifts.
 
     Args:
         link: Connection to the autopilot.

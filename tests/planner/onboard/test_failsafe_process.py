@@ -77,8 +77,9 @@ def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
         np.testing.assert_array_equal(heartbeat.command, [9.0, 0.1, 0.2, count])
     planned = np.arange(4.0 * (UPCOMING_MAX + 3)).reshape(-1, 4)
     for upcoming in (planned[:1], planned[:5], planned[:UPCOMING_MAX], planned):
-        memory.write(Heartbeat(9.0, motion, HOVER, upcoming), None)
+        memory.write(Heartbeat(9.0, motion, HOVER, upcoming, thrust_gain=0.9), None)
         _, heartbeat, *_ = reader.read() or pytest.fail("there is none")
+        assert heartbeat.thrust_gain == 0.9
         np.testing.assert_array_equal(heartbeat.upcoming, upcoming[:UPCOMING_MAX])
     memory.write(Heartbeat(10.0, None, None), None)
     assert reader.read() == (9, Heartbeat(10.0, None, None), None, 0)

@@ -362,6 +362,10 @@ def test_commands_by_hand(link, autopilot):
     assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 191)
     assert np.isfinite(message.q).all()
     assert link.sent == 1
+    link.thrust_gain = 0.5  # half the thrust arrives
+    link.send([2.0 * 9.81, 0.0, 0.0, 0.0])
+    (message,) = autopilot.received("SET_ATTITUDE_TARGET")
+    assert message.thrust == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize("command", [[1, 2, 3], [math.nan, 0, 0, 0], [9.8, math.inf, 0, 0], [[1, 2, 3, 4]]])
