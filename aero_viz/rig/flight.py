@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +15,7 @@ from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import NETWORK_FAULTS, Fault
 from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.offboard import Mode
-from aero_viz.rig.process import NodeProcess
+from aero_viz.rig.process import NodeProcess, raised_priority
 from aero_viz.rig.px4_autopilot import Px4Autopilot
 from aero_viz.rig.result import Event, Handover, RigResult, Trajectory, intervals_of
 from aero_viz.rig.sensor import SimulatedMid360
@@ -83,7 +81,7 @@ class RigFlight:
         """Start the node and fly until the flight ends."""
         self._add_event("node started")
         self._node.start()
-        with _raised_priority():
+        with raised_priority():
             self._run_loop()
 
     def result(self, seed: int, period: float) -> RigResult:
@@ -274,16 +272,3 @@ class RigFlight:
 
     def _min_clearance(self, rows: Sequence[tuple[float, ...]]) -> float:
         return float(self._world.distance(np.array(rows)[:, 1:4]).min())
-
-
-@contextlib.contextmanager
-def _raised_priority() -> Iterator[None]:
-    """Give the simulation precedence over the node where permitted, because the real world does not wait either."""
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, before - 10)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, before)

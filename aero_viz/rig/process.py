@@ -8,14 +8,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
-__all__ = ["NodeProcess"]
+__all__ = ["NodeProcess", "raised_priority"]
 
 _NODE_COMMAND = (sys.executable, "-m", "aero_planner", "run", "--config", "{config}")  # as on the drone
 
@@ -101,3 +101,16 @@ class NodeProcess:
         if self._process is not None and self.running:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._process.pid, number)
+
+
+@contextlib.contextmanager
+def raised_priority() -> Iterator[None]:
+    """Give the simulation precedence over the node where permitted, because the real world does not wait either."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, before - 10)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, before)

@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 from aero_viz.errors import UserError
+from aero_viz.rig.process import raised_priority
 
 __all__ = ["HOST", "Px4Process", "find_px4"]
 
@@ -70,7 +71,7 @@ class Px4Process:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
         environment |= {"PX4_SIM_MODEL": _MODEL, "HEADLESS": "1"}
         command = [str(binary), "-d", "-i", str(instance), "-w", str(self._folder), str(binary.parents[1] / "etc")]
-        with self._output.open("wb") as output:
+        with self._output.open("wb") as output, raised_priority():
             self._process = subprocess.Popen(
                 command, cwd=self._folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
                 env=environment,
