@@ -83,7 +83,7 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
         )
         for name in ("vehicle_attitude", "vehicle_attitude_groundtruth")
     ]
-    tilt = np.linalg.norm(np.cross(*down), axis=1)
+    tilt = np.linalg.norm(np.cross(down[0], down[1]), axis=1)
     wanted = _sampled(topics, "vehicle_rates_setpoint", ("roll", "pitch", "yaw"), times)
     rates = _sampled(topics, "vehicle_angular_velocity", ("xyz[0]", "xyz[1]", "xyz[2]"), times)
     motors = _sampled(topics, "actuator_motors", tuple(f"control[{number}]" for number in range(4)), times)

@@ -49,6 +49,7 @@ class Px4Process:
 
     Args:
         folder: see `find_px4`.
+        speed: simulated time per time that passes, at most. A slow PX4 can be stopped in time on a busy machine.
 
     Raises:
         UserError: there is no PX4, or all of its instances are in use.
@@ -59,7 +60,7 @@ class Px4Process:
         station_port: UDP port of its connection to a ground station.
     """
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(self, folder: str | Path, *, speed: float = 1.0) -> None:
         binary = find_px4(folder)
         instance = _free_instance()
         self.system = instance + 1
@@ -70,6 +71,8 @@ class Px4Process:
         self._output = self._folder / "px4.txt"
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
         environment |= {"PX4_SIM_MODEL": _MODEL, "HEADLESS": "1"}
+        if speed != 1.0:
+            environment["PX4_SIM_SPEED_FACTOR"] = str(speed)
         command = [str(binary), "-d", "-i", str(instance), "-w", str(self._folder), str(binary.parents[1] / "etc")]
         with self._output.open("wb") as output, raised_priority():
             self._process = subprocess.Popen(

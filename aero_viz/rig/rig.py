@@ -46,6 +46,7 @@ PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max
 `VehicleModel`. The largest rates are those of PX4's attitude controller about x and y (MC_ROLLRATE_MAX), and what the
 motors reach about z."""
 
+_LOCKSTEP_SPEED = 0.25  # of PX4's simulation in lockstep
 _START_HEIGHT = 2.0  # [m] of the start above the ground in a world without ground
 _STAND = 0.1  # [m] height of the vehicle's centre above the ground on which it stands
 
@@ -108,7 +109,11 @@ def fly_rig(
     lidar_port, mavlink_port = free_ports(2)
     onboard = (onboard or OnboardConfig()).replace(rig_settings(lidar, lidar_port, mavlink_port))
     with contextlib.ExitStack() as stack:
-        process = None if px4 is None else stack.enter_context(contextlib.closing(Px4Process(px4)))
+        process = (
+            None
+            if px4 is None
+            else stack.enter_context(contextlib.closing(Px4Process(px4, speed=_LOCKSTEP_SPEED if lockstep else 1.0)))
+        )
         if process is None:
             autopilot = _simulated_autopilot(world, config, onboard, mavlink_port, loss_time or 0.5, state_pair, seed)
         else:

@@ -39,7 +39,9 @@ def fly(seconds, *, factor, tilt=0.0, noise=0.0, obeys=True, settings=None, drag
         command = np.array([VEHICLE.mass * lift, 0.0, 0.0, 0.0])
         reckoning.add_command(sample.time, command if obeys else None)
         force = command * [factor / estimate.gain, 1.0, 1.0, 1.0]
-        start = dataclasses.replace(reckoning.at(sample.time), velocity=velocity, control=motion and motion.control)
+        reckoned = reckoning.at(sample.time)
+        assert reckoned is not None
+        start = dataclasses.replace(reckoned, velocity=velocity, control=motion and motion.control)
         motion = propagate(start, force, sample.time + PERIOD, VEHICLE, truth)
         velocity = motion.velocity
     return estimate.gain
