@@ -44,6 +44,8 @@ def set_parameters(
     )  # fmt: skip
     with contextlib.closing(link):
         _wait(px4, link, lambda: link.state is not None, "does not report a position")
+        # A PX4 that is still starting answers late.
+        _wait(px4, link, lambda: bool(read_parameters(link, ["COM_OF_LOSS_T"])), "does not report its parameters")
         present = read_parameters(link, {*parameter_names(onboard), *values})
         if unknown := sorted(set(values) - set(present)):
             raise UserError(f"PX4 has no parameter {', '.join(unknown)}.")

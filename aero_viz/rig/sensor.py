@@ -13,6 +13,7 @@ from aero_planner.onboard.livox import CARTESIAN_MM, encode_packet
 from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
 from aero_viz.flight.vehicle import Vehicle
 from aero_viz.rig.faults import Channel
+from aero_viz.rig.px4_truth import PosedVehicle
 from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.lidar import Lidar, LidarModel
@@ -77,7 +78,7 @@ class SimulatedMid360:
         self._address = address
         self.channel = Channel(self._deliver, seed=seed)
 
-    def step(self, tick: int, vehicle: Vehicle, now: float) -> None:
+    def step(self, tick: int, vehicle: Vehicle | PosedVehicle, now: float) -> None:
         """Measure between the poses before and after a step of the vehicle, and send all packets that are full.
 
         Args:
