@@ -38,6 +38,7 @@ def bench(
     resume: bool = False,
     include: tuple[str, ...] = (),
     ray: RayFlag = None,
+    causes: bool = True,
     json: bool = False,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
     config_flags: Inline[ConfigFlags] = _CONFIG,
@@ -60,13 +61,21 @@ def bench(
         resume: Continue with the results in the folder.
         include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
         ray: Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS.
+        causes: Fly each failure once more, alone, and explain it.
         json: Print one JSON object.
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
     from aero_planner.config.file import config_from_name
+    from aero_viz.evaluation.bench.causes import cause_rows
     from aero_viz.evaluation.bench.external_results import load_external_results
-    from aero_viz.evaluation.bench.report import format_summaries, format_worlds, world_records, write_report
+    from aero_viz.evaluation.bench.report import (
+        format_causes,
+        format_summaries,
+        format_worlds,
+        world_records,
+        write_report,
+    )
     from aero_viz.evaluation.bench.runner import BenchmarkInterrupted, run_benchmark
     from aero_viz.evaluation.bench.suites import BENCHMARKS
     from aero_viz.evaluation.executor import open_executor
@@ -93,6 +102,7 @@ def bench(
                 drone=flight_flags.drone_changes,
                 sensor=flight_flags.lidar_changes,
                 executor=executor,
+                causes=causes,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
             )
         summaries = write_report(run, folder, external=external)
@@ -111,9 +121,18 @@ def bench(
         executor.close()
     if json:
         summary = [line.to_dict() for line in summaries]
-        print_json({**run.header, "output": str(folder), "summary": summary, "worlds": world_records(run)})
+        print_json(
+            {
+                **run.header,
+                "output": str(folder),
+                "summary": summary,
+                "worlds": world_records(run),
+                "causes": cause_rows(run.flights),
+            }
+        )
     else:
-        print(format_summaries(summaries), *format_worlds(run), folder / "report.md", sep="\n")
+        tables = [format_summaries(summaries), format_causes(run), *format_worlds(run)]
+        print(*filter(None, tables), folder / "report.md", sep="\n")
 
 
 def bench_compare(

@@ -22,6 +22,7 @@ VERBS: dict[str, Verb] = {
     "convert": _verb("recordings", "convert", "Write a recording, or a part of it, as ROS 2 MCAP."),
     "fly": _verb("flights", "fly", "Fly through a scene or a world once, as fast as possible, and print the result."),
     "score": _verb("flights", "score", "Score a flight of any planner with the simulator's own metrics."),
+    "explain": _verb("explain", "explain", "Explain why a flight did not arrive, from its log or by flying it."),
     "bench": _verb("bench", "bench", "Fly a benchmark and write its tables, plots and report."),
     "bench compare": _verb("bench", "bench_compare", "Compare two runs of a benchmark through the same worlds."),
     "tune": _verb("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),

@@ -61,6 +61,7 @@ class FlightReplay(RecordingSource):
         self._plans: list[RecordedPlan] = []
         self._world: World | None = None
         self._ending = ""
+        self._settings: dict[str, Any] = {}
         with Path(path).open("rb") as file:
             self._read(make_reader(file))
         self._plan_times = [plan.time for plan in self._plans]
@@ -68,6 +69,7 @@ class FlightReplay(RecordingSource):
         self.info = dataclasses.replace(
             self.info,
             world=self._world,
+            settings=self._settings,
             recorded_plan=self._plan_at if self._plans else None,
             notices=(f"Recorded flight: goal and plans are those of the log.{ending}", *recording.problems),
         )
@@ -97,6 +99,8 @@ class FlightReplay(RecordingSource):
         for attachment in reader.iter_attachments():
             if attachment.name == "world.json":
                 self._world = World.from_dict(json.loads(attachment.data))
+            elif attachment.name == "flight.json":
+                self._settings = json.loads(attachment.data)
         for entry in reader.iter_metadata():
             if entry.name == "flight_log" and (outcome := entry.metadata.get("outcome")):
                 explanation = entry.metadata.get("explanation", "")

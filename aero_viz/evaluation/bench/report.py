@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.causes import cause_rows
 from aero_viz.evaluation.bench.external_results import ExternalResults
 from aero_viz.evaluation.bench.plots import plot
 from aero_viz.evaluation.bench.published_results import PUBLISHED
@@ -17,10 +18,19 @@ from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import METRICS, Summary, summarise
 from aero_viz.text_table import format_table
 
-__all__ = ["OURS", "format_summaries", "format_worlds", "summarise_run", "world_records", "write_report"]
+__all__ = [
+    "OURS",
+    "format_causes",
+    "format_summaries",
+    "format_worlds",
+    "summarise_run",
+    "world_records",
+    "write_report",
+]
 
 OURS = "AERO-Viz"
 """Name of our planner in the summaries."""
+_CAUSES = ["cause of failure", "flights", "row and seed of the world, for example"]
 _STAGES_NOTE = (
     "Measured while all drones fly, 2 s after the start. Planner, vehicle, LiDAR and sweeps add up to the tick. The "
     "stages of the planner run one after another here."
@@ -72,6 +82,12 @@ def format_summaries(summaries: Sequence[Summary]) -> str:
     return format_table(rows, header=header)
 
 
+def format_causes(run: Run) -> str:
+    """Return the causes of all failures as a table for a terminal; empty without failures."""
+    rows = cause_rows(run.flights)
+    return format_table(rows, header=_CAUSES) if rows else ""
+
+
 def world_records(run: Run) -> list[dict[str, Any]]:
     """Return a record per world in the order of the rows: its kind, its seed, and whether a path exists."""
     kinds = {row.label: row.world_kind for row in run.benchmark.rows}
@@ -113,6 +129,8 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
             "discretised. Ours is the sum over the ticks of the squared change of the mean acceleration, divided by "
             "the duration of a tick, and it is much larger."
         )
+    if causes := cause_rows(run.flights):
+        parts += ["## Causes of failures", _markdown_table(_CAUSES, causes)]
     targets = _targets_table(benchmark, own)
     if targets:
         parts += ["## Targets", targets]

@@ -16,11 +16,12 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.batching import Progress, batch_status, default_batch
+from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import hardware, versions
-from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
+from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World, scene
 from aero_viz.scenes.passable import is_passable
@@ -99,6 +100,7 @@ def run_benchmark(
     sensor: Mapping[str, Any] | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
+    causes: bool = True,
 ) -> Run:
     """Fly the flights of a benchmark that are not in the folder `output` yet, and return all of its flights.
 
@@ -123,6 +125,7 @@ def run_benchmark(
         sensor: differences from the named LiDAR models, by field of `LidarModel`.
         executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
+        causes: fly each failure once more, alone, and explain it.
 
     Raises:
         UserError: the folder holds other results, an option is out of range, or a file cannot be written.
@@ -165,7 +168,7 @@ def run_benchmark(
     pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
     executor = executor or LocalExecutor()
     shards = [
-        _Shard(tuple(part), models[lidar or part[0].row.lidar], noise, rules.radius, device, executor.threads)
+        _Shard(tuple(part), models[lidar or part[0].row.lidar], noise, rules.radius, device, executor.threads, causes)
         for part in _split_into_batches(pending, size)
     ]
     _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
@@ -183,6 +186,7 @@ class _Shard:
     """Radius of the drone, for which a path is searched [m]."""
     device: str
     threads: int | None
+    causes: bool
 
     @property
     def label(self) -> str:
@@ -256,7 +260,26 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
         if result.reason is not None  # after Ctrl-C some flights have not ended
     ]
     batch.planner.close()
-    return records, batch.interrupted
+    interrupted = batch.interrupted or not _explain(shard, worlds, records)
+    return records, interrupted
+
+
+def _explain(shard: _Shard, worlds: Sequence[World], records: list[dict[str, Any]]) -> bool:
+    """Add the causes of the failures to the records; return False if Ctrl-C interrupted that."""
+    flown = {
+        (flight.row.label, flight.index): (flight, world) for flight, world in zip(shard.flights, worlds, strict=True)
+    }
+    for record in records:
+        flight, world = flown[record["row"], record["index"]]
+        if record["arrived"] or flight.row.batch or not shard.causes:
+            continue
+        options = {"config": flight.config, "seed": flight.seed, "device": shard.device, "lidar": shard.lidar}
+        options |= {"vehicle": flight.vehicle, "rules": flight.rules, "noise": shard.noise}
+        try:
+            record |= cause_of(world, record["reason"], **options)
+        except FlightInterrupted:
+            return False
+    return True
 
 
 def _time_stages(shard: _Shard, worlds: Sequence[World]) -> dict[str, float]:

@@ -1,0 +1,77 @@
+"""A map of one tick, seen from above, as SVG: obstacles, points, candidates, and where the drone hit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_viz.explain.evidence import Evidence
+
+__all__ = ["draw_map"]
+
+_HALF = 5.0
+"""Half the width of the map [m]."""
+_PIXELS = 60.0
+"""Pixels per metre."""
+_SAFE, _UNSAFE, _BRAKE, _CHOSEN = "#1a9850", "#d73027", "#4575b4", "#f5b400"
+
+
+def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
+    """Return the map around the drone. Obstacles are cut at its height; `end` is where it hit [m], shape [3]."""
+    frame, plan = evidence.frame, evidence.plan
+    drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    size = 2.0 * _HALF * _PIXELS
+
+    def place(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return pixels: x of the world is up, y is left."""
+        offset = points[..., :2] - drone[:2]
+        return np.stack((_HALF - offset[..., 1], _HALF - offset[..., 0]), axis=-1) * _PIXELS
+
+    def line(path: NDArray[np.float32], color: str, width: float, dash: str = "") -> str:
+        points = " ".join(f"{x:.0f},{y:.0f}" for x, y in place(path.astype(np.float64)))
+        return f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}"{dash}/>'
+
+    cloud = place(np.asarray(plan.filtered_points, dtype=np.float64))
+    cloud = cloud[((cloud > 0.0) & (cloud < size)).all(axis=1)][:1500]
+    parts = [_section(evidence, drone), "".join(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="1.2"/>' for x, y in cloud)]
+    braking = plan.braking
+    if braking is not None:
+        parts += [line(path, _BRAKE, 1.5, ' stroke-dasharray="5 4"') for path in braking.positions]
+    parts += [
+        line(path, _SAFE if evidence.is_safe[m] else _UNSAFE, 1.5)
+        for m, path in enumerate(plan.positions)
+        if m != plan.best
+    ]
+    parts.append(line(plan.positions[int(plan.best)], _CHOSEN, 4.0))
+    x, y = place(drone)
+    parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{0.25 * _PIXELS:.0f}" fill="none" stroke="#000"/>')
+    if end is not None:
+        x, y = place(np.asarray(end, dtype=np.float64))
+        parts.append(f'<path d="M{x - 9:.0f} {y - 9:.0f}l18 18m0 -18l-18 18" stroke="#000" stroke-width="3"/>')
+    keys = (("safe", _SAFE), ("unsafe", _UNSAFE), ("chosen", _CHOSEN), ("braking", _BRAKE), ("x: the end", "#000"))
+    for row, (label, color) in enumerate(keys):
+        parts.append(f'<text x="8" y="{18 + 17 * row}" fill="{color}">{label}</text>')
+    parts.append(f'<text x="8" y="{size - 8:.0f}">{frame.time:.2f} s, at {drone[2]:.1f} m height, 10 m wide</text>')
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size:.0f} {size:.0f}" '
+        f'style="width:100%" font-family="sans-serif" font-size="14"><rect width="100%" height="100%" fill="#fff"/>'
+        f"{''.join(parts)}</svg>\n"
+    )
+
+
+def _section(evidence: Evidence, drone: NDArray[np.float64], cells: int = 100) -> str:
+    """Return the cells of a grid at the height of the drone whose centres lie inside an obstacle, row by row."""
+    world = evidence.frame.source.world
+    if world is None:
+        return ""
+    offsets = (np.arange(cells) + 0.5) * 2.0 * _HALF / cells - _HALF
+    x, y = np.meshgrid(drone[0] - offsets, drone[1] - offsets, indexing="ij")
+    inside = world.distance(np.stack((x, y, np.full_like(x, drone[2])), axis=-1)).reshape(x.shape) < 0.0
+    side, rects = 2.0 * _HALF / cells * _PIXELS, []
+    for row, line in enumerate(np.pad(inside, ((0, 0), (1, 1))).astype(int)):
+        starts, ends = np.flatnonzero(np.diff(line) == 1), np.flatnonzero(np.diff(line) == -1)
+        rects += [
+            f'<rect x="{a * side:.0f}" y="{row * side:.0f}" width="{(b - a) * side:.0f}" height="{side + 0.5:.1f}"/>'
+            for a, b in zip(starts, ends, strict=True)
+        ]
+    return f'<g fill="#b8c0cc">{"".join(rects)}</g>'

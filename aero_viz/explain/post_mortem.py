@@ -1,0 +1,244 @@
+"""Why a flight did not arrive: what was hit, since when it was seen, when braking would still have worked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner import PlanStatus
+from aero_planner.quaternions import rotate
+from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.explain.terms import STAGE2
+from aero_viz.explain.trace import FlightTrace
+from aero_viz.explain.verdict import closest
+from aero_viz.explain.visibility import Seen, find_seen
+from aero_viz.scenes import World
+from aero_viz.session.frame import Frame
+
+__all__ = ["BrakingTick", "PostMortem", "explain_flight"]
+
+Array = NDArray[np.float64]
+_FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
+
+
+@dataclass(frozen=True)
+class BrakingTick:
+    """The last tick from which braking would have worked."""
+
+    time_s: float
+    before_end_s: float
+    speed: float
+    """[m/s]"""
+    tilt_deg: float
+    safe: list[int]
+    """Instances that the planner counted as safe."""
+    instances: int
+    flown: int
+    """Instance that was flown."""
+    status: str
+
+
+@dataclass(frozen=True)
+class PostMortem:
+    """Report on a flight."""
+
+    scene: str
+    outcome: str | None
+    time_s: float
+    cause: str | None
+    """A few words, by which failures are counted; None for a flight that arrived."""
+    obstacle: str | None = None
+    seen: Seen | None = None
+    braking: BrakingTick | None = None
+    blocked: list[dict[str, Any]] = field(default_factory=list)
+    """For a stall, what blocks each instance: its number, kind, obstacle, clearance [m] and cost-to-go."""
+    sentences: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    """What could not be found out."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+    def format_table(self) -> str:
+        """Return the report as text."""
+        ending = (self.outcome or "not over").replace("_", " ")
+        lines = [f"{self.scene}: {ending} after {self.time_s:.2f} s"]
+        lines += [f"cause: {self.cause}"] if self.cause else []
+        return "\n".join([*lines, *(f"- {text}" for text in self.sentences), *(f"? {text}" for text in self.missing)])
+
+
+def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
+    """Return the report on a flight that has ended, and the evidence of the tick that matters most.
+
+    That tick is the last one from which braking would have worked, or the last one of the flight.
+    """
+    if not trace.frames:
+        return PostMortem("", trace.outcome, 0.0, None, missing=["The flight has no ticks."]), None
+    last = trace.last
+    outcome = trace.outcome or last.outcome
+    facts: dict[str, Any] = {"scene": last.source.name, "outcome": outcome, "time_s": round(trace.end_time, 3)}
+    if outcome not in _FAILURES:
+        text = "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight is not over."
+        return PostMortem(**facts, cause=None, sentences=[text], missing=trace.missing), None
+    replan = Replanner()
+    try:
+        if outcome == "collision":
+            return _collision(trace, facts, replan)
+        return _no_progress(trace, facts, replan)
+    finally:
+        replan.close()
+
+
+def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence | None]:
+    last, end = trace.last, trace.end_position
+    world = last.source.world
+    frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
+    place, obstacle = _contact(last, world, end)
+    seen = find_seen(frames, place)
+    sentences = [f"It hit {obstacle} at {_point(end)}." if world else f"It collided at {_point(end)}."]
+    frame = _last_braking(frames, world, trace.rules.radius)
+    evidence = None if frame is None else replan(frame)
+    braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
+    sentences.append(_seen_sentence(seen, braking))
+    stopping = next((f for f in reversed(frames) if f.plan.status == PlanStatus.OK), None)
+    if braking is None:
+        sentences.append(f"Braking would not have worked from any of the last {len(frames)} ticks.")
+    else:
+        count = len(braking.safe)
+        which = f"{count} of {braking.instances} candidates were safe"
+        which += f" ({', '.join(map(str, braking.safe))})" if 0 < count <= 8 else ""
+        sentences.append(
+            f"The last tick from which braking would have worked is {braking.time_s:.2f} s, "
+            f"{braking.before_end_s:.2f} s before the end: speed {braking.speed:.1f} m/s, tilt {braking.tilt_deg:.0f} "
+            f"deg; {which}, and {braking.flown} was flown."
+        )
+    was_braking = frames[-1].plan.status != PlanStatus.OK
+    if was_braking:
+        since = frames[0].time if stopping is None else stopping.time
+        sentences.append(f"It was stopping when it hit: no candidate was safe after {since:.2f} s.")
+    cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
+    report = PostMortem(
+        **facts, cause=cause, obstacle=obstacle, seen=seen, braking=braking, sentences=sentences, missing=trace.missing
+    )
+    return report, evidence or replan(frames[-1])
+
+
+def _cause(seen: Seen, braking: BrakingTick | None, was_braking: bool, *, is_start: bool) -> str:
+    if is_start:
+        return "start inside an obstacle"
+    is_late = seen.since_s is None or (braking is not None and not seen.from_start and seen.since_s > braking.time_s)
+    if is_late:
+        return f"{'not seen' if seen.since_s is None else 'seen too late'}: {seen.reason}"
+    return "seen, stopped too late" if was_braking else "seen, flown into with a plan that counted as safe"
+
+
+def _seen_sentence(seen: Seen, braking: BrakingTick | None) -> str:
+    if seen.since_s is None:
+        return f"It was not in the cloud: {seen.detail}."
+    if seen.from_start:
+        return f"It was in the cloud since {seen.since_s:.2f} s or longer."
+    before = "" if braking is None or seen.since_s <= braking.time_s else ", too late to brake"
+    return f"It was in the cloud since {seen.since_s:.2f} s{before}; before, it was {seen.detail}."
+
+
+def _contact(frame: Frame, world: World | None, position: Array) -> tuple[Array, str]:
+    """Return the place on the surface that was hit [m], shape [3], and the name of the obstacle."""
+    if world is None:
+        points = np.concatenate([np.asarray(frame.observation.points), position[None]])
+        return points[np.linalg.norm(points[:-1] - position, axis=1).argmin() if len(points) > 1 else 0], "an obstacle"
+    distance, name = world.nearest(position)
+    steps = 1e-3 * np.eye(3)
+    slope = (world.distance(position + steps) - world.distance(position - steps)) / 2e-3
+    return position - distance * slope / max(float(np.linalg.norm(slope)), 1e-9), name
+
+
+def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Frame | None:
+    """Return the last frame with a braking manoeuvre, as the planner models it, that keeps clear of every obstacle.
+
+    Obstacles are those of the world; without a world, the points of the last cloud.
+    """
+    cloud = frames[-1].observation.points
+    for frame in reversed(frames):
+        if frame.plan.braking is None:
+            return None
+        paths = frame.plan.braking.positions.astype(np.float64)
+        places = np.concatenate((paths, 0.5 * (paths[:, 1:] + paths[:, :-1])), axis=1)
+        if world is not None:
+            distance = world.distance(places.reshape(-1, 3))
+        else:
+            from scipy.spatial import KDTree
+
+            distance = KDTree(cloud).query(places.reshape(-1, 3))[0]
+        clear = np.asarray(distance).reshape(len(paths), -1).min(axis=1) >= radius
+        slow = np.linalg.norm(frame.plan.braking.velocities[:, -1], axis=1) < frame.config.candidates.stop_speed
+        if (clear & slow).any():
+            return frame
+    return None
+
+
+def _braking_tick(frame: Frame, evidence: Evidence, end: float) -> BrakingTick:
+    state = frame.observation.actual_state
+    up = rotate(np.asarray(state.quaternion), np.array([0.0, 0.0, 1.0]))
+    return BrakingTick(
+        time_s=round(frame.time, 3),
+        before_end_s=round(end - frame.time, 3),
+        speed=float(np.linalg.norm(np.asarray(state.velocity))),
+        tilt_deg=float(np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0)))),
+        safe=[int(m) for m in np.flatnonzero(evidence.is_safe)],
+        instances=len(evidence.is_safe),
+        flown=int(evidence.plan.best),
+        status=PlanStatus(int(np.asarray(frame.plan.status))).name,
+    )
+
+
+def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence]:
+    """Explain a flight that stalled, ran out of time or left the world, by its last plan."""
+    last, frames = trace.last, list(trace.frames)
+    evidence = replan(last)
+    to_go, escape = (evidence.terms[STAGE2.index(name)].sum(axis=1) for name in ("blocked path", "escape"))
+    rows = []
+    for m, kind in enumerate(evidence.plan.kinds):
+        clearance, time, name = closest(evidence, m)
+        row = {"instance": m, "kind": kind, "safe": bool(evidence.is_safe[m]), "obstacle": name}
+        row |= {"clearance_m": round(clearance, 3), "at_s": round(time, 3), "blocked_path": round(float(to_go[m]), 1)}
+        rows.append(row | {"escape": round(float(escape[m]), 1)})
+    anchors = rows[: last.config.anchor_count]
+    limit = last.config.costs.distance_max
+    blocking = Counter(row["obstacle"] for row in anchors if not row["safe"] or row["clearance_m"] < limit)
+    unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
+    stops = sum(frame.plan.status == PlanStatus.NO_SAFE_CANDIDATE for frame in frames)
+    remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
+    sentences = [
+        f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
+        f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan."
+        + ("" if not blocking else f" Near them: {', '.join(f'{name} ({n})' for name, n in blocking.most_common(4))}."),
+        f"No candidate was safe in {stops} of the last {len(frames)} ticks.",
+    ]
+    if weight > 0.0:
+        free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
+        sentences.append(
+            f"The cost-to-go finds the way to the goal free beyond {free} of {len(anchors)} anchors; beyond the others "
+            f"up to {to_go.max() / weight:.1f} m of {last.config.costs.blocked_range:g} m are blocked."
+        )
+    if len(evidence.problem.places):
+        sentences.append(f"{len(evidence.problem.places)} places without progress are remembered nearby.")
+    cause = _stall_cause(facts["outcome"], anchors, stops / len(frames), to_go[: len(anchors)])
+    return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
+
+
+def _stall_cause(outcome: str, anchors: list[dict[str, Any]], stopping: float, to_go: Array) -> str:
+    name = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}[outcome]
+    if stopping > 0.5:
+        return f"{name}: no candidate was safe"
+    if not any(row["safe"] for row in anchors):
+        return f"{name}: every anchor is blocked"
+    return f"{name}: {'the way to the goal is blocked' if (to_go > 0.0).all() else 'moving without coming nearer'}"
+
+
+def _point(place: Array) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in place) + ")"

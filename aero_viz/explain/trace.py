@@ -1,0 +1,164 @@
+"""The end of a flight, as it was flown: what a post-mortem looks at."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner import VehicleState
+from aero_planner.config.file import ConfigFile
+from aero_planner.config.yaml_entries import parse_entries
+from aero_viz.errors import UserError
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.single import FlightRecorder
+from aero_viz.session.frame import Frame
+
+__all__ = ["FlightTrace", "recorder", "trace_of_log"]
+
+KEPT = 6.0
+"""Time before the end of which frames are kept [s]: longer than a stall takes; a frame is 0.1 MB."""
+
+
+class FlightTrace:
+    """Keeps the last frames of a flight; a recorder of `aero_viz.flight.fly`, and a sink of a session.
+
+    Attributes:
+        frames: frames of the last `KEPT` seconds, in the order of time.
+        end: time [s] and true state at the end of the flight, later than the last frame; None if it is not known.
+        outcome: how a recorded flight ended; None takes it from the last frame.
+        missing: sentences on what is not known.
+    """
+
+    def __init__(self) -> None:
+        self.frames: deque[Frame] = deque()
+        self.end: tuple[float, VehicleState] | None = None
+        self.outcome: str | None = None
+        self.missing: list[str] = []
+
+    def write(self, frame: Frame) -> None:
+        """Take the frame of a tick; a tick that is planned again replaces it and all later ones."""
+        if self.frames and self.frames[-1].source is not frame.source:
+            self.frames.clear()
+        while self.frames and self.frames[-1].time >= frame.time - 1e-9:
+            self.frames.pop()
+        self.frames.append(frame)
+        while self.frames[0].time < frame.time - KEPT:
+            self.frames.popleft()
+
+    def write_pose(self, time: float, state: VehicleState) -> None:
+        """Take the true state at a time [s]."""
+        self.end = time, state
+
+    @property
+    def last(self) -> Frame:
+        """The last frame."""
+        return self.frames[-1]
+
+    @property
+    def end_time(self) -> float:
+        """Time of the end [s]."""
+        return self.last.time if self.end is None else max(self.end[0], self.last.time)
+
+    @property
+    def end_position(self) -> NDArray[np.float64]:
+        """Last true position [m], shape [3]."""
+        is_later = self.end is not None and self.end[0] >= self.last.time
+        state = self.end[1] if is_later and self.end is not None else self.last.observation.actual_state
+        return np.asarray(state.position, dtype=np.float64)
+
+    @property
+    def rules(self) -> FlightRules:
+        """Rules of the flight."""
+        values = self.last.source.settings.get("rules")
+        return FlightRules(**values) if isinstance(values, dict) else FlightRules()
+
+
+class _Tee:
+    """Gives a flight to several recorders."""
+
+    def __init__(self, recorders: Sequence[FlightRecorder]) -> None:
+        self._recorders = recorders
+
+    def write(self, frame: Frame) -> None:
+        for recorder in self._recorders:
+            recorder.write(frame)
+
+    def write_pose(self, time: float, state: VehicleState) -> None:
+        for recorder in self._recorders:
+            recorder.write_pose(time, state)
+
+
+@contextlib.contextmanager
+def recorder(trace: FlightTrace, log: str | Path | None = None) -> Iterator[FlightRecorder]:
+    """Return a recorder of `fly` that fills a trace and, on request, a log.
+
+    Raises:
+        UserError: the log cannot be written.
+    """
+    from aero_viz.logs import flight_recorder
+
+    with contextlib.ExitStack() as stack:
+        files = [] if log is None else [stack.enter_context(flight_recorder(log))]
+        yield _Tee([trace, *files])
+
+
+def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
+    """Return the end of the flight in a log, planned again on the recorded clouds with the recorded configuration.
+
+    Raises:
+        UserError: the file is not a flight log, or cannot be read.
+    """
+    from mcap.reader import make_reader
+
+    from aero_viz.logs.replay import FlightReplay, is_flight_log
+    from aero_viz.recordings import open_recording
+    from aero_viz.session import Session
+
+    if not Path(path).is_file():
+        raise UserError(f"There is no file {path}.")
+    if not is_flight_log(path):
+        raise UserError(f"{path} is no flight log, which `aero-viz fly WORLD --log FILE` writes: it has no plans.")
+    trace, configs, outcome = FlightTrace(), {}, None
+    with Path(path).open("rb") as file:
+        reader = make_reader(file)
+        for attachment in reader.iter_attachments():
+            if attachment.name.startswith("config_"):
+                configs[attachment.name] = attachment.data.decode()
+        for entry in reader.iter_metadata():
+            outcome = entry.metadata.get("outcome", outcome)
+    recording = open_recording(str(path))
+    source = FlightReplay(recording, path)
+    config = None
+    if configs:
+        name, text = list(configs.items())[-1]
+        config = ConfigFile(name, parse_entries(text, name)).planner_config()
+    else:
+        trace.missing.append("The log holds no configuration: the default one was planned with.")
+    session = Session(source, config=config, device=device)
+    try:
+        times = session.source.times
+        assert times is not None
+        session.tick()
+        session.seek(max(float(times[0]), float(times[-1]) - KEPT)).result()
+        while session.frame is not None and session.frame.outcome is None:
+            trace.write(session.frame)
+            session.tick()
+    finally:
+        session.close()
+    poses = recording.poses
+    if poses is not None:
+        time = float(poses.times[-1])
+        pose = poses.interpolate(time)
+        trace.write_pose(time, VehicleState(pose.position, pose.velocity, pose.quaternion))
+    trace.outcome = outcome
+    if outcome is None:
+        trace.missing.append("The log does not say how the flight ended: it was cut off, or a drone wrote it.")
+    if source.info.world is None:
+        trace.missing.append("The log holds no world: obstacles have no names, and what was hidden is not known.")
+    trace.missing.append("Plans were computed again from the recorded clouds; their noise differs from the flight's.")
+    return trace

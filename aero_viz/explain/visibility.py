@@ -1,0 +1,130 @@
+"""Whether a place was in the cloud, and if not, why: out of range, outside the field of view, occluded, forgotten."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
+from aero_viz.scenes import World
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.sensors.raycast import cast
+from aero_viz.session.frame import Frame
+
+__all__ = ["Seen", "find_seen"]
+
+Array = NDArray[np.float64]
+
+_NEAR = 0.4
+"""Distance up to which a point of the cloud belongs to a place on a surface [m]."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Presence of a place on an obstacle in the cloud."""
+
+    since_s: float | None
+    """Time since which it was in the cloud, without a gap up to the end [s]; None if it was not at the end."""
+    from_start: bool
+    """True if that is the first tick that was looked at: it may have been there before."""
+    forgotten_s: float | None
+    """Last time at which it was in the cloud, if it was and was not at the end [s]."""
+    reason: str | None
+    """Why it was not in the cloud before: "beyond range", "outside the field of view", "occluded", "forgotten" or "no
+    ray hit it"; None if it always was."""
+    detail: str
+    """The same as a part of a sentence, such as "hidden by box 3 in 41 of 50 ticks"."""
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+def find_seen(frames: Sequence[Frame], place: Array) -> Seen:
+    """Return since when a place on a surface [m], shape [3], was in the cloud of the planner.
+
+    Args:
+        frames: frames up to the end, in the order of time.
+        place: where the drone hit, or would have.
+    """
+    holds: dict[int, bool] = {}
+    present = []
+    for frame in frames:
+        sweeps = list(frame.observation.sweeps)
+        for sweep in sweeps:
+            if id(sweep) not in holds:  # the frames keep the sweeps alive
+                holds[id(sweep)] = bool((np.linalg.norm(sweep - place, axis=1) < _NEAR).any())
+        present.append(any(holds[id(sweep)] for sweep in sweeps))
+    absent = [i for i, is_there in enumerate(present) if not is_there]
+    if not absent:
+        return Seen(frames[0].time, True, None, None, "")
+    since = frames[absent[-1] + 1].time if absent[-1] + 1 < len(frames) else None
+    earlier = [frame.time for frame, is_there in zip(frames, present, strict=True) if is_there]
+    forgotten = earlier[-1] if since is None and earlier else None
+    unseen = [frames[i] for i in absent][-100:]
+    reason, detail = _reason(unseen, place, len(unseen))
+    if forgotten is not None:
+        reason, detail = "forgotten", f"last in the cloud at {forgotten:.2f} s; since then {detail}"
+    return Seen(since, False, forgotten, reason, detail)
+
+
+def _reason(frames: Sequence[Frame], place: Array, total: int) -> tuple[str, str]:
+    """Return the most frequent reason for which the sensor did not see a place, and a part of a sentence."""
+    source, model = frames[0].source, _lidar(frames[0])
+    states = [frame.observation.actual_state for frame in frames]
+    q = np.stack([np.asarray(state.quaternion, dtype=np.float64) for state in states])
+    p = np.stack([np.asarray(state.position, dtype=np.float64) for state in states])
+    eyes = p + rotate(q, np.asarray(model.mount_position))
+    offset = place - eyes
+    distance = np.linalg.norm(offset, axis=1)
+    body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
+    elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
+    reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
+    hidden = _occluders(source.world, eyes, offset / distance[:, None], distance)
+    reasons, names = [], Counter[str]()
+    for i in range(len(frames)):
+        if distance[i] > reach:
+            reasons.append("beyond range")
+        elif not model.elevation_min <= elevation[i] <= model.elevation_max:
+            reasons.append("outside the field of view")
+        elif hidden[i]:
+            reasons.append("occluded")
+            names[hidden[i]] += 1
+        else:
+            reasons.append("no ray hit it")
+    reason, count = Counter(reasons).most_common(1)[0]
+    said = [i for i, name in enumerate(reasons) if name == reason]
+    detail = {
+        "beyond range": f"{distance[said].min():.1f} m away or more, beyond the range of {reach:g} m",
+        "outside the field of view": (
+            f"at elevations of {elevation[said].min():.0f} to {elevation[said].max():.0f} deg in the frame of the "
+            f"sensor, which sees {model.elevation_min:g} to {model.elevation_max:g} deg"
+        ),
+        "occluded": f"hidden by {names.most_common(1)[0][0] if names else 'something'}",
+        "no ray hit it": "in view, but no ray hit it",
+    }[reason]
+    return reason, f"{detail}, in {count} of the last {total} ticks"
+
+
+def _lidar(frame: Frame) -> LidarModel:
+    values = frame.source.settings.get("lidar")
+    return LidarModel(**values) if isinstance(values, dict) else LIDARS["mid360"]
+
+
+def _occluders(world: World | None, eyes: Array, directions: Array, distance: Array) -> list[str]:
+    """Return the name of what hides a place from each eye, empty if nothing does."""
+    if world is None:
+        return [""] * len(eyes)
+    worlds = DeviceWorlds([world] * len(eyes))
+    with wp.ScopedDevice("cpu"):
+        origins, rays = wp.array(eyes, dtype=wp.vec3), wp.array(directions[:, None], dtype=wp.vec3)
+        ranges = np.asarray(cast(worlds, origins, rays).numpy())[:, 0]
+    is_hidden = ranges < distance - _NEAR
+    hits = eyes + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * directions
+    return [world.nearest(hit)[1] if hides else "" for hit, hides in zip(hits, is_hidden, strict=True)]

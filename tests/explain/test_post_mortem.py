@@ -1,0 +1,132 @@
+"""Reports on flights whose cause is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aero_planner import Sweeps
+from aero_viz.errors import UserError
+from aero_viz.explain.picture import draw_map
+from aero_viz.explain.post_mortem import explain_flight
+from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
+from aero_viz.explain.visibility import find_seen
+from aero_viz.flight import FlightRules, fly
+from aero_viz.scenes import World, scene
+
+GROUND = [0.0, 0.0, -0.5, 80.0, 80.0, 1.0, 0.0]
+
+
+def world_of(goal: list[float], box: list[float]) -> World:
+    return World.from_dict({"name": "test", "start": [0, 0, 2], "goal": goal, "boxes": [GROUND, box]})
+
+
+def flown(world: World, **options: Any) -> Any:
+    trace = FlightTrace()
+    result = fly(world, recorder=recorder(trace), **options)
+    return result, trace, *explain_flight(trace)
+
+
+@pytest.fixture(scope="module")
+def trap(tmp_path_factory):
+    log = tmp_path_factory.mktemp("trap") / "trap.mcap"
+    trace = FlightTrace()
+    fly(scene("double_wall_trap", seed=0), recorder=recorder(trace, log))
+    return trace, log
+
+
+def test_the_trap_hits_the_ceiling_that_the_sensor_does_not_see(trap):
+    explained: Any = explain_flight(trap[0])
+    report, evidence = explained
+    assert report.outcome == "collision" and report.obstacle == "box 7"
+    assert report.cause == "seen too late: outside the field of view"
+    assert "which sees -7 to 52 deg" in report.seen.detail
+    assert 0.0 < report.braking.time_s < report.seen.since_s < report.time_s
+    assert report.braking.safe and evidence is not None and evidence.frame.time == pytest.approx(report.braking.time_s)
+    assert "box 7" in report.format_table() and report.to_dict()["seen"]["since_s"] == report.seen.since_s
+    radius = trap[0].rules.radius
+    for frame in trap[0].frames:
+        clear = [evidence.frame.source.world.distance(path).min() >= radius for path in frame.plan.braking.positions]
+        assert frame.time <= report.braking.time_s or not any(clear), "no later tick could have braked"
+
+
+def test_a_log_tells_the_same_and_says_what_it_lacks(trap):
+    report, _ = explain_flight(trace_of_log(trap[1]))
+    assert report.obstacle == "box 7" and report.cause == "seen too late: outside the field of view"
+    assert report.time_s == pytest.approx(explain_flight(trap[0])[0].time_s, abs=0.02)
+    assert any("computed again" in text for text in report.missing)
+
+
+def test_a_file_that_is_no_log_is_refused(tmp_path):
+    with pytest.raises(UserError, match="no file"):
+        trace_of_log(tmp_path / "none.mcap")
+    (tmp_path / "other.mcap").write_bytes(b"nothing")
+    with pytest.raises(UserError, match="no flight log"):
+        trace_of_log(tmp_path / "other.mcap")
+
+
+def test_the_picture_shows_the_candidates_and_the_end(trap):
+    _, evidence = explain_flight(trap[0])
+    assert evidence is not None
+    picture = draw_map(evidence, trap[0].end_position)
+    assert picture.count("<polyline") == 17 + 5 and "<rect x=" in picture and "l18 18" in picture
+
+
+def test_the_obstacle_of_a_collision_among_cylinders_is_named():
+    result, trace, report, _ = flown(scene("verticals", count=1000, seed=0))
+    assert result.reason == report.outcome == "collision"
+    assert report.obstacle in re.findall(r"cylinder \d+", result.explanation)
+    assert report.seen is not None and report.cause.startswith("seen")
+    assert len(trace.frames) <= 301
+
+
+def test_a_box_overhead_is_never_seen():
+    """Straight up lies outside the field of view of a Mid-360."""
+    world = world_of([0, 0.5, 14], [0, 0, 7, 12, 12, 0.4, 0])
+    result, _, report, _ = flown(world)
+    assert result.reason == "collision" and report.obstacle == "box 1"
+    assert report.cause.endswith(": outside the field of view")
+
+
+@pytest.fixture(scope="module")
+def standing():
+    """A drone before a wall that it does not get past."""
+    world = world_of([14, 0, 2], [6, 0, 5, 0.3, 78, 10, 0])
+    return flown(world, rules=FlightRules(stall_time=1.5, stall_distance=4.0))
+
+
+def test_a_stall_tells_what_blocks_the_anchors(standing):
+    result, _, report, evidence = standing
+    assert result.reason == report.outcome == "stall" and report.cause.startswith("stalled: ")
+    assert {row["obstacle"] for row in report.blocked} & {"box 1"}
+    assert any("cost-to-go" in text for text in report.sentences) and evidence is not None
+
+
+@pytest.mark.parametrize(
+    ("place", "reason", "words"),
+    [
+        ([9.0, 0.0, 2.0], "occluded", "hidden by box 1"),
+        ([-30.0, 0.0, 2.0], "beyond range", "beyond the range of 10 m"),
+        ([0.0, 0.0, 9.0], "outside the field of view", "which sees -7 to 52 deg"),
+    ],
+)
+def test_a_place_that_was_not_seen_has_a_reason(standing, place, reason, words):
+    seen = find_seen(list(standing[1].frames)[:40], np.array(place))
+    assert seen.since_s is None and seen.reason == reason and words in seen.detail
+
+
+def test_a_surface_that_left_the_cloud_is_forgotten(standing):
+    frames = list(standing[1].frames)[:20]
+    position = frames[0].observation.points
+    place = position[np.linalg.norm(position - [5.85, 0.0, 2.0], axis=1).argmin()].astype(np.float64)
+    assert find_seen(frames, place).from_start
+    empty = [
+        dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, sweeps=Sweeps()))
+        for frame in frames[10:]
+    ]
+    seen = find_seen([*frames[:10], *empty], place)
+    assert seen.reason == "forgotten" and seen.forgotten_s == frames[9].time
