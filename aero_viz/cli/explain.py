@@ -33,9 +33,9 @@ def explain(
     flight_flags: Inline[FlightFlags] = _FLIGHT,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
-    """Explain why a flight did not arrive. A world is flown first, with the flags of `fly`.
+    """Explain why a flight did not arrive, from its log or by flying it.
 
-    The report names the obstacle, says since when it was in the cloud or why it was not, and finds the last tick from
+    A world is flown first, with the flags of `fly`. The report names the obstacle, says since when it was in the cloud or why it was not, and finds the last tick from
     which braking would have worked.
 
     Args:

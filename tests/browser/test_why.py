@@ -71,6 +71,18 @@ def test_a_click_on_an_anchor_selects_its_instance(desk):
     desk.wait_for(lambda: selected(desk) == lone, f"instance {lone}")
 
 
+def test_a_failed_flight_has_a_report_that_leads_to_the_tick_in_question(desk):
+    desk.session.configure({"costs.q_position": 3.0})
+    desk.session.step(60).result()
+    assert desk.session.frame.outcome == "collision"
+    report = desk.page.locator(".aero-report")
+    report.wait_for()
+    assert "It hit box 7" in report.inner_text() and "outside the field of view" in report.inner_text()
+    desk.click("Go to that tick")
+    desk.wait_for(lambda: desk.session.frame.outcome is None and desk.session.frame.time < 0.5, "that tick")
+    assert f"braking would have worked is {desk.session.frame.time:.2f} s" in report.inner_text()
+
+
 def test_it_goes_on_while_the_flight_runs_and_stops_when_it_is_switched_off(desk):
     desk.session.step(5).result()
     desk.wait_for(lambda: desk.page.locator(".aero-verdict").count() == 1, "the card of a later tick")

@@ -17,6 +17,7 @@ from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
+from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
@@ -57,7 +58,7 @@ def build(
     with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
         panels.append(ChartPanel(page))
     with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
-        panels.append(WhyPanel(page))
+        panels += [PostMortemPanel(page), WhyPanel(page)]
     with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
         panels.append(LayerPanel(page, tab))
     if controls is not None:

@@ -1,0 +1,84 @@
+"""The report on a flight that has failed."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import CancelledError
+from contextlib import suppress
+
+import viser
+
+from aero_planner.mailbox import Mailbox
+from aero_viz.dashboard import palette
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.base import Panel
+from aero_viz.explain.picture import draw_map
+from aero_viz.explain.post_mortem import explain_flight
+from aero_viz.explain.trace import FlightTrace
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import SourceInfo
+
+__all__ = ["PostMortemPanel"]
+
+_FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
+
+
+class PostMortemPanel(Panel):
+    """Explains every simulated flight that does not arrive, on its own thread, and leads to the tick in question."""
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._trace, self._lock = FlightTrace(), threading.Lock()
+        self._reported: Frame | None = None
+        self._tick: float | None = None
+        self._folder = gui.add_folder("Why the flight failed", visible=False)
+        with self._folder:
+            self._report = gui.add_html("")
+            self._go = gui.add_button("Go to that tick", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False)
+            self._map = gui.add_html("")
+        self._work = Mailbox(self._explain, name="aero-viz-post-mortem", low_priority=True)
+        self._sink = self.session.subscribe(self._add, every=True, name="trace")
+
+        @self._go.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            if self._tick is not None:
+                self.session.pause()
+                self._work.put(self._tick + 1e-4)
+
+    def close(self) -> None:
+        self.session.unsubscribe(self._sink)
+        self._work.close()
+
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        return [(self._folder, "visible", False)]
+
+    def _add(self, frame: Frame) -> None:
+        if not frame.source.closed_loop or frame.checkpoint is None:
+            return
+        with self._lock:
+            self._trace.write(frame)
+        if frame.outcome in _FAILURES and (self._reported is None or self._reported.epoch != frame.epoch):
+            self._reported = frame
+            self._work.put(None)
+
+    def _explain(self, time: float | None) -> None:
+        """Go to a time [s], or report on the flight that has ended."""
+        if time is not None:
+            with suppress(CancelledError):
+                self.session.seek(time).exception()
+            return
+        trace = FlightTrace()
+        with self._lock:
+            trace.frames.extend(self._trace.frames)
+        report, evidence = explain_flight(trace)
+        lines = "".join(f"<li>{markup.text(text)}</li>" for text in report.sentences)
+        cause = markup.pill(report.cause or "", palette.BAD)
+        list_style = "margin:6px 0;padding-left:16px"
+        self._report.content = markup.block(
+            f'<div class="aero-report">{cause}<ul style="{list_style}">{lines}</ul></div>'
+        )
+        self._tick = None if evidence is None else evidence.frame.time
+        self._go.visible = self._tick is not None
+        is_collision = report.outcome == "collision"
+        self._map.content = "" if evidence is None else draw_map(evidence, trace.end_position if is_collision else None)
+        self._folder.visible = True
