@@ -35,8 +35,8 @@ def explain(
 ) -> None:
     """Explain why a flight did not arrive, from its log or by flying it.
 
-    A world is flown first, with the flags of `fly`. The report names the obstacle, says since when it was in the cloud or why it was not, and finds the last tick from
-    which braking would have worked.
+    A world is flown first, with the flags of `fly`. The report names the obstacle, says since when it was in the cloud
+    or why it was not, and finds the last tick from which braking would have worked.
 
     Args:
         flight: Flight log (MCAP); or a scene or a world to fly through.
