@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import Path
 
 import bags
@@ -98,12 +99,18 @@ def write_ulog(path: Path, rows: int, *, utc: float | None) -> Path:
     return path
 
 
+def livox_imu_packet(stamp: int) -> bytes:
+    """Return a packet of the IMU as in Livox's protocol: it turns at 0.1, 0.2, 0.3 rad/s, and 1 g points upwards."""
+    checked = struct.pack("<Q6f", stamp, 0.1, 0.2, 0.3, 0.0, 0.0, 1.0)
+    return struct.pack("<BHHHHBBB12xI", 0, 60, 0, 1, 0, 0, 0, 0, zlib.crc32(checked)) + checked
+
+
 def write_mid360(path: Path) -> Path:
-    """Write a capture of three sweeps of a Mid-360."""
+    """Write a capture of three sweeps of a Mid-360, with its IMU at 200 Hz."""
     datagrams = [(0.0, 56401, b"imu"), (0.0, 53, b"")]
     for i, (stamp, points) in enumerate(livox_packets(3)):
         packet = encode_packet(points, stamp_ns=stamp, interval=245e-6, sequence=i)
-        datagrams.append((stamp * 1e-9, 56301, packet))
+        datagrams += [(stamp * 1e-9, 56301, packet), (stamp * 1e-9, 56401, livox_imu_packet(stamp))]
     return write_pcap(path, datagrams)
 
 

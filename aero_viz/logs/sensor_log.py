@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,13 +31,13 @@ from aero_viz.flight import FlightRules, FlightSource
 from aero_viz.flight.known_drone import config_for_drone
 from aero_viz.flight.metrics import FlightResult
 from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.recordings.imu_messages import IMU_TYPE, encode_imu
 from aero_viz.scenes import World
 from aero_viz.sensors import LIDARS, LidarModel
 from aero_viz.session import Session
 
 __all__ = ["SensorLogOptions", "write_sensor_log"]
 
-_IMU = "sensor_msgs/msg/Imu"
 _GRAVITY = np.array([0.0, 0.0, 9.81])
 _ACCELERATION_NOISE, _RATE_NOISE = 0.05, 0.002  # standard deviations [m/s^2], [rad/s]
 
@@ -199,7 +198,7 @@ class _SensorLog:
         force = force + self._random.normal(0.0, _ACCELERATION_NOISE, 3)
         rates = rates + self._random.normal(0.0, _RATE_NOISE, 3)
         stamp = self._stamp - round(0.5e9 * period)
-        self._add(Encoded("/imu", _IMU, _encode_imu(stamp, force, rates)), stamp)
+        self._add(Encoded("/imu", IMU_TYPE, encode_imu(stamp, BODY, rates, force)), stamp)
 
     def _add_scan(self, before: Any) -> None:
         """Collect the points of a tick in the body frame at their own times, and write a complete sweep."""
@@ -258,20 +257,3 @@ def _typestore() -> Any:
 
 def _definition(kind: str) -> str:
     return DEFINITIONS[kind] if kind in DEFINITIONS else _typestore().generate_msgdef(kind, ros_version=2)[0]
-
-
-def _encode_imu(stamp: int, force: NDArray[np.float64], rates: NDArray[np.float64]) -> bytes:
-    types: Callable[[str], Any] = _typestore().types.__getitem__
-    vector = types("geometry_msgs/msg/Vector3")
-    time = types("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
-    unknown = np.zeros(9)
-    message = types(_IMU)(
-        header=types("std_msgs/msg/Header")(stamp=time, frame_id=BODY),
-        orientation=types("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0),
-        orientation_covariance=np.array([-1.0, *np.zeros(8)]),  # no orientation is measured
-        angular_velocity=vector(*map(float, rates)),
-        angular_velocity_covariance=unknown,
-        linear_acceleration=vector(*map(float, force)),
-        linear_acceleration_covariance=unknown,
-    )
-    return bytes(_typestore().serialize_cdr(message, _IMU))

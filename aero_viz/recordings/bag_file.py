@@ -95,6 +95,13 @@ class BagFile(ABC):
     def read(self, position: Any) -> bytes:
         """Return the whole message at a position found by `scan`. Raises ValueError if it is damaged."""
 
+    def prefetch(self, position: Any, limit: int) -> int:
+        """Let the system read a message in the background, and return its length if that is at most `limit` [bytes].
+
+        Returns 0 and does nothing where the file's format does not show where a message is.
+        """
+        return 0
+
     @abstractmethod
     def close(self) -> None:
         """Close the file."""
@@ -211,6 +218,15 @@ class ChunkedFile(BagFile):
         if len(data) != stop - start:
             raise ValueError(f"{self.path} has shrunk since it was opened")
         return unwrap(data)
+
+    def prefetch(self, position: ChunkPosition, limit: int) -> int:
+        chunk, start, stop = position
+        if chunk is not None:  # the length of the compressed chunk is not known, but it is hardly longer than this
+            start, stop = chunk, chunk + stop - start
+        if stop - start > limit:
+            return 0
+        self._bytes.prefetch(start, stop)
+        return stop - start
 
     def limited(self, records: Iterator[_Record]) -> Iterator[_Record]:
         """Yield records, and raise LimitExceeded where the time for the scan is up."""

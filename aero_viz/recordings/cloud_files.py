@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import shutil
 import tempfile
 from abc import abstractmethod
@@ -16,6 +17,7 @@ from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import SWEEP_POINTS_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
+from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.map_files import read_points
@@ -161,7 +163,7 @@ def read_kitti(path: Path) -> NDArray[np.float64]:
 
 
 class PacketClouds(CloudSequence):
-    """Sweeps decoded from packets once, and kept in a temporary file until `close`.
+    """Sweeps decoded from packets once, and kept in a temporary file until `close`, and samples of an IMU.
 
     The temporary file is limited like that of a compressed recording.
 
@@ -170,12 +172,14 @@ class PacketClouds(CloudSequence):
         topic: topic of the clouds.
         sweeps: the sweeps; all are taken at once. EOFError says that the file is truncated, and ValueError that it is
             damaged.
+        imu: filled while the sweeps are taken; None without an IMU. The position of a sample is -1 - its number.
 
     Raises:
         UserError: the temporary folder is too small.
     """
 
-    def __init__(self, path: Path, topic: str, sweeps: Iterable[StampedCloud]) -> None:
+    def __init__(self, path: Path, topic: str, sweeps: Iterable[StampedCloud], *, imu: ImuRows | None = None) -> None:
+        self._imu = imu
         super().__init__(path, topic, path.stat().st_size)
         self._spool = tempfile.TemporaryFile(prefix="aero-viz-")  # noqa: SIM115
         self._rows: list[tuple[int, int, int, bool]] = []  # stamp [ns], offset in the spool, points, times
@@ -209,6 +213,23 @@ class PacketClouds(CloudSequence):
                 )
             self._rows.append((sweep.stamp, here, len(sweep.points), sweep.times is not None))
             self._spool.writelines(parts)
+
+    def scan(self, types: Collection[str]) -> Iterator[Message]:
+        samples = self._scan_imu(types) if self._imu is not None and self._imu.stamps else ()
+        yield from heapq.merge(super().scan(types), samples, key=lambda message: message.time)
+
+    def _scan_imu(self, types: Collection[str]) -> Iterator[Message]:
+        assert self._imu is not None
+        channel = self.channels[1] = Channel(self._imu.topic, IMU_TYPE, "cdr")
+        for index, stamp in enumerate(self._imu.stamps):
+            data = self.read(-1 - index) if IMU_TYPE in types else b""
+            if stamp < STAMP_END:
+                yield Message(channel, stamp, -1 - index, len(data), data)
+
+    def read(self, position: int) -> bytes:
+        if position < 0 and self._imu is not None:
+            return self._imu.encode(-1 - position, _FRAME)
+        return super().read(position)
 
     def _index(self) -> Iterator[tuple[int, int]]:
         return ((stamp, count) for stamp, _, count, _ in self._rows)

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.recordings.bag_file import BagFile
+from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE
 from aero_viz.recordings.ros_messages import ENCODINGS, DamagedMessage, decode_message
 
 __all__ = ["IMU_TYPE", "ImuSamples", "read_imu"]
 
-IMU_TYPE = "sensor_msgs/msg/Imu"
-
-_GRAVITY = 9.80665
 _LARGEST_IN_G = 3.0
 """A median specific force below this is in units of g, as Livox's driver writes it, not in m/s^2."""
 
@@ -64,5 +62,5 @@ def read_imu(files: list[BagFile]) -> ImuSamples | None:
         return None
     forces = values[:, :3]
     if np.median(np.linalg.norm(forces, axis=1)) < _LARGEST_IN_G:
-        forces = forces * _GRAVITY
+        forces = forces * GRAVITY
     return ImuSamples(topic, frames[topic], times, forces, values[:, 3:])

@@ -13,6 +13,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, STAMP_END, CloudFiles, CloudSequence, PacketClouds
+from aero_viz.recordings.imu_messages import ImuRows
 from aero_viz.recordings.packets import (
     LVX_MAGIC,
     PCAP_MAGICS,
@@ -64,7 +65,9 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
         return "lvx2", PacketClouds(path, "/livox/lidar", livox_sweeps(lvx2_packets(path)))
     if start.startswith(PCAP_MAGICS):
         if pcap_kind(path) == "livox":
-            return "livox-pcap", PacketClouds(path, "/livox/lidar", livox_sweeps(pcap_livox_packets(path)))
+            imu = ImuRows("/livox/imu")
+            sweeps = livox_sweeps(pcap_livox_packets(path, imu))
+            return "livox-pcap", PacketClouds(path, "/livox/lidar", sweeps, imu=imu)
         return "velodyne-pcap", PacketClouds(path, "/velodyne_points", velodyne_sweeps(path))
     if start.startswith(_PCAPNG):
         raise UserError(f"{path} is a pcapng capture: convert it with `editcap -F pcap {path.name} OUT.pcap`.")

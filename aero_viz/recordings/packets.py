@@ -12,12 +12,13 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from aero_planner.onboard.livox import LivoxPacket, decode_points, parse_packet
+from aero_planner.onboard.livox import LivoxPacket, decode_points, parse_imu, parse_packet
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import SWEEP_POINTS_MAX
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import StampedCloud
+from aero_viz.recordings.imu_messages import GRAVITY, ImuRows
 
 __all__ = [
     "LVX_MAGIC",
@@ -138,12 +139,14 @@ def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
             yield StampedCloud(start, np.concatenate(parts), np.concatenate(times))
 
 
-def pcap_livox_packets(path: Path) -> Iterator[LivoxPacket]:
-    """Yield the point packets of a capture."""
+def pcap_livox_packets(path: Path, imu: ImuRows) -> Iterator[LivoxPacket]:
+    """Yield the point packets of a capture, and add the samples of the IMU among them to `imu`."""
     for datagram in udp_payloads(path):
         packet = parse_packet(datagram.payload)
         if isinstance(packet, LivoxPacket):
             yield packet
+        elif (sample := parse_imu(datagram.payload)) is not None:
+            imu.add(sample[0], sample[1][:3], [GRAVITY * value for value in sample[1][3:]])
 
 
 def lvx2_packets(path: Path) -> Iterator[LivoxPacket]:

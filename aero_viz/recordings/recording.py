@@ -33,6 +33,8 @@ NO_POSES = (
 """Notice for a recording without poses."""
 
 _CACHED_SWEEPS = 4
+_PREFETCHED_SWEEPS, _PREFETCHED_BYTES = 4, 32 << 20
+"""Sweeps that the system reads ahead of the playback, and their largest length."""
 
 
 class PointSweep(NamedTuple):
@@ -191,6 +193,7 @@ class Recording:
         except Exception:  # decompressors and SQLite fail in many ways; one bad sweep must not end the playback
             decoded = DecodedPoints(np.empty((0, 3), np.float32), None, entry.count)
             self.damaged_sweeps.add(index)
+        self._prefetch(index + 1)
         points = decoded.points
         if self.extrinsic is not IDENTITY:
             rotation = rotation_matrix(self.extrinsic.quaternion).astype(np.float32)
@@ -200,6 +203,11 @@ class Recording:
             kept = ~((points >= self._mask[0]) & (points <= self._mask[1])).all(axis=1)
             points, times = points[kept], None if times is None else times[kept]
         return PointSweep(float(self.sweep_times[index]), points, times, decoded.dropped)
+
+    def _prefetch(self, index: int) -> None:
+        budget = _PREFETCHED_BYTES
+        for entry in self._entries[index : index + _PREFETCHED_SWEEPS]:
+            budget -= entry.file.prefetch(entry.position, budget)
 
     def close(self) -> None:
         """Close the files."""

@@ -14,7 +14,10 @@ from command_line import run, run_json, run_refused
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import open_recording
+from aero_viz.recordings.convert import convert
+from aero_viz.recordings.imu import read_imu
 from aero_viz.recordings.pose_files import read_pose_file
+from aero_viz.recordings.storage import open_storage
 
 pytest.importorskip("dpkt", reason="the extra 'formats' is not installed")
 
@@ -241,3 +244,18 @@ def test_clouds_and_packets_convert_to_mcap(tmp_path: Path, capsys: pytest.Captu
         assert after.format == "mcap"
         np.testing.assert_array_equal(before.sweep(1).points, after.sweep(1).points)
         np.testing.assert_allclose(before.sweep(1).point_times, after.sweep(1).point_times)  # type: ignore[arg-type]
+
+
+def test_the_imu_of_a_mid360_is_read_and_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mid360(tmp_path / "mid360.pcap")
+    topics = {topic["name"]: topic for topic in run_json(capsys, "inspect", str(path))["topics"]}
+    assert topics["/livox/imu"]["count"] == 60 and topics["/livox/imu"]["type"] == "sensor_msgs/msg/Imu"
+    convert(path, tmp_path / "out.mcap")
+    for source in (path, tmp_path / "out.mcap"):
+        storage = open_storage(source)
+        imu = read_imu(storage.files)
+        storage.close()
+        assert imu is not None and imu.topic == "/livox/imu" and len(imu.times) == 60
+        assert imu.times[0] == livox_packets(1)[0][0]
+        np.testing.assert_allclose(imu.rates[0], [0.1, 0.2, 0.3], rtol=1e-6)
+        np.testing.assert_allclose(imu.forces[0], [0.0, 0.0, 9.80665], rtol=1e-6)

@@ -27,7 +27,10 @@ from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import PointCounters, PointPacket
 
-__all__ = ["CARTESIAN_CM", "CARTESIAN_MM", "LivoxPacket", "LivoxSource", "Reject", "encode_packet", "parse_packet"]
+__all__ = [
+    "CARTESIAN_CM", "CARTESIAN_MM", "LivoxPacket", "LivoxSource", "Reject", "encode_packet", "parse_imu",
+    "parse_packet",
+]  # fmt: skip
 
 _log = logging.getLogger(__name__)
 
@@ -36,6 +39,7 @@ CARTESIAN_MM = 1
 CARTESIAN_CM = 2
 """Data type of points in 16-bit centimetres."""
 
+_IMU = 0  # data type of the IMU's samples
 _HEADER = struct.Struct("<BHHHHBBB12xIQ")
 _CHECKED = 28  # offset of the timestamp, where the checksummed part begins
 _MAX_POINTS = 1000  # per packet; a real one has 96
@@ -98,6 +102,14 @@ def parse_packet(data: bytes) -> LivoxPacket | Reject:
     if zlib.crc32(memoryview(data)[_CHECKED:]) != checksum:
         return Reject.CHECKSUM
     return LivoxPacket(stamp, 1e-7 * interval, count, sequence, data_type, time_type, data[_HEADER.size :])
+
+
+def parse_imu(data: bytes) -> tuple[int, tuple[float, ...]] | None:
+    """Return stamp [ns], angular velocity [rad/s] and specific force [g] of the IMU, 6 numbers; None for other data."""
+    if len(data) != _HEADER.size + 24 or zlib.crc32(memoryview(data)[_CHECKED:]) != _HEADER.unpack_from(data)[-2]:
+        return None
+    version, _, _, _, _, _, data_type, _, _, stamp = _HEADER.unpack_from(data)
+    return (stamp, struct.unpack_from("<6f", data, _HEADER.size)) if (version, data_type) == (0, _IMU) else None
 
 
 def decode_points(data_type: int, payload: bytes) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
