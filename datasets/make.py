@@ -1,8 +1,8 @@
 """Makes the recordings in this folder: `.venv/bin/python datasets/make.py`. The result is the same, byte for byte.
 
 Two flights of the simulated drone with a simulated Livox Mid-360, without noise of the state estimate. To keep the
-files small, one ray of 47 and every other pose are kept, coordinates are rounded to 1/16 m and times to 1 ms, and the
-compression is strong.
+files small, one ray of 71, one pose of four and one plan of twenty are kept, coordinates are rounded to 1/16 m and
+times to 1 ms, and the compression is strong.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
 from aero_viz.scenes import scene
 
 FOLDER = Path(__file__).parent
-OPTIONS = SensorLogOptions(every=47, pose_every=2, resolution=1 / 16, time_resolution=1e-3)
+OPTIONS = SensorLogOptions(every=71, pose_every=4, resolution=1 / 16, time_resolution=1e-3, plan_period=0.4)
 
 
 def main() -> None:
     """Write both recordings and print their outcomes and sizes."""
     compress = partial(zstandard.compress, level=19)  # mcap's writer has no setting for the level
     for name, world, speed, options in (
-        ("forest_mid360", scene("forest", seed=3), 5.0, OPTIONS),
+        ("forest_mid360", scene("forest", seed=3), 7.0, OPTIONS),
         ("room_mid360", scene("pillars", seed=1), 1.5, dataclasses.replace(OPTIONS, duration=1.0)),
     ):
         path = FOLDER / f"{name}.mcap"
