@@ -90,6 +90,7 @@ _WORLD = WorldFlags()
 def demo(
     scene: WorldName = "forest",
     *,
+    tour: bool = False,
     lidar: str = "mid360",
     seed: int = 0,
     device: str = "cpu",
@@ -103,6 +104,7 @@ def demo(
 
     Args:
         scene: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
+        tour: Show scenes in turn for ever, with captions and a moving camera and without panels, on a screen.
         lidar: LiDAR model: mid360, full-sphere or spinning64.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
@@ -112,6 +114,23 @@ def demo(
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
+    if tour:
+        if log is not None or world_flags != WorldFlags() or scene != "forest":
+            raise UserError("--tour shows scenes of its own; leave out the scene, the flags of the world and --log.")
+        from aero_viz.cli.tour import serve_tour
+
+        config = flight_flags.complete(config_flags.load(), lidar=lidar)
+        return serve_tour(
+            flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device),
+            config,
+            seed=seed,
+            device=device,
+            announce=lambda dashboard: announce("the tour", dashboard, page_flags),
+            shutdown=shutdown_event,
+            host=page_flags.host,
+            port=page_flags.port,
+            allowed_hosts=page_flags.allow_host,
+        )
     flags = (world_flags, flight_flags, config_flags.load(), page_flags)
     serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log)
 
@@ -281,6 +300,7 @@ def serve(
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import shipped_recordings
     from aero_viz.dashboard import Dashboard
+    from aero_viz.dashboard.share import FlightFiles
     from aero_viz.flight.known_drone import config_in_world
     from aero_viz.scenes import SCENES
     from aero_viz.session import Session
@@ -307,6 +327,7 @@ def serve(
             conditions=conditions or Conditions(),
             folders=_folders(spec, page_flags),
             allowed_hosts=page_flags.allow_host,
+            files=FlightFiles(),
         )
         stack.callback(dashboard.close)
         if log is not None:

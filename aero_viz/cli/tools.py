@@ -21,7 +21,9 @@ def snapshot(
     output: OutputPath,
     *,
     time: float = 2.0,
-    camera: Literal["follow", "top", "side"] = "follow",
+    camera: str = "follow",
+    layers: OptionalText = None,
+    legend: bool = False,
     size: tuple[int, int] = (1600, 1000),
     seed: int = 0,
     device: str = "cpu",
@@ -37,7 +39,9 @@ def snapshot(
         source: Scene, world file (JSON) or recording.
         output: PNG file to write.
         time: Time in the source [s].
-        camera: Camera view.
+        camera: follow, top or side; or position and look-at point as six numbers, such as 0,-8,4,3,0,2 [m].
+        layers: Layers to show, separated by commas, such as rollouts,drone; by default those of the page.
+        legend: Explain the colours in a corner of the picture.
         size: Width and height [pixels].
         seed: Seed of the scene, the LiDAR and the planner's noise.
         device: Warp device of planner and simulation.
@@ -50,8 +54,31 @@ def snapshot(
 
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
     config = config_flags.load()
-    take_snapshot(opened, time=time, config=config, camera=camera, size=size, path=output, seed=seed, device=device)
+    take_snapshot(
+        opened,
+        time=time,
+        config=config,
+        camera=_viewpoint(camera),
+        layers=None if layers is None else [name.strip() for name in layers.split(",")],
+        legend=legend,
+        size=size,
+        path=output,
+        seed=seed,
+        device=device,
+    )
     print(output)
+
+
+def _viewpoint(camera: str) -> str | tuple[list[float], list[float]]:
+    """Return the name of a view, or a position and a look-at point."""
+    words = camera.replace(",", " ").split()
+    if len(words) != 6:
+        return camera
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError as error:
+        raise UserError(f"The camera {camera!r} is not six numbers; give such as 0,-8,4,3,0,2.") from error
+    return numbers[:3], numbers[3:]
 
 
 def world(

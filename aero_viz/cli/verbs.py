@@ -27,6 +27,11 @@ VERBS: dict[str, Verb] = {
     "bench compare": _verb("bench", "bench_compare", "Compare two runs of a benchmark through the same worlds."),
     "tune": _verb("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),
     "snapshot": _verb("tools", "snapshot", "Render a scene or a recording at a given time to a PNG file."),
+    "share": _verb(
+        "share",
+        "share",
+        "Write a flight to one file: page, video, picture or log.",
+    ),
     "world": _verb("tools", "world", "Write a world to a file for other programs."),
     "export": _verb("tools", "export", "Compile all kernels ahead of time for a drone that has no compiler."),
     "parameters": _verb("tools", "parameters", "Print a Markdown table of every planner parameter."),

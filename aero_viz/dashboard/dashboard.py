@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply
+from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_of
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.layout import build
+from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
 from aero_viz.errors import UserError
@@ -30,8 +31,6 @@ from aero_viz.session.source import Conditions, Opener, SourceInfo
 
 __all__ = ["Dashboard"]
 
-_LIVE_PLAN = ("rollouts", "guides", "anchors")
-"""Layers of the live plan."""
 _PANEL_PERIOD = 0.2
 """Shortest time between two updates of the panels [s]."""
 
@@ -53,6 +52,7 @@ class Dashboard:
         folders: folders whose files the page may open, besides `choices`.
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
         history: keeps what the curves show; None keeps every tick of the session.
+        files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
 
     Raises:
         UserError: the port is taken, or the host is not an address of this machine.
@@ -74,6 +74,7 @@ class Dashboard:
         folders: Sequence[str | Path] = (),
         allowed_hosts: Sequence[str] = (),
         history: FlightHistory | None = None,
+        files: Files | None = None,
     ) -> None:
         self.server = LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
@@ -90,6 +91,8 @@ class Dashboard:
         """Durations of the last updates [ms]."""
         self.eye: NDArray[np.float64] | None = None
         """Position from which a picture will be rendered [m], shape [3]; None if only visitors look."""
+        self.director: Callable[[Frame], tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
+        """Returns position and look-at point of every camera [m]; None leaves the cameras to the visitors."""
         self._session = session
         self._limiter = UpdateRateLimiter()
         self._is_replay = False
@@ -106,6 +109,7 @@ class Dashboard:
                 folders=Folders(folders),
                 opened=opened,
                 conditions=conditions,
+                files=files,
             )
         else:
             self._camera = CameraPanel(self._page)
@@ -151,6 +155,11 @@ class Dashboard:
         self._page.update_samples()
         self.refresh()
 
+    def legend(self) -> list[ColorKey | ColorScale]:
+        """Return the meaning of the colours of the visible layers."""
+        frame = self._session.frame
+        return [] if frame is None else legend_of(self.layers.values(), frame)
+
     def drain(self, timeout: float = 10.0) -> bool:
         """Wait until the newest frame is sent; return False if that takes longer than `timeout` [s]."""
         self.refresh()
@@ -164,7 +173,10 @@ class Dashboard:
             for part in (*self.layers.values(), *self.panels):
                 changes += part.on_new_source(frame.source)
             self._choose_plan(frame.source)
-        changes += self._camera.follow(frame)
+        if self.director is not None:
+            changes += self._directed(frame)
+        else:
+            changes += self._camera.follow(frame)
         eyes = self._camera.eyes if self.eye is None else [self.eye]
         for layer in self.layers.values():
             if layer.visible:
@@ -178,12 +190,20 @@ class Dashboard:
                 changes += panel.update(frame)
         return changes
 
+    def _directed(self, frame: Frame) -> list[Change]:
+        """Return the changes that move the camera of every visitor to where the director wants it."""
+        assert self.director is not None
+        eye, target = self.director(frame)
+        self._camera.eyes = [eye]
+        cameras = [client.camera for client in self.server.get_clients().values()]
+        return [change for camera in cameras for change in ((camera, "position", eye), (camera, "look_at", target))]
+
     def _choose_plan(self, source: SourceInfo) -> None:
         """Hide the live plan where a recorded one is shown; it can be switched on beside it."""
         is_replay = source.recorded_plan is not None
         if is_replay != self._is_replay:
             self._is_replay = is_replay
-            for name in _LIVE_PLAN:
+            for name in LIVE_PLAN:
                 if name in self.layers:
                     self.layers[name].visible = not is_replay and self.layers[name].on_by_default
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import time as clock
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
-from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard import Dashboard, palette
+from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, Viewpoints, orientation
 from aero_viz.dashboard.server import sky
 from aero_viz.errors import UserError
@@ -60,6 +62,7 @@ def snapshot(
     camera: str | tuple[ArrayLike, ArrayLike] = "follow",
     size: tuple[int, int] = (1280, 800),
     layers: Sequence[str] | None = None,
+    legend: bool = False,
     seed: int = 0,
     device: str = "cpu",
 ) -> NDArray[np.uint8]:
@@ -73,6 +76,7 @@ def snapshot(
         camera: "follow", "top" or "side", or position and look-at [m], each shape [3], world frame.
         size: width and height of the picture.
         layers: names of the layers to show, see `Dashboard.layers`; None shows those that are on by default.
+        legend: explain the colours in a corner of the picture.
         seed: seed of the planner's noise.
         device: Warp device of the planner.
 
@@ -99,7 +103,7 @@ def snapshot(
         pose = _camera(session, camera)
         dashboard.eye = np.asarray(pose[0], dtype=np.float64)
         # Playwright needs a thread without an event loop; that of a notebook has one.
-        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, pose, size).result()
+        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, pose, size, legend).result()
     if path is not None:
         _write(image, Path(path))
     return image
@@ -138,7 +142,7 @@ def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tupl
     return position, look_at
 
 
-def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int]) -> NDArray[np.uint8]:
+def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], legend: bool) -> NDArray[np.uint8]:
     """Open the page and render its scene, without panels, for a camera position and look-at point."""
     with launch_chromium() as browser:
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
@@ -156,9 +160,25 @@ def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int]) 
             previous = preview
             page.wait_for_timeout(100)
         picture = client.get_render(size[1], size[0], **view)
-    # The picture is transparent where nothing was drawn.
-    cover = picture[..., 3:].astype(np.float32) / 255.0
-    return (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
+        # The picture is transparent where nothing was drawn.
+        cover = picture[..., 3:].astype(np.float32) / 255.0
+        picture = (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
+        return _with_legend(picture, dashboard, browser) if legend else picture
+
+
+def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard, browser: Browser) -> NDArray[np.uint8]:
+    """Return the picture with the legend of the visible layers in its lower left corner."""
+    import imageio.v3 as iio
+
+    url = base64.b64encode(iio.imwrite("<bytes>", picture, extension=".png")).decode()
+    page = browser.new_page(viewport={"width": picture.shape[1], "height": picture.shape[0]})
+    style = "position:fixed;left:16px;bottom:16px;width:270px;padding:10px;border-radius:8px;font-family:sans-serif;"
+    style += f"color:#dfe5ee;background:{palette.css((18, 23, 32), 0.82)}"
+    page.set_content(
+        f'<body style="margin:0"><img src="data:image/png;base64,{url}" style="display:block">'
+        f'<div style="{style}">{markup.legend(dashboard.legend())}</div>'
+    )
+    return iio.imread(page.screenshot())[..., :3]
 
 
 def _first_client(dashboard: Dashboard, page: Page) -> Any:

@@ -4,21 +4,61 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aero_planner.config import ParameterInfo
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.vehicle import VehicleModel
-from aero_viz.sensors.lidar import LIDARS, lidar_model
+from aero_viz.sensors.lidar import LIDARS, LidarModel, lidar_model
 from aero_viz.session.source import Conditions
 
-__all__ = ["OFFERED", "conditions_of", "with_conditions"]
+if TYPE_CHECKING:
+    from aero_viz.flight.simulator import Setting
+
+__all__ = ["LIVE", "OFFERED", "conditions_of", "live_conditions", "with_conditions", "with_live_conditions"]
 
 _NAMES = {StateNoise: ("position", "velocity", "attitude"), VehicleModel: ("drag", "gust_speed")}
 OFFERED: tuple[ParameterInfo, ...] = tuple(
     info for section, names in _NAMES.items() for info in section.parameters() if info.name in names
 )
 """The parameters of the noise and of the drone that `Conditions.values` may hold."""
+
+
+_LIVE = {
+    StateNoise: _NAMES[StateNoise],
+    VehicleModel: _NAMES[VehicleModel],
+    LidarModel: ("range_noise", "dropout"),
+}
+LIVE: tuple[ParameterInfo, ...] = tuple(
+    info for section, names in _LIVE.items() for info in section.parameters() if info.name in names
+)
+"""The parameters that may change during a flight: errors of the estimate, wind, and faults of the LiDAR."""
+_FIELDS = {"noise": "noise", "drone": "vehicle", "lidar": "lidar"}
+"""Names in `Setting` of the sections of `LIVE`."""
+
+
+def live_conditions(setting: Setting) -> dict[str, Any]:
+    """Return the values of `LIVE` in a setting, by path."""
+    sections = {"noise": setting.noise or StateNoise(), "drone": setting.vehicle, "lidar": setting.lidar}
+    return {info.path: getattr(sections[info.section], info.name) for info in LIVE}
+
+
+def with_live_conditions(setting: Setting, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a setting with other values of some parameters of `LIVE`, by path.
+
+    Raises:
+        ValueError: a value is out of its bounds, contradicts another one, or cannot be changed.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        info = next((info for info in LIVE if info.path == path), None)
+        if info is None:
+            raise ValueError(f"{path} cannot change during a flight; {', '.join(info.path for info in LIVE)} can.")
+        changes.setdefault(_FIELDS[info.section], {})[info.name] = info.check(value)
+    return {
+        field: dataclasses.replace(getattr(setting, field) or StateNoise(), **fields)
+        for field, fields in changes.items()
+    }
 
 
 def conditions_of(options: Mapping[str, Any], *, count: int | None = None) -> Conditions:

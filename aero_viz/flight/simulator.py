@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,20 @@ from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import Lidar, LidarModel
 
-__all__ = ["Simulator"]
+__all__ = ["Setting", "Simulator"]
 
+_WORLDS_MAX = 8  # worlds of the last settings that stay on the device
 _GPU_THREADS_PER_QUERY = 32  # threads that share the search for the nearest primitive
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What may change during a flight besides the goal."""
+
+    world: World
+    lidar: LidarModel
+    vehicle: VehicleModel
+    noise: StateNoise | None
 
 
 class Simulator:
@@ -89,6 +101,8 @@ class Simulator:
         self.vehicle = Vehicle(vehicle, starts, headings, period=rules.period, device=self.device, seeds=seeds)
         self.estimate = StateEstimate(noise, self.vehicle, period=rules.period, seeds=seeds)
         self.lidar = Lidar(lidar, self._worlds, seeds=seeds)
+        self._known_worlds: dict[int, tuple[World, DeviceWorlds]] = {}
+        """Worlds of the last settings, by their id."""
         self._rules = pack_rules(rules)
         with wp.ScopedDevice(self.device):
             self._lower = wp.array([world.bounds[0] for world in worlds], dtype=wp.vec3)
@@ -103,6 +117,22 @@ class Simulator:
     def time(self) -> float:
         """Simulated time since the start [s]."""
         return self.tick * self.rules.period
+
+    def use(self, setting: Setting) -> None:
+        """Continue under another setting, in all flights. Sweeps in progress are not measured again."""
+        worlds = self._known_worlds.get(id(setting.world))
+        if worlds is None or worlds[0] is not setting.world:
+            worlds = (setting.world, DeviceWorlds([setting.world] * len(self.seeds), device=self.device))
+            self._known_worlds[id(setting.world)] = worlds
+            while len(self._known_worlds) > _WORLDS_MAX:
+                del self._known_worlds[next(iter(self._known_worlds))]
+        self._worlds = worlds[1]
+        self.lidar.use(setting.lidar, self._worlds)
+        self.vehicle.use(setting.vehicle)
+        if setting.noise != self.noise:
+            self.noise = setting.noise
+            self.estimate = StateEstimate(setting.noise, self.vehicle, period=self.rules.period, seeds=self.seeds)
+            self.estimate.update(self.tick, finished=self.outcome)
 
     def measure_sweep(self, sweep: int) -> None:
         """Measure a whole sweep before the start, with a negative number, as if the drones hovered at their starts."""
@@ -149,12 +179,25 @@ class Simulator:
 
         Flights that have arrived, stalled or run out of time continue, with the full time limit.
         """
+        self._continue((ARRIVED, STALL, TIMEOUT), goal=positions)
+
+    def set_position(self, positions: ArrayLike) -> None:
+        """Put the drones at `positions` [m], [B, 3], world frame, with their velocities. Every flight continues."""
+        v, e = self.vehicle, self.estimate
+        for array in (v.position, v.position_before, e.position, e.position_before):
+            array.assign(np.asarray(positions, dtype=np.float32))
+        v.trail.assign(np.repeat(np.asarray(positions, dtype=np.float32)[:, None], v.trail.shape[1], axis=1))
+        self._continue(range(1, len(OUTCOMES)))
+
+    def _continue(self, ended: Iterable[int], **changes: ArrayLike) -> None:
+        """Change records, and let the flights with one of these outcomes fly on with the full time limit."""
         records, outcome = self.records(), self.outcome.numpy().copy()
-        records["goal"] = positions
+        for name, value in changes.items():
+            records[name] = value
         records["nearest_goal"] = np.linalg.norm(records["goal"] - self.vehicle.position.numpy(), axis=1)
         records["progress_time"] = self.time
         records["goal_tick"] = self.tick
-        outcome[np.isin(outcome, (ARRIVED, STALL, TIMEOUT))] = FLYING
+        outcome[np.isin(outcome, list(ended))] = FLYING
         self.record.assign(wp.array(records, dtype=FlightRecord, device="cpu"))
         self.outcome.assign(outcome)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS, WHOLE_SWEEPS
+from aero_viz.flight.conditions import with_live_conditions
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import goal_problem
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
-from aero_viz.flight.simulator import Simulator
+from aero_viz.flight.simulator import Setting, Simulator
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
@@ -44,6 +46,8 @@ class _Scan:
     """True and estimated pose at the beginning: position [m] and quaternion w, x, y, z, float32 [2, 7]."""
     after: Pose
     """True and estimated pose at the end."""
+    setting: Setting
+    """World and LiDAR of the measurement."""
 
 
 @dataclass(eq=False, slots=True)
@@ -64,6 +68,9 @@ class _Checkpoint:
     scans: tuple[_Scan, ...]
     """Scans of the sweep in progress."""
     goal: NDArray[np.float64]
+    setting: Setting
+    owner: object
+    """Stands for the source that made the checkpoint."""
 
 
 class FlightSource:
@@ -122,7 +129,14 @@ class FlightSource:
             settings=_settings(self.simulator),
         )
         self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
-        self._world, self._seed, self._goal = world, seed, world.goal
+        simulator = self.simulator
+        self._setting = Setting(world, simulator.lidar.model, simulator.vehicle.model, noise)
+        self._measured = self._setting
+        """Setting of the simulator."""
+        self._seed, self._goal = seed, world.goal
+        self._owner = object()
+        self._adopted: dict[int, tuple[_Sweep, _Sweep]] = {}
+        """Sweeps of another source by their id, each with its copy."""
         with wp.ScopedDevice(self.simulator.device):
             self._never_finished = wp.zeros(1, dtype=int)
             self._poses = [(wp.zeros(1, dtype=wp.vec3), wp.zeros(1, dtype=wp.vec4)) for _ in range(4)]
@@ -134,7 +148,7 @@ class FlightSource:
         self._read_state()
         size = self.simulator.lidar.model.points_per_sweep
         # Before the start, the drone has hovered for as long as the cloud of the planner reaches back.
-        scans = [_Scan(sweep, 0, size, self._pose, self._pose) for sweep in range(-SWEEPS, 0)]
+        scans = [_Scan(sweep, 0, size, self._pose, self._pose, self._setting) for sweep in range(-SWEEPS, 0)]
         self._set_sweeps(tuple(_Sweep((scan,), None) for scan in scans))
 
     @property
@@ -150,9 +164,10 @@ class FlightSource:
                 state=self._state,
                 goal=Goal(self._goal),
                 sweeps=self._cloud,
-                ground_height=self._world.ground_height,
+                ground_height=self._setting.world.ground_height,
                 true_state=self._true_state,
                 sweep_times=self._sweep_times,
+                world=self._setting.world,
             )
         return self._observation
 
@@ -166,7 +181,7 @@ class FlightSource:
             sweep, first, end = self.simulator.advance(commands, phase=phase)
             self._read_state()
             if self.outcome is None:  # the LiDAR of a finished flight measures nothing
-                self._scans = (*self._scans, _Scan(sweep, first, end, before, self._pose))
+                self._scans = (*self._scans, _Scan(sweep, first, end, before, self._pose, self._setting))
                 self._parts.append(self._new_points(first, end))
             if end == self.simulator.lidar.model.points_per_sweep and self._scans:
                 complete = _Sweep(self._scans, _join_returns(self._parts))
@@ -178,10 +193,10 @@ class FlightSource:
         """Return the state that `restore` needs: about a kilobyte, whatever the size of the cloud."""
         tick, arrays = self.simulator.checkpoint()
         state = b"".join([array.tobytes() for array in arrays])
-        return _Checkpoint(tick, state, self._sweeps, self._scans, self._goal)
+        return _Checkpoint(tick, state, self._sweeps, self._scans, self._goal, self._setting, self._owner)
 
     def restore(self, checkpoint: object) -> None:
-        """Continue from a checkpoint of this source. The same plans then give the same flight, bit for bit.
+        """Continue from a checkpoint of this source or its twin. The same plans then give the same flight, bit for bit.
 
         This takes a few milliseconds if the sweeps are cached, see `CACHED_BYTES`, and otherwise as long as measuring
         30 sweeps.
@@ -191,6 +206,8 @@ class FlightSource:
         """
         if not isinstance(checkpoint, _Checkpoint):
             raise TypeError(f"{type(checkpoint).__name__} is not a checkpoint of a flight.")
+        self._setting = checkpoint.setting
+        self._use(self._setting)
         values, offset = [], 0
         for array in self.simulator.checkpoint()[1]:
             values.append(np.frombuffer(checkpoint.state, array.dtype, array.size, offset).reshape(array.shape))
@@ -198,8 +215,37 @@ class FlightSource:
         self.simulator.restore((checkpoint.tick, values))
         self._goal, self._scans = checkpoint.goal, checkpoint.scans
         self._parts = [self._measure(scan) for scan in self._scans]
-        self._set_sweeps(checkpoint.sweeps)
+        self._use(self._setting)
+        is_own = checkpoint.owner is self._owner
+        self._set_sweeps(checkpoint.sweeps if is_own else self._adopt(checkpoint.sweeps))
+        self._use(self._setting)
         self._read_state()
+
+    @classmethod
+    def twin(cls, info: SourceInfo) -> FlightSource:
+        """Return a source that takes the checkpoints of the flight `info`, on any thread, to show its ticks again."""
+        assert info.world is not None
+        s = info.settings
+        return cls(
+            info.world,
+            lidar=LidarModel(**s["lidar"]),
+            vehicle=VehicleModel(**s["drone"]),
+            rules=FlightRules(**s["rules"]),
+            noise=None if s["noise"] is None else StateNoise(**s["noise"]),
+            seed=s["seed"],
+            device=s["device"],
+        )
+
+    def _adopt(self, sweeps: tuple[_Sweep, ...]) -> tuple[_Sweep, ...]:
+        """Return copies of another source's sweeps, whose cache this one must not touch; of the same, the same."""
+        known, self._adopted = self._adopted, {}
+        for sweep in sweeps:
+            if id(sweep) not in known:
+                known[id(sweep)] = (sweep, _Sweep(sweep.scans, sweep.points))
+                if known[id(sweep)][1].points is not None:
+                    self._add_to_cache(known[id(sweep)][1])
+            self._adopted[id(sweep)] = known[id(sweep)]
+        return tuple(self._adopted[id(sweep)][1] for sweep in sweeps)
 
     def seek(self, time: float) -> None:
         """Refuse: a flight has no recorded times to go to.
@@ -221,12 +267,58 @@ class FlightSource:
         goal = np.array(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise UserError(f"The goal {np.asarray(position).tolist()} is not a position; give three finite numbers.")
-        if problem := goal_problem(self._world, goal):
+        if problem := goal_problem(self._setting.world, goal):
             raise UserError(f"{problem}. The goal stays where it was; give a free position.")
         goal.flags.writeable = False
         self._goal = goal
         self.simulator.set_goal(goal[None])
         self._read_state()
+
+    def set_world(self, world: World) -> None:
+        """Fly on among the obstacles of another world, with the same bounds. Points that were measured stay.
+
+        Raises:
+            UserError: the goal would lie in an obstacle. The world stays.
+        """
+        if problem := goal_problem(world, self._goal):
+            raise UserError(f"{problem}. The obstacles stay as they were; move the goal first.")
+        self._change(world=world)
+
+    def set_conditions(self, values: Mapping[str, Any]) -> None:
+        """Change noise, wind and faults of the sensors from now on.
+
+        Args:
+            values: values of the parameters in `conditions.LIVE`, by path.
+
+        Raises:
+            ValueError: a value is out of its bounds, or contradicts another one. Nothing changes.
+        """
+        self._change(**with_live_conditions(self._setting, values))
+
+    def set_position(self, position: ArrayLike) -> None:
+        """Put the drone at `position` [m], [3], world frame, with its velocity. A flight that has ended continues.
+
+        Raises:
+            UserError: an obstacle is closer than the radius of the drone, or the position is outside the world.
+        """
+        place = np.array(position, dtype=np.float64)
+        world, radius = self._setting.world, self.simulator.rules.radius
+        inside = place.shape == (3,) and bool(((place > world.bounds[0]) & (place < world.bounds[1])).all())
+        if not inside or world.distance(place[None])[0] <= radius:
+            raise UserError("The drone does not fit there; it stays where it was. Give a free position.")
+        self.simulator.set_position(place[None])
+        self._read_state()
+
+    def _change(self, **changes: Any) -> None:
+        self._setting = dataclasses.replace(self._setting, **changes)
+        self._use(self._setting)
+        self._read_state()
+
+    def _use(self, setting: Setting) -> None:
+        """Let the simulator fly and measure under a setting."""
+        if setting is not self._measured:
+            self.simulator.use(setting)
+            self._measured = setting
 
     def result(self) -> FlightResult:
         """Return the metrics of the flight so far."""
@@ -234,7 +326,7 @@ class FlightSource:
         return flight_results(
             simulator.records(),
             [self.outcome],
-            [self._world],
+            [self._setting.world],
             simulator.vehicle.position.numpy(),
             rules=simulator.rules,
             seeds=[self._seed],
@@ -268,6 +360,7 @@ class FlightSource:
 
     def _measure(self, scan: _Scan) -> Cloud:
         """Measure the points of a scan again, including rays without return."""
+        self._use(scan.setting)
         for (position, quaternion), pose in zip(self._poses, (*scan.before, *scan.after), strict=True):
             position.assign(pose[None, :3])
             quaternion.assign(pose[None, 3:])

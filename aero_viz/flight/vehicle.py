@@ -139,6 +139,10 @@ class Vehicle:
             device=self.position.device,
         )
 
+    def use(self, model: VehicleModel) -> None:
+        """Use another model from now on, with the same time step and latency."""
+        self.model, self._parameters = model, _pack(model, step=self._parameters.step)
+
     def state(self) -> list[wp.array]:
         """Return the arrays that a checkpoint holds, in the order of the kernel's arguments."""
         state = [self.position, self.velocity, self.quaternion, self.acceleration, self.control]

@@ -153,6 +153,10 @@ class Lidar:
             self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds], dtype=int)
             self.points = wp.full((len(seeds), model.points_per_sweep), wp.vec3(math.nan), dtype=wp.vec3)
 
+    def use(self, model: LidarModel, worlds: DeviceWorlds) -> None:
+        """Use another model, with as many points per sweep, and other worlds from now on."""
+        self.model, self._worlds, self._beams = model, worlds, pack_beams(model)
+
     def scan(
         self,
         sweep: int,

@@ -14,6 +14,7 @@ from aero_planner import PlannerConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Source
+from aero_viz.session.timeline import Checkpoint
 
 if TYPE_CHECKING:
     from aero_viz.session.comparison import Comparison
@@ -26,12 +27,21 @@ T = TypeVar("T")
 class SessionControls(Protocol):
     """Commands that change a session: its source, its goal, its speed and its configuration. Safe from any thread."""
 
+    seed: int
+    """Seed of the planner's noise."""
+    device: str
+    """Warp device of the planner."""
+
     def set_source(self, source: Source) -> Future[Any]:
         """Continue with another source, from its start."""
         ...
 
     def set_goal(self, position: ArrayLike, *, quiet: bool = False) -> Future[Any]:
         """Move the goal [m], shape [3], world frame. With `quiet`, a refusal is reported in the future only."""
+        ...
+
+    def alter(self, change: Callable[[Any], object], *, quiet: bool = False) -> Future[Any]:
+        """Call `change` with the source between two ticks, and plan the current tick again."""
         ...
 
     def set_speed(self, speed: float) -> None:
@@ -44,6 +54,10 @@ class SessionControls(Protocol):
 
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
         """Use another configuration, or change some parameters of the current one."""
+        ...
+
+    def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:
+        """Return every tick of the source so far, with the configuration of its last plan."""
         ...
 
     def undo(self) -> PlannerConfig:

@@ -94,14 +94,25 @@ class Engine:
         if self._timeline:
             self._plan(history=self._timeline.current.planner)
 
-    def set_goal(self, position: NDArray[np.float64]) -> None:
-        """Move the goal [m], shape [3], world frame, and plan the current tick again.
+    def flown(self) -> list[tuple[Checkpoint, PlannerConfig]]:
+        """Return every tick that can be returned to, with the configuration of its last plan."""
+        return self._timeline.flown()
 
-        A later return to this tick keeps the new goal. If planning fails, the previous goal is restored.
+    def repeat(self, checkpoint: Checkpoint) -> Frame:
+        """Plan a tick of an equal source again, and continue from there."""
+        self.source.restore(checkpoint.source)
+        self._timeline.append(checkpoint, self.source.observe().actual_state.position)
+        return self._plan(history=checkpoint.planner)
+
+    def alter(self, change: Callable[[Source], object]) -> None:
+        """Change the source, such as its goal or its obstacles, and plan the current tick again.
+
+        The change belongs to the current tick and those that follow: a return to an earlier one is without it. If the
+        change or planning fails, the source is as it was.
         """
         before = self.source.checkpoint()
-        self.source.set_goal(position)
         try:
+            change(self.source)
             if self._timeline:
                 self._timeline.amend(self.source.checkpoint())
             self.replan()
@@ -202,6 +213,8 @@ class Engine:
             checkpoint = Checkpoint(observation.time, self.source.checkpoint(), history)
             self._timeline.append(checkpoint, observation.actual_state.position)
             self._tick_ends.append(planned)
+        if self._timeline:
+            self._timeline.planned_with(config)
         times = self.source.info.times
         frame = Frame(
             index=self._timeline.index if times is None else _row(times, observation.time),

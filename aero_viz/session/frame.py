@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from aero_planner import Plan, PlannerConfig
 from aero_viz.session.source import Observation, SourceInfo
 from aero_viz.session.timeline import Checkpoint
+
+if TYPE_CHECKING:
+    from aero_viz.scenes import World
 
 __all__ = ["Frame", "Notice"]
 
@@ -55,6 +58,11 @@ class Frame:
     """Seed of the planner\'s noise."""
     device: str = "cpu"
     """Warp device of the planner."""
+
+    @property
+    def world(self) -> World | None:
+        """Obstacles of a synthetic world at this tick."""
+        return self.observation.world or self.source.world
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source, SourceInfo
+from aero_viz.session.timeline import Checkpoint
 
 __all__ = ["Session"]
 
@@ -50,6 +51,7 @@ class Session(BaseSession):
         self._configs = ConfigHistory(config or PlannerConfig())
         super().__init__()
         self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
+        self.seed, self.device = seed, device
         self.comparison = Comparison(self._engine, device=device, seed=seed, config=lambda: self.config)
         """State of the comparison with a pinned configuration, A."""
         self._clock = Clock()
@@ -157,8 +159,20 @@ class Session(BaseSession):
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise ValueError(f"goal is {position!r}; it must be three finite numbers [m].")
 
+        return self.alter(lambda source: source.set_goal(goal), quiet=quiet)
+
+    def alter(self, change: Callable[[Any], object], *, quiet: bool = False) -> Future[Any]:
+        """Change the source between two ticks, such as its obstacles or its wind, and plan the current tick again.
+
+        The change belongs to the current tick and those that follow: after going back to an earlier one, it is undone.
+
+        Args:
+            change: called with the source on the session's thread; what it raises leaves the source as it was.
+            quiet: report a refusal in the future only.
+        """
+
         def command() -> None:
-            self._engine.set_goal(goal)
+            self._engine.alter(change)
             if self._engine.source.outcome is None:
                 self._announced_epoch = None  # the flight continues and will end once more
 
@@ -188,6 +202,10 @@ class Session(BaseSession):
                 self._engine.replan()
 
         return self._post(command)
+
+    def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:
+        """Return every tick of the source so far, with the configuration of its last plan; see `repeat`."""
+        return self._post(self._engine.flown)
 
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
         """Use another configuration, or change some parameters of the current one, from the next tick on.

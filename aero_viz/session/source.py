@@ -38,6 +38,8 @@ class Observation:
     """True state of a simulated vehicle; None for a recording."""
     sweep_times: NDArray[np.float64] | None = None
     """Time at the end of each sweep [s], oldest first; None where it is unknown."""
+    world: World | None = None
+    """World at this tick, where it can change; None where it is that of the source."""
 
     @property
     def points(self) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner import PlannerConfig
 from aero_planner.history import History
 
 __all__ = ["Checkpoint", "Timeline"]
@@ -36,6 +37,8 @@ class Timeline:
 
     def __init__(self) -> None:
         self._checkpoints: list[Checkpoint] = []
+        self._configs: list[PlannerConfig | None] = []
+        """Configuration with which each tick was planned last."""
         self._discarded = 0
         self._cursor = -1
         self._positions = np.empty((1024, 3), dtype=np.float32)
@@ -66,10 +69,11 @@ class Timeline:
 
     def append(self, checkpoint: Checkpoint, position: ArrayLike) -> None:
         """Add a tick after the current one; the drone is at `position` [m], shape [3]."""
-        del self._checkpoints[self._cursor + 1 :]
+        del self._checkpoints[self._cursor + 1 :], self._configs[self._cursor + 1 :]
         self._checkpoints.append(checkpoint)
+        self._configs.append(None)
         if len(self._checkpoints) > _CAPACITY:
-            del self._checkpoints[0]
+            del self._checkpoints[0], self._configs[0]
             self._discarded += 1
         self._cursor = len(self._checkpoints) - 1
         row = self.index
@@ -84,6 +88,15 @@ class Timeline:
     def amend(self, source: object) -> None:
         """Replace the source's part of the current checkpoint."""
         self._checkpoints[self._cursor] = dataclasses.replace(self.current, source=source)
+
+    def planned_with(self, config: PlannerConfig) -> None:
+        """Note the configuration with which the current tick was planned."""
+        self._configs[self._cursor] = config
+
+    def flown(self) -> list[tuple[Checkpoint, PlannerConfig]]:
+        """Return every tick that can be returned to, with the configuration of its last plan."""
+        ticks = zip(self._checkpoints, self._configs, strict=True)
+        return [(checkpoint, config) for checkpoint, config in ticks if config is not None]
 
     def trail(self) -> NDArray[np.float32]:
         """Return the positions up to the current tick [m], shape [n, 3]. Read-only, and never changed later."""

@@ -18,6 +18,7 @@ from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
+from aero_viz.dashboard.share import FlightFiles
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
@@ -165,7 +166,15 @@ def open_desk(
         session.tick()
     session.start(play=False)
     choices = [(f"{name}: {kind.description}", name) for name, kind in SCENES.items()]
-    dashboard = Dashboard(session, port=0, open_source=opener, choices=choices, folders=["/"], conditions=Conditions())
+    dashboard = Dashboard(
+        session,
+        port=0,
+        open_source=opener,
+        choices=choices,
+        folders=["/"],
+        conditions=Conditions(),
+        files=FlightFiles(),
+    )
     dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
     context.set_default_timeout(1e3 * TIMEOUT)

@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
+from aero_viz.cli import main
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.snapshot import snapshot
 from aero_viz.errors import UserError
@@ -37,6 +39,32 @@ def test_a_picture_shows_every_layer_and_is_repeatable(browser, tmp_path):
     assert structure(first) == pytest.approx(expected, rel=0.4, abs=40)
     second = snapshot(FlightSource(scene("forest", seed=0)), **ARGUMENTS)
     assert (np.abs(first.astype(int) - second).max(axis=-1) > 8).mean() < 0.002
+
+
+def test_a_picture_from_the_command_line_has_the_layers_the_camera_and_the_legend_asked_for(browser, tmp_path):
+    del browser
+    path = tmp_path / "a.png"
+    camera = "--camera=-6,0,4,2,0,2"
+    main(
+        [
+            "snapshot",
+            "forest",
+            str(path),
+            "--time",
+            "0.2",
+            camera,
+            "--layers",
+            "guides",
+            "--legend",
+            "--size",
+            "640",
+            "400",
+        ]
+    )
+    image = iio.imread(path)
+    corner = image[330:390, 20:280]
+    assert structure(image[:300])["GUIDE"] > 100 and structure(image)["ANCHOR"] == 0
+    assert structure(corner)["GUIDE"] > 10 and (corner.max(axis=-1) < 60).mean() > 0.5
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from aero_viz.dashboard.layers.alternative import AlternativeLayer
 from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
-from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Option, apply
+from aero_viz.dashboard.layers.base import (
+    Bar,
+    BarChart,
+    Change,
+    ColorKey,
+    ColorScale,
+    Layer,
+    Option,
+    apply,
+    legend_of,
+)
 from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.drone import DroneLayer, GhostLayer, TrailLayer
@@ -14,7 +24,19 @@ from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer, RecordedPlanLayer
 from aero_viz.dashboard.layers.selection import SelectionLayer
 
-__all__ = ["LAYERS", "Bar", "BarChart", "Change", "ColorKey", "ColorScale", "Layer", "Option", "apply"]
+__all__ = [
+    "LAYERS",
+    "LIVE_PLAN",
+    "Bar",
+    "BarChart",
+    "Change",
+    "ColorKey",
+    "ColorScale",
+    "Layer",
+    "Option",
+    "apply",
+    "legend_of",
+]
 
 LAYERS: tuple[type[Layer], ...] = (
     RolloutLayer,
@@ -35,3 +57,5 @@ LAYERS: tuple[type[Layer], ...] = (
     ObstacleLayer,
     GroundLayer,
 )
+LIVE_PLAN = ("rollouts", "guides", "anchors")
+"""Names of the layers of the live plan, which are hidden at first where a recorded one is shown."""

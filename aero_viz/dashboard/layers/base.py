@@ -26,6 +26,7 @@ __all__ = [
     "Lines",
     "Option",
     "apply",
+    "legend_of",
     "polylines",
     "to_see",
 ]
@@ -156,6 +157,15 @@ class Layer:
         if number in self._own_roots:
             self._own_roots[number].visible = visible
 
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Place of the world's origin in the scene [m], shape [3]; zero unless a recording moves the world."""
+        return np.asarray(self._root.position, dtype=np.float64)
+
+    @position.setter
+    def position(self, position: NDArray[np.float64]) -> None:
+        self._root.position = position
+
     def create(self, scene: viser.SceneApi) -> None:
         """Create the scene nodes, below `/name`, and the options."""
         raise NotImplementedError
@@ -175,6 +185,11 @@ class Layer:
     def chart(self, frame: Frame) -> BarChart | None:
         """Return a chart of `frame` for the status panel, which shows it even while the layer is hidden."""
         return None
+
+
+def legend_of(layers: Iterable[Layer], frame: Frame) -> list[ColorKey | ColorScale]:
+    """Return the legend of those layers that are shown."""
+    return [entry for layer in layers if layer.visible and layer.available for entry in layer.legend(frame)]
 
 
 class Lines:

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option, to_see
 from aero_viz.session.frame import Frame
@@ -37,7 +38,7 @@ class CloudLayer(Layer):
         if self._shown is not None and self._shown[0] is cloud and self._shown[1] == self.color_by.value:
             return []
         self._shown = (cloud, self.color_by.value)
-        points = _padded(self._unobstructed(_thinned(cloud), frame))
+        points = _padded(self._unobstructed(self.thinned(frame.observation.sweeps), frame))
         if not len(points):
             return [(self._node, "visible", False)]
         if self.color_by.value == "range":
@@ -54,6 +55,12 @@ class CloudLayer(Layer):
                 "cloud: height", f"{low + 0.05:.1f} m and less", f"{high:.1f} m and more", palette.HEIGHT
             )
         return [(self._node, "points", points), (self._node, "colors", colors), (self._node, "visible", True)]
+
+    def thinned(self, cloud: Sweeps) -> NDArray[np.float32]:
+        """Return the points to draw [m], shape [n, 3]: at most 24 000 finite ones from all over the cloud."""
+        points = cloud.points[:: max(-(-len(cloud.points) // _MOST_POINTS), 1)]
+        finite = np.isfinite(points[:, 0])
+        return points if finite.all() else points[finite]
 
     def _unobstructed(self, points: NDArray[np.float32], frame: Frame) -> NDArray[np.float32]:
         """Return the points without those between a camera and the drone or its plan."""
@@ -73,14 +80,6 @@ class CloudLayer(Layer):
 
     def legend(self, frame: Frame) -> list[ColorScale]:
         return [] if self._scale is None else [self._scale]
-
-
-def _thinned(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return at most 24 000 finite points from all over the cloud."""
-    step = -(-len(cloud) // _MOST_POINTS)
-    points = cloud[:: max(step, 1)]
-    finite = np.isfinite(points[:, 0])
-    return points if finite.all() else points[finite]
 
 
 def _padded(points: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, to_see
-from aero_viz.scenes import Instances, Mesh, SightLines, world_instances, world_meshes
+from aero_viz.scenes import Instances, Mesh, SightLines, World, world_instances, world_meshes
 from aero_viz.scenes.mesh import SHAPES, joined_mesh
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -35,6 +35,7 @@ class ObstacleLayer(Layer):
     keys = (ColorKey("obstacles", palette.OBSTACLE),)
 
     def create(self, scene: viser.SceneApi) -> None:
+        self._world: World | None = None
         self._sight: SightLines | None = None
         self._instances: dict[str, Instances] = {}
         self._surface = _NO_MESH
@@ -62,8 +63,12 @@ class ObstacleLayer(Layer):
         self.faint = scene.add_mesh_simple("/obstacles/faint", *_NO_FACES, opacity=_FAINT, **style)
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
-        world = source.world
-        self.available = world is not None
+        self.available = source.world is not None
+        return self._show(source.world)
+
+    def _show(self, world: World | None) -> list[Change]:
+        """Return the changes that show the obstacles of a world."""
+        self._world = world
         self._faded = {}
         self._sight = None if world is None else SightLines(world)
         self._instances = {} if world is None else world_instances(world)
@@ -87,6 +92,10 @@ class ObstacleLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         """Replace the obstacles between a camera and the drone, or its plan, by faint ones."""
+        changes = [] if frame.world is self._world else self._show(frame.world)
+        return [*changes, *self._fade(frame)]
+
+    def _fade(self, frame: Frame) -> list[Change]:
         if self._sight is None:
             return []
         targets, radii = to_see(frame)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.scenes import SightLines
+from aero_viz.scenes import SightLines, World
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -66,7 +66,7 @@ class Viewpoints:
     """First views of the named cameras, clear of the obstacles of a world."""
 
     def __init__(self) -> None:
-        self._source: SourceInfo | None = None
+        self._world: World | None = None
         self._sight: SightLines | None = None
 
     def find(self, name: str, frame: Frame) -> tuple[Point, Point]:
@@ -80,17 +80,16 @@ class Viewpoints:
         if name == "top":
             return view(name, position, goal, reach=_width(frame) / _OFFSETS[name][2])
         views = [view(name, position, goal, reach=reach) for reach in _REACHES]
-        return next((found for found in views if self._is_clear(frame.source, found[0], position)), views[0])
+        return next((found for found in views if self._is_clear(frame.world, found[0], position)), views[0])
 
-    def _is_clear(self, source: SourceInfo, eye: Point, drone: Point) -> bool:
-        if source is not self._source:
-            self._source, self._sight = source, None if source.world is None else SightLines(source.world)
-        if self._sight is None:
+    def _is_clear(self, world: World | None, eye: Point, drone: Point) -> bool:
+        if world is None:
             return True
-        assert source.world is not None
+        if self._sight is None or world is not self._world:
+            self._world, self._sight = world, SightLines(world)
         blocking = self._sight.blocked_by(eye, drone[None], np.array([0.1]))
         is_walled = len(blocking["boxes"]) + len(blocking["triangles"]) > 0
-        return not is_walled and float(source.world.distance(eye[None])[0]) > _CLEARANCE
+        return not is_walled and float(world.distance(eye[None])[0]) > _CLEARANCE
 
 
 def _width(frame: Frame) -> float:

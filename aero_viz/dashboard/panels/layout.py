@@ -18,6 +18,7 @@ from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
+from aero_viz.dashboard.panels.share import Files, SharePanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
@@ -36,6 +37,7 @@ def build(
     folders: Folders,
     opened: str = "",
     conditions: Conditions | None = None,
+    files: Files | None = None,
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
@@ -51,7 +53,11 @@ def build(
         if controls is not None and open_source is not None:
             with gui.add_folder("Source"):
                 options: dict[str, Any] = {"seed": seed, "opened": opened, "conditions": conditions}
-                panels.append(SourcePanel(page, controls, open_source, choices, folders, **options))
+                sources = SourcePanel(page, controls, open_source, choices, folders, **options)
+                panels.append(sources)
+            if files is not None:
+                with gui.add_folder("Share", expand_by_default=False):
+                    panels.append(SharePanel(page, controls, sources, files))
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))

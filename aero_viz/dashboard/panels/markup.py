@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterable, Sequence
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers import Bar
+from aero_viz.dashboard.layers import Bar, ColorKey, ColorScale
 from aero_viz.dashboard.palette import Rgb, css
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "columns",
     "heading",
     "key",
+    "legend",
     "metrics",
     "muted",
     "note",
@@ -142,3 +143,10 @@ def scale(label: str, low: str, high: str, colormap: palette.Colormap) -> str:
         f'background:{palette.gradient(colormap)}"></div><div style="display:flex;justify-content:space-between">'
         f"<span>{text(low)}</span><span>{text(high)}</span></div></div>"
     )
+
+
+def legend(entries: Iterable[ColorKey | ColorScale]) -> str:
+    """Return the legend of layers: colormaps first, then single colours."""
+    entries = list(entries)
+    scales = [scale(e.label, e.low, e.high, e.colormap) for e in entries if isinstance(e, ColorScale)]
+    return block(*scales, key([(entry.label, entry.color) for entry in entries if isinstance(entry, ColorKey)]))

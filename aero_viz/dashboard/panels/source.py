@@ -13,8 +13,10 @@ from typing import Any
 
 import viser
 
+from aero_planner import PlannerConfig
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.links import Link, Opening
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.panels.conditions import ConditionControls
@@ -30,6 +32,8 @@ from aero_viz.session.source import Conditions, Opener, Source
 __all__ = ["SourcePanel"]
 
 _log = logging.getLogger(__name__)
+_LINK_STEPS = 25
+"""Ticks to fly at once on the way to the time of a link; other commands wait for them."""
 _PROGRESS_PERIOD = 0.5
 """Time between two updates of the displayed progress [s]."""
 
@@ -74,6 +78,8 @@ class SourcePanel(Panel):
         self._offered = frozenset([opened, *(spec for _, spec in choices)])
         """What may be opened outside the folders."""
         self._opened = opened or (next(iter(self._choices.values()))[1] if choices else "")
+        self.opening = Opening(self._opened, seed, conditions)
+        """What is open."""
         self._is_listed = False
         """True while the list has been told of the open source."""
         self._reader: ReaderProcess | None = None
@@ -167,20 +173,40 @@ class SourcePanel(Panel):
                 notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
                 return
             self._reader = ReaderProcess()
-        threading.Thread(
-            target=self._open, args=(self._reader, spec, options, client), name="aero-viz-open", daemon=True
-        ).start()
+        self._open_in_thread(self._reader, spec, options, client)
+
+    def open_link(self, link: Link, client: viser.ClientHandle | None) -> None:
+        """Open what a link names, and go to its time with its configuration, in the background."""
+        with self._lock:
+            if self._reader is not None:
+                notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
+                return
+            self._reader = ReaderProcess()
+        options: dict[str, Any] = {"seed": link.opening.seed}
+        if link.opening.conditions is not None and self._first_conditions is not None:
+            options["conditions"] = link.opening.conditions
+        self._open_in_thread(self._reader, link.opening.spec, options, client, link)
+
+    def _open_in_thread(self, *arguments: Any) -> None:
+        threading.Thread(target=self._open, args=arguments, name="aero-viz-open", daemon=True).start()
 
     def _open(
-        self, reader: ReaderProcess, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
+        self,
+        reader: ReaderProcess,
+        spec: str,
+        options: dict[str, Any],
+        client: viser.ClientHandle | None,
+        link: Link | None = None,
     ) -> None:
         """Open a source by name or path and make it the session's; problems are shown to `client`."""
         self._cancel.visible = True
         try:
             with self._progress_notification(f"Opening {spec} ..", reader, client):
                 source = self._read(reader, spec, options, client)
-                if source is not None:
-                    self._use(source, spec)
+                if source is not None and self._use(source, spec):
+                    self.opening = Opening(spec, options["seed"], options.get("conditions"))
+                    if link is not None:
+                        self._go_to(link)
         finally:
             with self._lock:
                 self._reader = None
@@ -188,18 +214,38 @@ class SourcePanel(Panel):
                 self._cancel.visible = False
                 self.page.refresh()
 
-    def _use(self, source: Source, spec: str) -> None:
-        """Make `source` the session's. It plays if the one before it did, also if that had come to its end."""
+    def _go_to(self, link: Link) -> None:
+        """Use the configuration of a link from the start on, and fly to its time."""
+        self.session.pause()
+        self._controls.configure(PlannerConfig().replace(link.config))
+        with contextlib.suppress(CancelledError):
+            if link.time <= 0.0 or self.session.seek(link.time).exception() is not None:
+                return
+            frame = self.session.frame
+            while frame is not None and frame.outcome is None and frame.time < link.time - 0.5 * frame.source.period:
+                ticks = round((link.time - frame.time) / frame.source.period)
+                if frame.source.times is not None or self.session.step(min(ticks, _LINK_STEPS)).exception() is not None:
+                    return
+                frame = self.session.frame
+
+    def _use(self, source: Source, spec: str) -> bool:
+        """Make `source` the session's. It plays if the one before it did, also if that had come to its end.
+
+        Returns:
+            False if its first tick failed, so that the source before it stays.
+        """
         frame = self.session.frame
         has_ended = frame is not None and frame.outcome is not None
         with contextlib.suppress(CancelledError):  # the session was closed in the meantime
             # If its first tick fails, the session notifies everyone.
             if self._controls.set_source(source).exception() is not None:
-                return
+                return False
             self._plan_as_known(frame, source)
             if has_ended:
                 self.session.play()
             self._opened, self._is_listed = spec, False
+            return True
+        return False
 
     def _plan_as_known(self, before: Frame | None, source: Source) -> None:
         """Let the planner know the field of view of another LiDAR and the top of another world."""

@@ -9,7 +9,7 @@ import viser
 
 from aero_planner import PlanStatus
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers import Change, ColorKey, ColorScale
+from aero_viz.dashboard.layers import Change, legend_of
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
@@ -52,7 +52,7 @@ class StatusPanel(Panel):
             (self.html, "content", markup.block(self._state(frame), _figures(frame))),
             (self.costs, "content", markup.block(*self._charts(frame))),
             (self.stages, "content", markup.block(_stages(frame))),
-            (self.key, "content", markup.block(*self._legend(frame))),
+            (self.key, "content", markup.legend(legend_of(self.page.layers.values(), frame))),
         ]
 
     def _state(self, frame: Frame) -> str:
@@ -92,17 +92,6 @@ class StatusPanel(Panel):
     def _charts(self, frame: Frame) -> list[str]:
         charts = [chart for layer in self.page.layers.values() if (chart := layer.chart(frame)) is not None]
         return [markup.heading(chart.label, chart.summary) + markup.bars(chart.bars) for chart in charts]
-
-    def _legend(self, frame: Frame) -> list[str]:
-        shown = [layer for layer in self.page.layers.values() if layer.visible and layer.available]
-        entries = [entry for layer in shown for entry in layer.legend(frame)]
-        scales = [
-            markup.scale(entry.label, entry.low, entry.high, entry.colormap)
-            for entry in entries
-            if isinstance(entry, ColorScale)
-        ]
-        keys = [(entry.label, entry.color) for entry in entries if isinstance(entry, ColorKey)]
-        return [*scales, markup.key(keys)]
 
 
 def _recorded(plan: RecordedPlan) -> str:

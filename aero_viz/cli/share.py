@@ -1,0 +1,85 @@
+"""The verb `aero-viz share`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
+from aero_viz.cli.output import progress_bar
+
+__all__ = ["share"]
+
+_CONFIG = ConfigFlags()
+_FLIGHT = FlightFlags()
+_WORLD = WorldFlags()
+
+
+def share(
+    source: WorldName,
+    output: OutputPath,
+    *,
+    duration: float = 60.0,
+    layers: OptionalText = None,
+    lidar: str = "mid360",
+    seed: int = 0,
+    device: str = "cpu",
+    world_flags: Inline[WorldFlags] = _WORLD,
+    flight_flags: Inline[FlightFlags] = _FLIGHT,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
+) -> None:
+    """Write a flight to one file: page, video, picture or log.
+
+    The end of the file's name says which: .html, .mp4, .png or .mcap. The page needs no server and no network: it opens
+    from disk in any browser, plays, and goes to any time.
+
+    Args:
+        source: Scene, file of a world (JSON), point-cloud map or mesh, recording, or flight log.
+        output: File to write; its end says what is written.
+        duration: Longest time to show [s].
+        layers: Layers to show, separated by commas, such as rollouts,drone,obstacles; by default those of the page.
+        lidar: LiDAR model of a flight: mid360, full-sphere or spinning64.
+        seed: Seed of the scene, the LiDAR and all noise.
+        device: Warp device of planner and simulation.
+        world_flags: The world.
+        flight_flags: The flight.
+        config_flags: The planner's configuration.
+    """
+    from aero_viz.catalog import is_map, open_source
+    from aero_viz.cli.page import flight_opener
+    from aero_viz.dashboard.share import share as write
+    from aero_viz.dashboard.share.share import check_path
+
+    check_path(output)
+    config = flight_flags.complete(config_flags.load(), lidar=lidar)
+    if Path(source).exists() and not (source.endswith(".json") or is_map(source)):
+        flight = open_source(source, seed=seed, device=device)
+    else:
+        opener = flight_opener(source, world_flags, flight_flags, config, lidar=lidar, device=device)
+        flight = opener(source, seed=seed)
+    with progress_bar(flight.info.name, enabled=True) as update_bar:
+        write(
+            flight,
+            output,
+            command=_command(source, str(output), closed_loop=flight.info.closed_loop),
+            config=config,
+            seed=seed,
+            device=device,
+            duration=duration,
+            layers=None if layers is None else [name.strip() for name in layers.split(",")],
+            report=lambda time: update_bar(min(time, duration), duration, f"{time:.1f} s"),
+        )
+    print(f"{output}: {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _command(source: str, output: str, *, closed_loop: bool) -> str:
+    """Return the command that shows live what this one writes: with the same flags, without those of the file."""
+    arguments = sys.argv[2:]
+    for word in (source, output):
+        if word in arguments:
+            arguments.remove(word)
+    for flag in ("--duration", "--layers"):
+        if flag in arguments:
+            del arguments[arguments.index(flag) : arguments.index(flag) + 2]
+    return shlex.join(["aero-viz", "demo" if closed_loop else "play", source, *arguments])

@@ -1,0 +1,110 @@
+"""Links that open the page with a source, a seed, a time and a configuration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import parse_qsl, urlencode
+
+from aero_planner import PlannerConfig
+from aero_planner.config import ParameterInfo
+from aero_viz.flight.conditions import OFFERED
+from aero_viz.session.source import Conditions
+
+__all__ = ["Link", "Opening"]
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What a page has opened: the arguments of its `Opener`."""
+
+    spec: str
+    """Name of a scene, or path of a file."""
+    seed: int = 0
+    conditions: Conditions | None = None
+    """Conditions of a flight; None are those of the program's flags."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """Moment that a link opens again."""
+
+    opening: Opening
+    time: float = 0.0
+    """Source time [s]."""
+    config: Mapping[str, Any] = field(default_factory=dict)
+    """Parameters that differ from the default, by path."""
+
+    @classmethod
+    def to(cls, opening: Opening, time: float, config: PlannerConfig) -> Link:
+        """Return the link to a moment under a configuration."""
+        default = PlannerConfig()
+        values = {info.path: config.get(info.path) for info in PlannerConfig.parameters()}
+        return cls(opening, time, {path: value for path, value in values.items() if value != default.get(path)})
+
+    @property
+    def query(self) -> str:
+        """The link as the query of an address, such as "?source=forest&seed=3&time=4.2&costs.q_track=8.0"."""
+        opening, conditions = self.opening, self.opening.conditions
+        entries: dict[str, Any] = {"source": opening.spec, "seed": opening.seed, "time": f"{self.time:.3f}"}
+        if conditions is not None:
+            entries |= {} if conditions.count is None else {"count": conditions.count}
+            entries |= {} if conditions.lidar is None else {"lidar": conditions.lidar}
+            defaults = {info.path: info.default for info in OFFERED}
+            entries |= {path: value for path, value in conditions.values.items() if value != defaults.get(path)}
+        return "?" + urlencode({**entries, **self.config}, safe="/")
+
+    @classmethod
+    def parse(cls, query: str) -> Link | None:
+        """Return the link in the query of an address; None if there is none.
+
+        Raises:
+            ValueError: an entry is unknown or its value cannot be used; names it.
+        """
+        entries = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True, max_num_fields=500))
+        if "source" not in entries:
+            return None
+        spec, conditions = entries.pop("source"), {info.path: info for info in OFFERED}
+        seed = _number(entries, "seed", 0)
+        time = _number(entries, "time", 0.0)
+        count = _number(entries, "count", 0) if "count" in entries else None
+        lidar = entries.pop("lidar", None)
+        parameters = {info.path: info for info in PlannerConfig.parameters()}
+        values, config = {}, {}
+        for path, text in entries.items():
+            if path in conditions:
+                values[path] = conditions[path].check(_value(conditions[path], text))
+            elif path in parameters:
+                config[path] = _value(parameters[path], text)
+            else:
+                raise ValueError(f"The link has an entry {path!r}, which this version does not know.")
+        PlannerConfig().replace(config)  # raises for a value out of its bounds
+        has_conditions = bool(values) or count is not None or lidar is not None
+        opening = Opening(spec, seed, Conditions(count, lidar, values) if has_conditions else None)
+        return cls(opening, time, config)
+
+
+def _number(entries: dict[str, str], name: str, default: Any) -> Any:
+    text = entries.pop(name, None)
+    try:
+        number = default if text is None else type(default)(text)
+    except ValueError as error:
+        raise ValueError(f"The link has {name} = {text!r}; it must be a number.") from error
+    if not (math.isfinite(number) and 0 <= number < 2**31):
+        raise ValueError(f"The link has {name} = {text!r}; it must be a finite number that is not negative.")
+    return number
+
+
+def _value(info: ParameterInfo, text: str) -> Any:
+    if info.choices:
+        return text
+    if isinstance(info.default, bool):
+        if text not in ("True", "False"):
+            raise ValueError(f"The link has {info.path} = {text!r}; it must be True or False.")
+        return text == "True"
+    try:
+        return type(info.default)(text)
+    except ValueError as error:
+        raise ValueError(f"The link has {info.path} = {text!r}; it must be a number.") from error

@@ -1,0 +1,186 @@
+"""Buttons that write the flight to a file, and a link to the present moment."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from pathlib import Path
+from typing import Protocol
+
+import viser
+
+from aero_viz.catalog import open_source
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.links import Link
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.source import SourcePanel
+from aero_viz.dashboard.scripts import run_script
+from aero_viz.dashboard.server import notify
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightSource
+from aero_viz.session.base import SessionControls
+from aero_viz.session.frame import Frame
+from aero_viz.session.repeat import repeat
+
+__all__ = ["Files", "SharePanel"]
+
+_log = logging.getLogger(__name__)
+_KINDS = {
+    "Web page": (".html", viser.Icon.WORLD, "The flight so far as one file that plays in any browser, offline."),
+    "Video": (".mp4", viser.Icon.MOVIE, "The flight so far as a video. Takes a minute or more."),
+    "Picture": (".png", viser.Icon.PHOTO, "This moment, with the panels."),
+    "Log": (".mcap", viser.Icon.FILE_DOWNLOAD, "The flight so far for play, Foxglove, RViz and others."),
+}
+_STORED = "aero-link"
+_TAKE_LINK = """
+if (location.search.includes("source=")) {
+  localStorage.setItem("viser-user:aero-link", location.search);
+  history.replaceState(null, "", location.pathname);
+}
+"""
+"""Script that hands over the link of a page's address, once."""
+_LINK_TIMEOUT = 20.0
+"""Longest wait for the answer of a page [s]."""
+
+
+class Files(Protocol):
+    """Writes files."""
+
+    def write(
+        self,
+        frames: Iterable[Frame],
+        path: Path,
+        *,
+        command: str,
+        layers: Sequence[str],
+        report: Callable[[float], None],
+    ) -> None:
+        """Write frames to a file of the kind that its name asks for."""
+
+    def picture(self, url: str) -> bytes:
+        """Return a picture of the page at an address as PNG."""
+        ...
+
+
+class SharePanel(Panel):
+    """Writes the flight so far to a file for the visitor who asks, while the session goes on.
+
+    Its ticks are planned once more on a source of their own, so that changes of parameters and of the goal are in the
+    file as they were.
+    """
+
+    def __init__(self, page: Page, controls: SessionControls, sources: SourcePanel, files: Files) -> None:
+        self._controls, self._sources, self._files = controls, sources, files
+        self._busy = threading.Lock()
+        super().__init__(page)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        for label, (suffix, icon, hint) in _KINDS.items():
+            button = gui.add_button(label, icon=icon, color="gray", hint=hint)
+
+            @button.on_click
+            async def _(event: viser.GuiEvent, suffix: str = suffix) -> None:
+                if event.client is not None:
+                    self._start(suffix, event.client)
+
+        self._link = gui.add_text("Link", "", disabled=True, hint="Opens this source, seed, time and configuration.")
+        copy = gui.add_button("Copy link", icon=viser.Icon.LINK, color="gray", hint="Copy the link to this moment.")
+
+        @copy.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                query = json.dumps(self._query())
+                run_script(
+                    event.client, f"navigator.clipboard.writeText(location.origin + location.pathname + {query})"
+                )
+                notify(self.page.server, "The link to this moment is in the clipboard.", client=event.client)
+
+    def update(self, frame: Frame) -> list[Change]:
+        return [] if self.session.playing else [(self._link, "value", self.page.server.url + "/" + self._query())]
+
+    def welcome(self, client: viser.ClientHandle) -> None:
+        """Ask a new visitor who came by a link whether to open it: another page may have made the link."""
+        threading.Thread(target=self._welcome, args=(client,), name="aero-viz-link", daemon=True).start()
+
+    def _query(self) -> str:
+        frame = self.session.frame
+        time = 0.0 if frame is None else frame.time
+        return Link.to(self._sources.opening, time, self.session.config).query
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        client.local_storage.set_item(_STORED, "")
+        run_script(client, _TAKE_LINK)
+        try:
+            query = client.local_storage.get_item(_STORED, timeout=_LINK_TIMEOUT)
+            link = Link.parse(query or "")
+        except (RuntimeError, TimeoutError):  # the page was closed, or stores nothing
+            return
+        except ValueError as error:
+            notify(self.page.server, str(error), level="error", client=client)
+            return
+        if link is not None:
+            self._offer(client, link)
+
+    def _offer(self, client: viser.ClientHandle, link: Link) -> None:
+        changes = "".join(f"\n- `{path}` = {value}" for path, value in link.config.items())
+        modal = client.gui.add_modal("Open this link?")
+        with modal:
+            client.gui.add_markdown(f"**{link.opening.spec}**, seed {link.opening.seed}, at {link.time:.2f} s{changes}")
+            answer = client.gui.add_button_group("", ("Open", "Keep what is shown"))
+
+            @answer.on_click
+            async def _(_: viser.GuiEvent) -> None:
+                modal.close()
+                if answer.value == "Open":
+                    self._sources.open_link(link, client)
+
+    def _start(self, suffix: str, client: viser.ClientHandle) -> None:
+        if not self._busy.acquire(blocking=False):
+            notify(self.page.server, "A file is being written; wait until it is done.", level="error", client=client)
+            return
+        threading.Thread(target=self._write, args=(suffix, client), name="aero-viz-share", daemon=True).start()
+
+    def _write(self, suffix: str, client: viser.ClientHandle) -> None:
+        notification = client.add_notification("AERO-Viz", "Writing the file ..", loading=True, with_close_button=False)
+        try:
+            content = self._content(suffix, notification)
+            name = Path(self._sources.opening.spec).stem + suffix
+            client.send_file_download(name, content, save_immediately=True)
+        except (UserError, CancelledError) as error:
+            notify(self.page.server, str(error) or "The session was closed.", level="error", client=client)
+        except Exception as error:
+            _log.exception("a file cannot be written")
+            notify(self.page.server, f"The file cannot be written: {error}.", level="error", client=client)
+        finally:
+            self._busy.release()
+            with contextlib.suppress(Exception):  # the page may be closed
+                notification.remove()
+
+    def _content(self, suffix: str, notification: viser.NotificationHandle) -> bytes:
+        if suffix == ".png":
+            return self._files.picture(self.page.server.url)
+        shown = [name for name, layer in self.page.layers.items() if layer.visible]
+        command = f"aero-viz demo {self._sources.opening.spec} --seed {self._sources.opening.seed}"
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"flight{suffix}"
+
+            def report(time: float) -> None:
+                notification.body = f"Writing the file .. {time:.1f} s"
+
+            self._files.write(self._frames(report), path, command=command, layers=shown, report=report)
+            return path.read_bytes()
+
+    def _frames(self, report: Callable[[float], None]) -> Iterator[Frame]:
+        ticks, info, opening = self._controls.flown().result(), self.session.frame, self._sources.opening
+        if info is None or not ticks:
+            raise UserError("Nothing has been planned yet.")
+        twin = FlightSource.twin(info.source) if info.source.world is not None and info.source.closed_loop else None
+        source = twin or open_source(opening.spec, seed=opening.seed)
+        for frame in repeat(source, ticks, device=self._controls.device, seed=self._controls.seed):
+            yield frame
+            report(frame.time)

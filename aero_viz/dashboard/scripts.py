@@ -1,0 +1,13 @@
+"""Scripts on the pages of visitors, for what viser has no controls for."""
+
+from __future__ import annotations
+
+import viser
+from viser import _messages
+
+__all__ = ["run_script"]
+
+
+def run_script(client: viser.ClientHandle, source: str) -> None:
+    """Run JavaScript on a visitor's page. Texts in it must go through `json.dumps`."""
+    client._websock_connection.queue_message(_messages.RunJavascriptMessage(source))

@@ -1,0 +1,112 @@
+"""Videos and pictures of pages, drawn by a headless Chromium."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from aero_viz.dashboard.snapshot import launch_chromium
+from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+__all__ = ["SIZE", "VIDEO_RATE", "page_picture", "write_video"]
+
+SIZE = (1280, 720)
+"""Width and height of videos and pictures [pixels]."""
+VIDEO_RATE = 25
+"""Pictures per second of a video [Hz]."""
+_TIMEOUT = 120_000.0
+"""Longest wait for the browser [ms]: without a GPU, on a machine that plans at the same time, it is slow."""
+_DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+_BARE = """
+.mantine-Notification-root, #aero details {display: none !important}
+div:has(> .mantine-NumberInput-root) {position: fixed !important; top: -300px}
+"""
+"""Style sheet that hides what a video cannot use: notifications and the controls of the playback."""
+
+
+def write_video(
+    page: Path, path: Path, *, duration: float, size: tuple[int, int] = SIZE, report: Callable[[float], None]
+) -> None:
+    """Write the flight of a shared page as an MP4 file.
+
+    Args:
+        page: file of the page.
+        path: file to write.
+        duration: duration of the flight [s].
+        size: width and height [pixels].
+        report: called with the time in the flight [s] after each picture.
+
+    Raises:
+        UserError: Chromium, Playwright or imageio-ffmpeg is missing, or the video cannot be encoded.
+    """
+    with _video_writer(path, size) as write, _opened(page.resolve().as_uri(), size) as opened:
+        field = opened.locator(".mantine-NumberInput-input").first
+        field.wait_for()
+        opened.keyboard.press("Space")  # pause
+        opened.add_style_tag(content=_BARE)
+        for number in range(int(duration * VIDEO_RATE) + 1):
+            time = number / VIDEO_RATE
+            field.fill(f"{time + 1e-3:.3f}", force=True)
+            opened.evaluate("time => window.aeroShow(time)", time)
+            opened.evaluate(_DRAWN)
+            write(opened.screenshot(type="jpeg", quality=92))
+            report(time)
+
+
+def page_picture(url: str, *, size: tuple[int, int] = SIZE) -> bytes:
+    """Return a picture of the page at an address as PNG, with its panels.
+
+    Raises:
+        UserError: Chromium or Playwright is missing.
+    """
+    with _opened(url, size) as page:
+        page.get_by_text("shorter is better").first.wait_for()
+        page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
+        previous = b""
+        for _ in range(20):  # the page builds its nodes over several frames
+            page.wait_for_timeout(250)
+            page.evaluate(_DRAWN)
+            picture = page.screenshot(type="png")
+            if picture == previous:
+                break
+            previous = picture
+        return previous
+
+
+@contextlib.contextmanager
+def _opened(url: str, size: tuple[int, int]) -> Iterator[Page]:
+    with launch_chromium() as browser:
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page.set_default_timeout(_TIMEOUT)
+        page.goto(url)
+        yield page
+
+
+@contextlib.contextmanager
+def _video_writer(path: Path, size: tuple[int, int]) -> Iterator[Callable[[bytes], Any]]:
+    """Yield a function that appends a JPEG picture to a video."""
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise UserError(
+            "Videos need imageio-ffmpeg, which is not installed; run: pip install 'aero-viz[video]'."
+        ) from error
+    import imageio.v3 as iio
+
+    options = ["-preset", "veryfast", "-movflags", "+faststart"]
+    encoder = imageio_ffmpeg.write_frames(
+        str(path), size, fps=VIDEO_RATE, quality=6, output_params=options, macro_block_size=2
+    )
+    encoder.send(None)
+    try:
+        yield lambda picture: encoder.send(iio.imread(io.BytesIO(picture))[..., :3].tobytes())
+    except RuntimeError as error:
+        raise UserError(f"The video cannot be encoded: {error}") from error
+    finally:
+        encoder.close()

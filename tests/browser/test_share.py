@@ -1,0 +1,107 @@
+"""Flights as files: the page from disk without a network, the video, and mistakes."""
+
+from __future__ import annotations
+
+import io
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard.share import share
+from aero_viz.dashboard.share.pictures import write_video
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightSource
+from aero_viz.scenes import scene
+from tests.browser.pictures import differing
+
+TIMEOUT = 120_000.0
+
+
+@pytest.fixture(scope="module")
+def shared(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first second through the forest, as a page."""
+    del browser  # skips where there is none
+    path = tmp_path_factory.mktemp("share") / "forest.html"
+    source = FlightSource(scene("forest", seed=3), seed=3)
+    config = PlannerConfig.preset("paper")
+    share(source, path, command="aero-viz demo forest --seed 3", config=config, duration=1.0)
+    return path
+
+
+def open_offline(browser: Browser, path: Path) -> Page:
+    """The page, opened from disk without a network and paused; fails if it asks for anything."""
+    context = browser.new_context(viewport={"width": 640, "height": 400}, offline=True)
+    context.set_default_timeout(TIMEOUT)
+    page = context.new_page()
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(path.as_uri())
+    page.locator(".mantine-NumberInput-input").wait_for()
+    page.keyboard.press("Space")
+    assert not [url for url in requests if not url.startswith(("file:", "data:", "blob:"))]
+    return page
+
+
+def picture(page: Page, time: float) -> np.ndarray:
+    """The left half of the page at a time [s], without the figures."""
+    field = page.locator(".mantine-NumberInput-input")
+    field.fill(f"{time:g}")
+    page.wait_for_timeout(1500)
+    return iio.imread(io.BytesIO(page.screenshot()))[:340, 300:460, :3]
+
+
+def test_a_shared_page_plays_and_goes_to_any_time_from_disk_without_a_network(browser, shared):
+    assert shared.stat().st_size < 15e6 / 4
+    page = open_offline(browser, shared)
+    first, last = picture(page, 0.2), picture(page, 0.9)
+    assert differing(first, last) > 300
+    assert differing(picture(page, 0.2), first) < 100  # back in time
+    assert page.locator("#aero").inner_text().startswith("forest")
+    assert "--seed 3" in (page.locator("#aero code").text_content() or "")
+    page.locator(".mantine-NumberInput-input").blur()  # Space in the field is typed
+    page.keyboard.press("Space")
+    before = page.locator("#aero-time").inner_text()
+    page.wait_for_function("before => document.getElementById('aero-time').textContent != before", arg=before)
+    page.context.close()
+
+
+def test_a_shared_page_becomes_a_video(shared, tmp_path):
+    path = tmp_path / "flight.mp4"
+    options = {"duration": 0.2, "size": (320, 200), "report": lambda _: None}
+    with ThreadPoolExecutor(1) as pool:  # Playwright's event loop is on this thread
+        pool.submit(write_video, shared, path, **options).result()
+    pictures = iio.imread(path, plugin="FFMPEG")
+    assert pictures.shape[1:] == (200, 320, 3) and len(pictures) == 6
+    assert pictures[0].std() > 5.0 and differing(pictures[0], pictures[-1]) > 20
+
+
+def test_a_shared_log_is_a_recording(tmp_path):
+    from aero_viz.catalog import open_source
+
+    path = tmp_path / "flight.mcap"
+    share(FlightSource(scene("forest", seed=0)), path, command="", duration=0.2)
+    source = open_source(str(path))
+    try:
+        assert source.info.recorded_plan is not None and source.info.times is not None
+        assert source.info.times[-1] == pytest.approx(0.2)
+    finally:
+        source.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("flight", {}, "does not say what to write"),
+        ("no/such/flight.html", {}, "There is no folder"),
+        ("flight.html", {"layers": ["clouds"]}, "no layer 'clouds'"),
+    ],
+)
+def test_mistakes_are_reported_and_leave_no_file(tmp_path, name, options, words):
+    with pytest.raises(UserError, match=words):
+        share(FlightSource(scene("forest", seed=0)), tmp_path / name, command="", duration=0.1, **options)
+    assert not list(tmp_path.iterdir())

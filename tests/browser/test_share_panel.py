@@ -1,0 +1,50 @@
+"""The Share folder of the page: files of the flight so far, and a link to the present moment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aero_viz.dashboard.links import Link
+
+
+def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(fresh_desk, tmp_path):
+    desk = fresh_desk
+    desk.session.configure({"costs.q_track": 8.0})
+    desk.session.step(3).result()
+    desk.open_folder("Share", "Web page")
+    with desk.page.expect_download() as download:
+        desk.click("Web page")
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    assert path.suffix == ".html" and "forest" in path.read_text()
+    with desk.page.expect_download() as download:
+        desk.click("Log")
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    assert path.read_bytes()[:5] == b"\x89MCAP"
+    before = desk.session.frame.index
+    desk.session.step(1).result()  # the session goes on
+    assert desk.session.frame.index == before + 1
+
+
+def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(fresh_desk):
+    desk = fresh_desk
+    desk.session.configure({"costs.q_track": 8.0})
+    desk.session.seek(0.1).result()
+    desk.open_folder("Share", "Copy link")
+    field = desk.control("Link").locator("input")
+    desk.wait_for(lambda: "costs.q_track=8" in field.input_value(), "the link")
+    link = field.input_value().replace("seed=0", "seed=5")
+    before = desk.session.source
+    desk.page.goto(link)
+    desk.page.get_by_text("Open this link?").wait_for()
+    assert desk.session.source is before  # nothing happens without the visitor's consent
+    desk.session.configure({"costs.q_track": 15.0})
+    desk.page.get_by_role("button", name="Open", exact=True).last.click()
+    desk.wait_for(lambda: desk.session.source is not before, "the other forest")
+    desk.wait_for(lambda: desk.session.config.costs.q_track == 8.0, "the configuration of the link")
+    desk.wait_for(lambda: abs(desk.session.frame.time - 0.1) < 1e-6, "the time of the link")
+    assert desk.session.source.settings["seed"] == 5
+    assert "source=" not in desk.page.url
+    again = Link.parse(link.partition("?")[2])
+    assert again is not None and np.isclose(again.time, 0.1)

@@ -1,0 +1,39 @@
+"""Links to a moment: there and back, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard.links import Link, Opening
+from aero_viz.session.source import Conditions
+
+
+def test_a_link_keeps_source_seed_time_conditions_and_configuration():
+    config = PlannerConfig().replace({"costs.q_track": 8.5, "sampling.samples": 64, "costs.use_ground": False})
+    conditions = Conditions(300, "full-sphere", {"noise.position": 0.1})
+    link = Link.to(Opening("maps/a b.json", 7, conditions), 4.24, config)
+    again = Link.parse(link.query)
+    assert again is not None and again == link
+    assert PlannerConfig().replace(again.config) == config
+
+
+def test_an_address_without_a_source_has_no_link():
+    assert Link.parse("") is None and Link.parse("?darkMode=1") is None
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("source=forest&seed=x", "seed = 'x'"),
+        ("source=forest&time=nan", "time = 'nan'"),
+        ("source=forest&time=-1", "not negative"),
+        ("source=forest&costs.q_track=many", "costs.q_track = 'many'"),
+        ("source=forest&costs.q_track=1e9", "costs.q_track"),
+        ("source=forest&costs.use_ground=maybe", "True or False"),
+        ("source=forest&color=red", "'color'"),
+    ],
+)
+def test_a_link_that_cannot_be_used_is_refused(query, words):
+    with pytest.raises(ValueError, match=words):
+        Link.parse(query)
