@@ -92,9 +92,6 @@ class Panel:
     def close(self) -> None:
         """Stop the panel's threads."""
 
-    def welcome(self, client: viser.ClientHandle) -> None:
-        """Prepare the page of a new visitor."""
-
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         """Return the changes that show what is fixed for another source."""
         return []
