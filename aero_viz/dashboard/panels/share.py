@@ -136,8 +136,12 @@ class SharePanel(Panel):
             @answer.on_click
             async def _(_: viser.GuiEvent) -> None:
                 modal.close()
-                if answer.value == "Open":
-                    self._sources.open_link(link, client)
+                if answer.value != "Open":
+                    return
+                if not self.page.server.visitors.has_control(client.client_id):  # the modal is the visitor's own
+                    notify(self.page.server, "Take control before you open a link.", level="error", client=client)
+                    return
+                self._sources.open_link(link, client)
 
     def _start(self, suffix: str, client: viser.ClientHandle) -> None:
         if not self._busy.acquire(blocking=False):
@@ -163,7 +167,7 @@ class SharePanel(Panel):
 
     def _content(self, suffix: str, notification: viser.NotificationHandle) -> bytes:
         if suffix == ".png":
-            return self._files.picture(self.page.server.url)
+            return self._files.picture(self.page.server.link(view_only=True))
         shown = [name for name, layer in self.page.layers.items() if layer.visible]
         command = f"aero-viz demo {self._sources.opening.spec} --seed {self._sources.opening.seed}"
         with tempfile.TemporaryDirectory() as folder:
