@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import subprocess
 import sys
@@ -47,7 +48,7 @@ def _run_cases(names: list[str], seconds: float, first: int, folder: Path) -> in
     """Run the cases of all seeds in turn, and return the number of failures."""
     end, counts, peak, number = time.monotonic() + seconds, Counter[tuple[str, str]](), Counter[str](), first
     slowest: dict[str, float] = {}
-    with Worker() as worker:
+    with contextlib.suppress(KeyboardInterrupt), Worker() as worker:  # after Ctrl-C, the table shows what was done
         while time.monotonic() < end:
             for name in names:
                 path = write_case(folder / "seeds" / name, folder, number)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from playwright.sync_api import Page, Playwright, sync_playwright
+from playwright.sync_api import Error, Page, Playwright, sync_playwright
 from soak.report import TICK_RATE, Sample, curve, problems, table, write_csv
 
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
@@ -164,7 +164,8 @@ def _page(playwright: Playwright, url: str, *, slow: bool) -> Iterator[Page]:
         page.goto(url, timeout=120_000)
         yield page
     finally:
-        browser.close()
+        with contextlib.suppress(Error):  # Ctrl-C ends the browser as well
+            browser.close()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,64 @@
+"""Messages for the page's websocket: those that a page may send, with random fields, values and damage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from fuzz.mutation import mutate
+
+__all__ = ["message"]
+
+_VALUES: tuple[Any, ...] = (
+    None, True, False, 0, 1, -1, 2.5, 1e30, -(1 << 63), (1 << 64) - 1, float("nan"), float("inf"), "", "forest", "+10",
+    "../../etc/passwd", "\u0000\ud7ff", "x" * 6000, b"\x00\xff", [], [1.0, 2.0, 3.0], [None] * 3, [[1.0]] * 2, {},
+    {"value": 1},
+)  # fmt: skip
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "ViewerCameraMessage": (
+        "wxyz", "position", "fov", "near", "far", "image_height", "image_width", "look_at", "up_direction",
+    ),
+    "GuiFormSubmitMessage": ("uuid",),
+    "GuiFormDirtyMessage": ("uuid",),
+    "CommandTriggerMessage": ("uuid",),
+    "GuiButtonHoldMessage": ("uuid", "frequency"),
+    "FileTransferStartUpload": (
+        "source_component_uuid", "transfer_uuid", "filename", "mime_type", "part_count", "size_bytes",
+    ),
+    "FileTransferPart": ("source_component_uuid", "transfer_uuid", "part_index", "content"),
+    "GetRenderResponseMessage": ("payload", "render_uuid"),
+    "LocalStorageGetItemResponseMessage": ("value", "error", "request_uuid"),
+    "ShareUrlRequest": (),
+    "TransformControlsUpdateMessage": ("name", "wxyz", "position", "owner"),
+    "TransformControlsDragStartMessage": ("name", "owner"),
+    "SceneNodeClickMessage": ("name", "instance_index", "ray_origin", "ray_direction", "screen_pos", "modifier"),
+    "ScenePointerMessage": ("event_type", "ray_origin", "ray_direction", "screen_pos", "modifier"),
+}  # fmt: skip
+
+
+def message(random: np.random.Generator, identifiers: Sequence[str]) -> bytes:
+    """Return a message with random content.
+
+    Args:
+        random: source of randomness.
+        identifiers: those of the controls, and names of scene nodes.
+    """
+
+    def value() -> Any:
+        if random.random() < 0.3:
+            return identifiers[int(random.integers(len(identifiers)))]
+        if random.random() < 0.3:
+            return [float(x) for x in random.normal(0.0, 3.0, int(random.integers(2, 5)))]
+        return _VALUES[int(random.integers(len(_VALUES)))]
+
+    if random.random() < 0.5:
+        identifier = identifiers[int(random.integers(len(identifiers)))]
+        name = "value" if random.random() < 0.9 else str(value())
+        content: dict[str, Any] = {"type": "GuiUpdateMessage", "uuid": identifier, "updates": {name: value()}}
+    else:
+        kind = list(_FIELDS)[int(random.integers(len(_FIELDS)))]
+        content = {"type": kind} | {name: value() for name in _FIELDS[kind] if random.random() < 0.97}
+    data = msgspec.msgpack.encode(content)
+    return mutate(data, random) if random.random() < 0.3 else data
