@@ -25,6 +25,15 @@ def test_no_panel_covers_the_drone_or_the_chosen_rollout(small):
         assert over == "CANVAS", f"{np.round(place)} shows {over}"
 
 
+def test_the_status_takes_less_than_half_the_height(small):
+    tab = small.page.get_by_role("tab", name="Planner").bounding_box()
+    assert tab["y"] > 360
+    small.page.get_by_role("tab", name="Legend").click()
+    small.page.get_by_text("inputs", exact=True).first.wait_for()
+    small.page.get_by_role("tab", name="Planner").click()
+    small.page.get_by_text("distance to goal").wait_for()
+
+
 @pytest.mark.parametrize("tab", ["Fly", "Layers", "Tune"])
 def test_no_label_is_cut_off_and_every_control_can_be_scrolled_to(small, tab):
     small.open_tab(tab)

@@ -77,6 +77,8 @@ def build(
             panels.append(ParameterTablePanel(page))
     status = gui.add_panel()
     with status.add_tab("Planner", viser.Icon.GAUGE):
-        panels.append(StatusPanel(page))
+        panels.append(state := StatusPanel(page))
+    with status.add_tab("Legend", viser.Icon.PALETTE):
+        state.create_details(gui)
     status.float(x=15, y=-15, width=310)
     return camera, [*panels, camera]

@@ -35,14 +35,15 @@ class StatusPanel(Panel):
     def create(self, gui: viser.GuiApi) -> None:
         self.html = gui.add_html("")
         """State and figures."""
-        with gui.add_folder("Costs of the candidates"):
-            self.costs = gui.add_html("")
-        with gui.add_folder("Time of the stages", expand_by_default=False):
-            self.stages = gui.add_html("")
-        with gui.add_folder("Legend", expand_by_default=False):
-            self.key = gui.add_html("")
+        self.costs = gui.add_html("")
+        """Charts of the layers."""
         self._playback: tuple[bool, float] | None = None
         self._playback_since = 0.0
+
+    def create_details(self, gui: viser.GuiApi) -> None:
+        """Create the times of the stages and the legend, in the container that is open: they need much height."""
+        self.stages = gui.add_html("")
+        self.key = gui.add_html("")
 
     def update_without_frame(self) -> list[Change]:
         return [(self.html, "content", markup.block(markup.text(self.session.waiting_message)))]
