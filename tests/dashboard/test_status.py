@@ -98,12 +98,8 @@ def test_the_legend_has_a_key_for_every_layer_that_is_shown(session, dashboard, 
 
 
 def test_every_layer_has_a_legend_case(dashboard):
-    assert set(dashboard.layers) == {layer for layer, _ in LEGENDS} | {
-        "recorded_path",
-        "recorded_plan",
-        "ghost",
-        "alternative",
-    }
+    without = {"recorded_path", "recorded_plan", "ghost", "alternative", "selection"}
+    assert set(dashboard.layers) == {layer for layer, _ in LEGENDS} | without
 
 
 def test_the_legend_names_the_quantity_that_colours_the_rollouts(dashboard):
