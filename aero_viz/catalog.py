@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,8 @@ from aero_viz.reader_process import Reader, read_here
 from aero_viz.session.source import Conditions, Source
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from aero_viz.scenes import World
 
 __all__ = ["is_map", "load_world", "open_source", "refuse_irregular", "shipped_recordings"]
@@ -32,10 +35,10 @@ def shipped_recordings() -> dict[str, tuple[Path, str]]:
 
 
 def is_map(spec: str) -> bool:
-    """Return True if `spec` is the file name of a point map or a mesh."""
-    from aero_viz.scenes.map_files import MAP_SUFFIXES
+    """Return True if `spec` is the file name of a point map, a mesh, a Gazebo world or an occupancy image."""
+    from aero_viz.scenes.map_files import MAP_SUFFIXES, SOLID_SUFFIXES
 
-    return Path(spec).suffix.lower() in MAP_SUFFIXES and not Path(spec).is_dir()
+    return Path(spec).suffix.lower() in (*MAP_SUFFIXES, *SOLID_SUFFIXES) and not Path(spec).is_dir()
 
 
 def refuse_irregular(spec: str) -> None:
@@ -49,25 +52,43 @@ def refuse_irregular(spec: str) -> None:
         raise UserError(f"{spec} is not a regular file; copy its content to a file first.")
 
 
-def load_world(spec: str, *, seed: int = 0, count: int | None = None) -> World:
-    """Return the world of a scene, a JSON file, a point map or a mesh.
+def load_world(
+    spec: str,
+    *,
+    seed: int = 0,
+    count: int | None = None,
+    voxel: float | None = None,
+    start: ArrayLike | None = None,
+    goal: ArrayLike | None = None,
+    across: bool = False,
+) -> World:
+    """Return the world of a scene, a JSON file, a point map, a mesh, a Gazebo world or an occupancy image.
 
     Args:
         spec: name of a scene, or path of a file.
         seed: seed of a scene.
         count: number of obstacles of a scene; None is its default.
+        voxel: edge of the voxels of a point map or of the pixels of an image [m], see `load_map`; ignored for others.
+        start, goal: [m], [3]; None leaves them to the world, or the choice to `load_map`.
+        across: choice of start and goal, see `load_map`.
 
     Raises:
         UserError: there is no such scene or file, or the file is malformed.
     """
     from aero_viz.scenes import World, load_map, scene
+    from aero_viz.scenes.map_files import has_voxels
 
     refuse_irregular(spec)
-    if is_map(spec) or spec.endswith(".json") or "/" in spec:
-        if count is not None:
-            raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
-        return load_map(spec) if is_map(spec) else World.load(spec)
-    return scene(spec, seed=seed, count=count)
+    if (is_map(spec) or spec.endswith(".json") or "/" in spec) and count is not None:
+        raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
+    if is_map(spec):
+        return load_map(spec, voxel=voxel if has_voxels(spec) else None, start=start, goal=goal, across=across)
+    is_file = spec.endswith(".json") or "/" in spec
+    world = World.load(spec) if is_file else scene(spec, seed=seed, count=count)
+    try:
+        return replace(world, **{name: p for name, p in (("start", start), ("goal", goal)) if p is not None})
+    except ValueError as error:
+        raise UserError(f"{spec}: {error}") from error
 
 
 def open_source(

@@ -13,12 +13,15 @@ __all__ = [
     "CHECKSUM_MAX",
     "DECODER_MEMORY_BASE",
     "DECODER_MEMORY_RATIO",
+    "IMAGE_PIXELS_MAX",
     "MAP_CELLS_MAX",
     "MAP_POINTS_MAX",
     "MAP_SPAN_MAX",
     "MAP_VOXELS_MAX",
     "METADATA_MAX",
     "NAME_MAX",
+    "SDF_DEPTH_MAX",
+    "SDF_SOLIDS_MAX",
     "SWEEP_POINTS_MAX",
     "TEXT_MAX",
     "TOPICS_MAX",
@@ -63,6 +66,12 @@ MAP_CELLS_MAX = 25_000_000
 """Largest number of cells of the search for a start and a goal in a map."""
 MAP_SPAN_MAX = 20_000.0
 """Largest extent of a map along any axis [m]."""
+IMAGE_PIXELS_MAX = 25_000_000
+"""Largest number of pixels of an occupancy image."""
+SDF_DEPTH_MAX = 100
+"""Deepest nesting of elements in a Gazebo world."""
+SDF_SOLIDS_MAX = 200_000
+"""Largest number of solids in a Gazebo world."""
 
 
 class LimitExceeded(Exception):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -12,36 +14,59 @@ from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
     Inline,
+    OptionalFloat,
     OptionalInt,
     OptionalPath,
+    OptionalPoint,
     RayFlag,
     flight_rules,
 )
 from aero_viz.cli.output import print_json, print_report, progress_bar
 from aero_viz.errors import UserError
+from aero_viz.text_table import format_table
 
-__all__ = ["bench", "bench_compare"]
+if TYPE_CHECKING:
+    from aero_viz.evaluation.bench.external_results import ExternalResults
+    from aero_viz.evaluation.bench.suites import Benchmark
 
-_CONFIG = ConfigFlags()
-_FLIGHT = FlightFlags()
+__all__ = ["bench", "bench_compare", "bench_worlds"]
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFlags:
+    """The run."""
+
+    device: str = "cpu"
+    """Warp device, such as cpu or cuda:0."""
+    seed: int = 0
+    """First seed of the worlds, LiDARs and planners."""
+    lidar: Literal["mid360", "full-sphere", "spinning64"] | None = None
+    """LiDAR model of all rows; by default each row has its own."""
+    batch: OptionalInt = None
+    """Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU."""
+    output: OptionalPath = None
+    """Folder of the results; by default results/NAME."""
+    resume: bool = False
+    """Continue with the results in the folder."""
+    ray: RayFlag = None
+    """Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS."""
+    causes: bool = True
+    """Fly each failure once more, alone, and explain it."""
+    json: bool = False
+    """Print one JSON object."""
+    flight: Inline[FlightFlags] = dataclasses.field(default_factory=FlightFlags)
+    config: Inline[ConfigFlags] = dataclasses.field(default_factory=ConfigFlags)
+
+
+_RUN = RunFlags()
 
 
 def bench(
     name: tyro.conf.Positional[Literal["table2", "success", "density", "rooms", "ablation", "default", "scaling"]],
     *,
-    device: str = "cpu",
     flights: int = 50,
-    seed: int = 0,
-    lidar: Literal["mid360", "full-sphere", "spinning64"] | None = None,
-    batch: OptionalInt = None,
-    output: OptionalPath = None,
-    resume: bool = False,
     include: tuple[str, ...] = (),
-    ray: RayFlag = None,
-    causes: bool = True,
-    json: bool = False,
-    flight_flags: Inline[FlightFlags] = _FLIGHT,
-    config_flags: Inline[ConfigFlags] = _CONFIG,
+    run_flags: Inline[RunFlags] = _RUN,
 ) -> None:
     """Fly a benchmark and write its tables, plots and report.
 
@@ -52,23 +77,53 @@ def bench(
 
     Args:
         name: Name of the benchmark.
-        device: Warp device, such as cpu or cuda:0.
         flights: Number of worlds per row.
-        seed: First seed of the worlds, LiDARs and planners.
-        lidar: LiDAR model of all rows; by default each row has its own.
-        batch: Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
-        output: Folder of the results; by default results/NAME.
-        resume: Continue with the results in the folder.
         include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
-        ray: Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS.
-        causes: Fly each failure once more, alone, and explain it.
-        json: Print one JSON object.
-        flight_flags: The flight.
-        config_flags: The planner's configuration.
+        run_flags: The run.
     """
+    from aero_viz.evaluation.bench.external_results import load_external_results
+    from aero_viz.evaluation.bench.suites import BENCHMARKS
+
+    benchmark = BENCHMARKS[name]
+    _run(benchmark, run_flags, flights=flights, external=load_external_results(include, benchmark))
+
+
+def bench_worlds(
+    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FOLDER")]],
+    *,
+    flights: int = 1,
+    speed: float = 7.0,
+    start: OptionalPoint = None,
+    goal: OptionalPoint = None,
+    voxel: OptionalFloat = None,
+    run_flags: Inline[RunFlags] = _RUN,
+) -> None:
+    """Fly through all worlds in a folder and write a report.
+
+    Worlds are JSON files, Gazebo worlds, point-cloud maps, meshes and occupancy images. Those in JSON have their own
+    start and goal, and others are flown across their longest side. The report has a line per world, and the success in
+    the easiest, middle and hardest third. Ctrl-C keeps the finished flights; --resume continues.
+
+    Args:
+        folder: Folder of the worlds.
+        flights: Number of flights through each world, with different noise.
+        speed: Speed limit [m/s].
+        start: Start position x y z [m] in all worlds.
+        goal: Goal position x y z [m] in all worlds.
+        voxel: Voxel size for point-cloud maps, and pixel size for images [m].
+        run_flags: The run.
+    """
+    from aero_viz.evaluation.bench.world_folder import folder_benchmark
+
+    benchmark = folder_benchmark(folder, speed=speed, start=start, goal=goal, voxel=voxel)
+    _run(benchmark, run_flags, flights=flights, external=())
+
+
+def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Sequence[ExternalResults]) -> None:
+    """Fly a benchmark, write its report and print the summary."""
     from aero_planner.config.file import config_from_name
     from aero_viz.evaluation.bench.causes import cause_rows
-    from aero_viz.evaluation.bench.external_results import load_external_results
+    from aero_viz.evaluation.bench.difficulty_groups import format_groups
     from aero_viz.evaluation.bench.report import (
         format_causes,
         format_summaries,
@@ -77,32 +132,30 @@ def bench(
         write_report,
     )
     from aero_viz.evaluation.bench.runner import BenchmarkInterrupted, run_benchmark
-    from aero_viz.evaluation.bench.suites import BENCHMARKS
     from aero_viz.evaluation.executor import open_executor
 
-    benchmark, folder, config = BENCHMARKS[name], output or Path("results") / name, config_flags.load()
-    is_changed = config != config_from_name(config_flags.config)
-    external = load_external_results(include, benchmark)
-    executor = open_executor(ray, device=device)
+    folder, config = flags.output or Path("results") / benchmark.name, flags.config.load()
+    is_changed = config != config_from_name(flags.config.config)
+    executor = open_executor(flags.ray, device=flags.device)
     try:
         with progress_bar() as update_bar:
             run = run_benchmark(
                 benchmark,
                 folder,
                 flights=flights,
-                seed=seed,
+                seed=flags.seed,
                 config=config,
-                config_name=f"{config_flags.config}, changed" if is_changed else config_flags.config,
-                device=device,
-                lidar=lidar,
-                batch=batch,
-                resume=resume,
-                rules=flight_rules(flight_flags.rules),
-                noise=flight_flags.state_noise(),
-                drone=flight_flags.drone_changes,
-                sensor=flight_flags.lidar_changes,
+                config_name=f"{flags.config.config}, changed" if is_changed else flags.config.config,
+                device=flags.device,
+                lidar=flags.lidar,
+                batch=flags.batch,
+                resume=flags.resume,
+                rules=flight_rules(flags.flight.rules),
+                noise=flags.flight.state_noise(),
+                drone=flags.flight.drone_changes,
+                sensor=flags.flight.lidar_changes,
                 executor=executor,
-                causes=causes,
+                causes=flags.causes,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
             )
         summaries = write_report(run, folder, external=external)
@@ -116,10 +169,10 @@ def bench(
         )
         raise SystemExit(130) from None
     except RuntimeError as error:
-        raise UserError(f"The benchmark cannot run on {device}: {error}") from error
+        raise UserError(f"The benchmark cannot run on {flags.device}: {error}") from error
     finally:
         executor.close()
-    if json:
+    if flags.json:
         summary = [line.to_dict() for line in summaries]
         print_json(
             {
@@ -131,7 +184,9 @@ def bench(
             }
         )
     else:
-        tables = [format_summaries(summaries), format_causes(run), *format_worlds(run)]
+        groups = format_groups(run)
+        thirds = format_table(groups[1:], header=groups[0]) if groups else ""
+        tables = [format_summaries(summaries), format_causes(run), *format_worlds(run), thirds]
         print(*filter(None, tables), folder / "report.md", sep="\n")
 
 

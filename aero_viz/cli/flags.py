@@ -18,7 +18,8 @@ from aero_viz.flight import FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.known_drone import config_for_drone
 from aero_viz.flight.vehicle import PLANNED
 from aero_viz.recordings.odometry import OdometryChoice
-from aero_viz.scenes import World, load_map
+from aero_viz.scenes import World
+from aero_viz.scenes.map_files import has_voxels
 from aero_viz.sensors import LidarModel, lidar_model
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "OptionalFloat",
     "OptionalInt",
     "OptionalPath",
+    "OptionalPoint",
     "OptionalText",
     "OutputPath",
     "RayFlag",
@@ -243,26 +245,22 @@ class WorldFlags:
     goal: OptionalPoint = None
     """Goal position x y z [m]; by default the world's own, on a map a free place at most 45 m away."""
     voxel: OptionalFloat = None
-    """Voxel size for a point-cloud map [m], about the spacing of its points."""
+    """Voxel size for a point-cloud map [m], about the spacing of its points; pixel size for an occupancy image."""
 
     def load(self, spec: str, *, seed: int) -> World:
         """Return the world with its start and goal.
 
         Args:
-            spec: name of a scene, or path of a world (JSON), a point-cloud map or a mesh.
+            spec: name of a scene, or path of a world (JSON, Gazebo), a point-cloud map, a mesh or an occupancy image.
             seed: seed of a scene.
 
         Raises:
             UserError: the world does not exist or is malformed, or a flag does not apply to it.
         """
-        if is_map(spec) and self.count is None:
-            voxel = {} if self.voxel is None else {"voxel": self.voxel}
-            return load_map(spec, start=self.start, goal=self.goal, **voxel)
         if self.voxel is not None and not is_map(spec):
-            raise UserError(f"--voxel applies to point-cloud maps only, and {spec} is not one; leave it out.")
-        world = load_world(spec, seed=seed, count=self.count)
-        endpoints = {"start": self.start, "goal": self.goal}
-        try:
-            return dataclasses.replace(world, **{name: p for name, p in endpoints.items() if p is not None})
-        except ValueError as error:
-            raise UserError(f"{spec}: {error}") from error
+            raise UserError(
+                f"--voxel applies to point-cloud maps and images only, and {spec} is neither; leave it out."
+            )
+        if self.voxel is not None and not has_voxels(spec):
+            raise UserError(f"{spec} has no voxels; leave --voxel out.")
+        return load_world(spec, seed=seed, **vars(self))

@@ -10,7 +10,7 @@ from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, Wo
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
 
-__all__ = ["doctor", "export", "parameters", "snapshot", "world"]
+__all__ = ["doctor", "export", "parameters", "snapshot", "world", "world_info"]
 
 _CONFIG = ConfigFlags()
 _WORLD = WorldFlags()
@@ -100,10 +100,35 @@ def world(
         seed: Seed of the scene.
         world_flags: The world.
     """
-    from aero_viz.evaluation.bench.world_export import export_world
+    from aero_viz.evaluation.world_export import export_world
 
     points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
     print(f"{output}: {points} points" if points else str(output))
+
+
+def world_info(
+    world: WorldName,
+    *,
+    seed: int = 0,
+    radius: float = 0.25,
+    json: bool = False,
+    world_flags: Inline[WorldFlags] = _WORLD,
+) -> None:
+    """Describe a world: its obstacles, whether a path exists, and how difficult it is.
+
+    The difficulty is that of FlightBench (Yu et al. 2024): traversability obstruction, view occlusion and angle over
+    length along a short path from start to goal. docs/flights.md defines them.
+
+    Args:
+        world: Scene, such as forest, or file of a world (JSON, Gazebo), point-cloud map, mesh or occupancy image.
+        seed: Seed of the scene.
+        radius: Radius of the drone [m].
+        json: Print one JSON object.
+        world_flags: The world.
+    """
+    from aero_viz.evaluation.world_info import examine_world
+
+    print_report(examine_world(world_flags.load(world, seed=seed), radius=radius), as_json=json)
 
 
 def export(

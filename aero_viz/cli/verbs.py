@@ -25,6 +25,7 @@ VERBS: dict[str, Verb] = {
     "explain": _verb("explain", "explain", "Explain why a flight did not arrive, from its log or by flying it."),
     "bench": _verb("bench", "bench", "Fly a benchmark and write its tables, plots and report."),
     "bench compare": _verb("bench", "bench_compare", "Compare two runs of a benchmark through the same worlds."),
+    "bench worlds": _verb("bench", "bench_worlds", "Fly through all worlds in a folder and write a report."),
     "tune": _verb("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),
     "snapshot": _verb("tools", "snapshot", "Render a scene or a recording at a given time to a PNG file."),
     "share": _verb(
@@ -33,6 +34,7 @@ VERBS: dict[str, Verb] = {
         "Write a flight to one file: page, video, picture or log.",
     ),
     "world": _verb("tools", "world", "Write a world to a file for other programs."),
+    "world info": _verb("tools", "world_info", "Describe a world: obstacles, whether a path exists, and difficulty."),
     "export": _verb("tools", "export", "Compile all kernels ahead of time for a drone that has no compiler."),
     "parameters": _verb("tools", "parameters", "Print a Markdown table of every planner parameter."),
     "doctor": _verb("tools", "doctor", "Check this machine and print how to install what is missing."),

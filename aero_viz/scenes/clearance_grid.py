@@ -13,14 +13,20 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.warp_init import init_warp
-from aero_viz.scenes.clearance_kernels import distance_kernel, flood_kernel, mesh_distance_kernel
+from aero_viz.scenes.clearance_kernels import (
+    ROUTE_BUCKETS,
+    distance_kernel,
+    flood_kernel,
+    mesh_distance_kernel,
+    route_kernel,
+)
 from aero_viz.scenes.device_worlds import pack_primitives
 from aero_viz.scenes.geometry import Primitive
 from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
 
-__all__ = ["ClearanceGrid"]
+__all__ = ["ClearanceGrid", "search_box"]
 
 _BAND = 1.5  # [m] below and above start and goal
 _POINTS_MAX = 50_000_000  # 250 MB
@@ -69,7 +75,7 @@ class ClearanceGrid:
         Raises:
             ValueError: the grid would have more than 50 million points.
         """
-        lower, upper = _search_box(world, band, region)
+        lower, upper = search_box(world, band, region)
         first = np.floor((lower - world.start) / cell + 1e-6).astype(int)
         last = np.ceil((upper - world.start) / cell - 1e-6).astype(int)
         shape = tuple(int(n) for n in last - first + 1)
@@ -129,10 +135,62 @@ class ClearanceGrid:
         """Return True if distances of at least `threshold` [m] connect `start` and `goal` [m], both [3]."""
         return bool(self.reachable(start, threshold=threshold, goal=goal)[self.index(goal)])
 
+    def route(self, start: ArrayLike, goal: ArrayLike, *, threshold: float) -> NDArray[np.float64] | None:
+        """Return the corners of a short path from `start` to `goal` [n, 3] [m], n >= 2, or None without one.
 
-def _search_box(
-    world: World, band: tuple[float, float] | None, region: ArrayLike | None
+        It is the shortest route over 26-connected points with distances of at least `threshold`, shortened: each corner
+        is followed by the last point in its sight. Start and goal themselves need no such distance.
+
+        Args:
+            start: [m], [3].
+            goal: [m], [3].
+            threshold: [m].
+        """
+        x, y, z = self.distance.shape
+        count = x * y * z
+        first = int(np.ravel_multi_index(self.index(start), (x, y, z)))
+        last = int(np.ravel_multi_index(self.index(goal), (x, y, z)))
+        allowed = self.distance.ravel().copy()
+        allowed[[first, last]] = np.inf
+        parent = wp.full(count, -1, dtype=int, device="cpu")
+        workspace = [
+            wp.full(ROUTE_BUCKETS, -1, dtype=int, device="cpu"),
+            wp.empty(count, dtype=int, device="cpu"),
+            wp.empty(count, dtype=int, device="cpu"),
+            wp.full(count, 2**30, dtype=int, device="cpu"),
+        ]
+        distance = wp.array(allowed, dtype=float, device="cpu", copy=False)
+        inputs = [distance, wp.vec3i(x, y, z), threshold, first, last, *workspace]
+        wp.launch(route_kernel, 1, inputs=inputs, outputs=[parent], device="cpu")
+        parents = parent.numpy()
+        if parents[last] < 0:
+            return None
+        route = [last]
+        while route[-1] != first:
+            route.append(int(parents[route[-1]]))
+        points = self.corner + self.cell * np.column_stack(np.unravel_index(route[::-1], (x, y, z)))
+        points = np.vstack([start, points[1:-1], goal])
+        corners = [0]
+        while corners[-1] < len(points) - 1:
+            here = corners[-1]
+            visible = (
+                k for k in range(len(points) - 1, here + 1, -1) if self._sees(points[here], points[k], threshold)
+            )
+            corners.append(next(visible, here + 1))
+        return points[corners]
+
+    def _sees(self, a: NDArray[np.float64], b: NDArray[np.float64], threshold: float) -> bool:
+        """Return True if the grid points next to the segment between two points have the required distance."""
+        share = np.linspace(0.0, 1.0, max(2, math.ceil(2.0 * float(np.linalg.norm(b - a)) / self.cell)))[1:-1, None]
+        index = np.rint((a + share * (b - a) - self.corner) / self.cell).astype(int)
+        index = np.clip(index, 0, np.array(self.distance.shape) - 1)
+        return bool(np.all(self.distance[tuple(index.T)] >= threshold))
+
+
+def search_box(
+    world: World, band: tuple[float, float] | None = None, region: ArrayLike | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lower and the upper corner [m], [3], of band and region; see `ClearanceGrid.measure`."""
     ends = np.stack([world.start, world.goal])
     low, high = band or (ends[:, 2].min() - _BAND, ends[:, 2].max() + _BAND)
     low, high = min(low, ends[:, 2].min()), max(high, ends[:, 2].max())

@@ -1,4 +1,4 @@
-"""Warp kernels of the clearance grid: distances around primitives and triangles, and a breadth-first search."""
+"""Warp kernels of the clearance grid: distances around primitives and triangles, reachability, and shortest routes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import warp as wp
 from aero_viz.scenes.geometry import Primitive, primitive_distance
 from aero_viz.scenes.triangles import mesh_distance
 
-__all__ = ["distance_kernel", "flood_kernel", "mesh_distance_kernel"]
+__all__ = ["ROUTE_BUCKETS", "distance_kernel", "flood_kernel", "mesh_distance_kernel", "route_kernel"]
+
+ROUTE_BUCKETS = 18
+"""Number of buckets of `route_kernel`, more than the cost of its longest step."""
 
 wp.set_module_options({"enable_backward": False})
 
@@ -100,3 +103,86 @@ def flood_kernel(
                 if neighbour == goal:
                     head = tail
                     break
+
+
+@wp.func
+def _unlink(
+    point: int, bucket: int, head: wp.array(dtype=int), following: wp.array(dtype=int), previous: wp.array(dtype=int)
+):
+    """Take a point out of the list of its bucket."""
+    if previous[point] >= 0:
+        following[previous[point]] = following[point]
+    else:
+        head[bucket] = following[point]
+    if following[point] >= 0:
+        previous[following[point]] = previous[point]
+
+
+@wp.kernel
+def route_kernel(
+    # problem
+    distance: wp.array(dtype=float),  # [X Y Z]
+    shape: wp.vec3i,
+    threshold: float,
+    start: int,
+    goal: int,
+    # workspace
+    head: wp.array(dtype=int),  # [ROUTE_BUCKETS], filled with -1
+    following: wp.array(dtype=int),  # [X Y Z]
+    previous: wp.array(dtype=int),  # [X Y Z]
+    cost: wp.array(dtype=int),  # [X Y Z], filled with 2^30
+    # out
+    parent: wp.array(dtype=int),  # [X Y Z], filled with -1
+):
+    """Shortest route over 26-connected points by one thread: Dial's variant of Dijkstra's algorithm.
+
+    A step along one, two or three axes costs 10, 14 or 17. Points wait in the bucket of their cost modulo the number of
+    buckets, each of which is a doubly linked list.
+    """
+    waiting = int(1)
+    level = int(0)
+    cost[start] = 0
+    parent[start] = start
+    following[start] = -1
+    previous[start] = -1
+    head[0] = start
+    while waiting > 0:
+        while head[level % head.shape[0]] < 0:
+            level += 1
+        point = head[level % head.shape[0]]
+        _unlink(point, level % head.shape[0], head, following, previous)
+        waiting -= 1
+        if point == goal:
+            waiting = 0
+            break
+        z = point % shape[2]
+        y = point // shape[2] % shape[1]
+        x = point // (shape[2] * shape[1])
+        for i in range(27):
+            dx = i // 9 - 1
+            dy = i // 3 % 3 - 1
+            dz = i % 3 - 1
+            inside_x = x + dx >= 0 and x + dx < shape[0]
+            inside_y = y + dy >= 0 and y + dy < shape[1]
+            inside_z = z + dz >= 0 and z + dz < shape[2]
+            if i != 13 and inside_x and inside_y and inside_z:
+                neighbour = point + (dx * shape[1] + dy) * shape[2] + dz
+                axes = wp.abs(dx) + wp.abs(dy) + wp.abs(dz)
+                step = int(10)
+                if axes == 2:
+                    step = int(14)
+                elif axes == 3:
+                    step = int(17)
+                if distance[neighbour] >= threshold and level + step < cost[neighbour]:
+                    if parent[neighbour] >= 0:
+                        _unlink(neighbour, cost[neighbour] % head.shape[0], head, following, previous)
+                    else:
+                        waiting += 1
+                    cost[neighbour] = level + step
+                    parent[neighbour] = point
+                    bucket = (level + step) % head.shape[0]
+                    following[neighbour] = head[bucket]
+                    previous[neighbour] = -1
+                    if head[bucket] >= 0:
+                        previous[head[bucket]] = neighbour
+                    head[bucket] = neighbour

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
+from aero_viz.scenes.solids import Solids
 
 __all__ = ["DecodingProcess"]
 
@@ -41,7 +42,15 @@ class DecodingProcess:
         """
         return self._run(path, _las_unit)
 
-    def _run(self, path: Path, function: Callable[..., T], *arguments: str) -> T:
+    def solids(self, path: Path, pixel: float | None) -> Solids:
+        """Return the solids of a Gazebo world or of an occupancy image with pixels of this edge [m].
+
+        Raises:
+            OSError, ValueError: as for `decode`.
+        """
+        return self._run(path, _solids, pixel)
+
+    def _run(self, path: Path, function: Callable[..., T], *arguments: Any) -> T:
         try:
             return self._process.call(Limits.for_file(path.stat().st_size), function, path, *arguments)
         except UserError as error:
@@ -71,6 +80,14 @@ def _las_unit(path: Path) -> float:
 
     with _one_sentence():
         return read_las_unit(path)
+
+
+def _solids(path: Path, pixel: float | None) -> Solids:
+    from aero_viz.scenes.gazebo import read_gazebo
+    from aero_viz.scenes.occupancy import read_occupancy
+
+    with _one_sentence():
+        return read_gazebo(path) if path.suffix.lower() in (".world", ".sdf") else read_occupancy(path, pixel)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Points and triangles of the files of maps and meshes.
+"""Points, triangles and solids of the files of maps, meshes and worlds of other programs.
 
 A process of its own decodes them: the libraries crash, hang or allocate what a damaged header declares, and a large
 file does not slow down a session that flies meanwhile.
@@ -6,6 +6,7 @@ file does not slow down a session that flies meanwhile.
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +15,33 @@ from numpy.typing import NDArray
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.scenes.decoding_process import DecodingProcess
+from aero_viz.scenes.solids import Solids
 
-__all__ = ["MAP_SUFFIXES", "MESH_SUFFIXES", "read_map", "read_mesh", "read_points"]
+__all__ = [
+    "MAP_SUFFIXES",
+    "MESH_SUFFIXES",
+    "SOLID_SUFFIXES",
+    "has_voxels",
+    "read_map",
+    "read_mesh",
+    "read_points",
+    "read_solids",
+]
 
 Points = NDArray[np.float64]
+_logger = logging.getLogger(__name__)
 
 _POINTS = (".pcd", ".ply", ".las", ".laz", ".npy", ".xyz", ".xyzn", ".xyzrgb", ".pts")
 MESH_SUFFIXES = (".obj", ".stl", ".glb", ".off")
 MAP_SUFFIXES = (*_POINTS, *MESH_SUFFIXES)
 """File name suffixes that `read_points` and `read_mesh` read."""
+SOLID_SUFFIXES = (".world", ".sdf", ".png", ".pgm", ".yaml", ".yml")
+"""File name suffixes that `read_solids` reads."""
+
+
+def has_voxels(path: str | Path) -> bool:
+    """Return True if the name of a file is that of a point map or of an occupancy image."""
+    return Path(path).suffix.lower() in (*_POINTS, ".png", ".pgm", ".yaml", ".yml")
 
 
 def read_points(path: str | Path, process: DecodingProcess | None = None) -> Points:
@@ -70,6 +89,33 @@ def read_map(path: str | Path) -> Points:
         return read_points(path)
     table = _decode(path, "mesh" if suffix in MESH_SUFFIXES else "map", "any")
     return _points(path, table) if table.shape[1] == 3 else _triangles(path, table)
+
+
+def read_solids(path: str | Path, *, pixel: float | None = None) -> Solids:
+    """Return the solids of a Gazebo world (SDF), or of an occupancy image or the YAML file of a map of ROS.
+
+    Args:
+        path: the file.
+        pixel: edge of a pixel [m]; None takes that of the YAML file, or 0.1 m without one.
+
+    Raises:
+        UserError: the file cannot be read, is damaged, or holds no obstacles.
+    """
+    path = Path(path)
+    try:
+        with open_user_file(path) as file:
+            file.read(1)
+        with DecodingProcess() as process:
+            solids = process.solids(path, pixel)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UserError(f"Cannot read the world {path}: {reason.rstrip('.')}.") from error
+    parts = ", ".join(f"{count} of the kind {kind}" for kind, count in solids.left_out.items())
+    if not (solids.cylinders or solids.boxes or solids.spheres or solids.triangles):
+        raise UserError(f"{path} has no cylinders, boxes or spheres" + (f", only {parts}." if parts else "."))
+    if parts:
+        _logger.warning("%s: left out %s; the world has only its cylinders, boxes and spheres.", path, parts)
+    return solids
 
 
 def _decode(path: Path, noun: str, content: str, process: DecodingProcess | None = None) -> Points:

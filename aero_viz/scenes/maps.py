@@ -1,4 +1,4 @@
-"""Worlds from files: occupied voxels of a point map as boxes, or the triangles of a mesh; free starts and goals."""
+"""Worlds from files: voxels of a point map as boxes, the triangles of a mesh, or solids; free starts and goals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.input_limits import MAP_CELLS_MAX, MAP_SPAN_MAX, MAP_VOXELS_MAX
-from aero_viz.scenes.map_files import read_map
+from aero_viz.scenes.map_files import SOLID_SUFFIXES, read_map, read_solids
+from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.world import World
 
 __all__ = ["load_map"]
@@ -36,54 +37,97 @@ Array = NDArray[np.float64]
 
 
 def load_map(
-    path: str | Path, *, voxel: float | None = None, start: ArrayLike | None = None, goal: ArrayLike | None = None
+    path: str | Path,
+    *,
+    voxel: float | None = None,
+    start: ArrayLike | None = None,
+    goal: ArrayLike | None = None,
+    across: bool = False,
 ) -> World:
-    """Return the world of a point map (see `read_points`) or of a mesh (see `read_mesh`).
+    """Return the world of a point map (see `read_points`), a mesh (see `read_mesh`) or solids (see `read_solids`).
 
-    Every voxel that holds a point is solid; neighbours are merged into larger boxes. The triangles of a mesh are kept
-    as they are. A map with points farther than 10 km from its origin is shifted so that its lowest corner is near the
-    origin; `start` and `goal` are shifted with it.
+    Every voxel that holds a point is solid; neighbours are merged into larger boxes. The triangles of a mesh and solids
+    are kept as they are. A map with points farther than 10 km from its origin is shifted so that its lowest corner is
+    near the origin; `start` and `goal` are shifted with it.
 
     Args:
         path: file; its stem becomes the name of the world.
         voxel: edge of a voxel [m], about the spacing of the points: a smaller one leaves holes, a larger one closes
-            gaps. None is 0.2. A mesh has no voxels.
+            gaps. None is 0.2. Of an occupancy image, the edge of a pixel. A mesh and a Gazebo world have no voxels.
         start: [m], [3], in the frame of the map. None chooses a position 2 m above the local ground, at least 0.75 m
-            and preferably 1.5 m from all points: near the origin of the map, or near its centre where the origin lies
-            outside; about 45 m from `goal` if that is set.
+            and preferably 1.5 m from all obstacles: near the origin of the map, or near its centre where the origin
+            lies outside; about 45 m from `goal` if that is set.
         goal: [m], [3], in the frame of the map. None chooses the farthest such position within 45 m of the start that
             a drone of radius 0.5 m can reach.
+        across: True chooses start and goal at the two ends of the longest side instead, as far apart as possible.
 
     Raises:
         UserError: the file cannot be read, an argument is out of range, or there is no free start or goal.
     """
-    table = read_map(path)
-    triangles = table if table.shape[1] == 9 else np.zeros((0, 9))
-    if len(triangles) and voxel is not None:
-        raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
-    edge = VOXEL if voxel is None else voxel
-    if not VOXEL_RANGE[0] <= edge <= VOXEL_RANGE[1]:
+    if voxel is not None and not VOXEL_RANGE[0] <= voxel <= VOXEL_RANGE[1]:
         raise UserError(
-            f"The voxels of the map {path} have an edge of {edge!r} m; it must be in {list(VOXEL_RANGE)} m."
+            f"The voxels of the map {path} have an edge of {voxel!r} m; it must be in {list(VOXEL_RANGE)} m."
         )
-    points = _sample(triangles) if len(triangles) else table
-    _check_span(points, path)
+    is_solids = Path(path).suffix.lower() in SOLID_SUFFIXES
+    points, tables = _read_solids(path, voxel) if is_solids else _read_map(path, voxel)
     # Maps in geographic coordinates are recentred in double precision.
     shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _RECENTRE_BEYOND else np.zeros(3)
     points = points - shift
+    tables = {key: _moved(key, table, -shift) for key, table in tables.items()}
     start_position = None if start is None else _position(start, "start") - shift
     goal_position = None if goal is None else _position(goal, "goal") - shift
-    tables: dict[str, Array] = {}
-    if len(triangles):
-        tables["triangles"] = triangles - np.tile(shift, 3)
-    else:
-        tables["boxes"] = _merge_voxels(_occupied_voxels(points, edge, path), edge)
     try:
         if start_position is None or goal_position is None:
-            start_position, goal_position = _choose_ends(points, tables, start_position, goal_position, path=path)
+            start_position, goal_position = _choose_ends(
+                points, tables, start_position, goal_position, across=across, path=path
+            )
         return World(Path(path).stem, start_position, goal_position, **tables)
     except ValueError as error:
         raise UserError(f"Cannot make a world of the map {path}: {error}") from error
+
+
+def _read_map(path: str | Path, voxel: float | None) -> tuple[Array, dict[str, Array]]:
+    """Return the points of a map or points on a mesh [n, 3], and the tables of its world."""
+    table = read_map(path)
+    if table.shape[1] == 9:
+        if voxel is not None:
+            raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
+        points = _sample(table)
+        _check_span(points, path)
+        return points, {"triangles": table}
+    _check_span(table, path)
+    edge = VOXEL if voxel is None else voxel
+    # Far from the origin the boxes are shifted with the points, to the same voxels.
+    shift = np.floor(table.min(axis=0)) if np.abs(table).max() > _RECENTRE_BEYOND else np.zeros(3)
+    boxes = _merge_voxels(_occupied_voxels(table - shift, edge, path), edge)
+    return table, {"boxes": _moved("boxes", boxes, shift)}
+
+
+def _read_solids(path: str | Path, pixel: float | None) -> tuple[Array, dict[str, Array]]:
+    """Return points at the ground and at the top of a world of solids [n, 3], and its tables."""
+    if pixel is not None and Path(path).suffix.lower() in (".world", ".sdf"):
+        raise UserError(f"{path} is a Gazebo world, which has no voxels; leave their size out.")
+    solids = read_solids(path, pixel=pixel)
+    tables = solids.tables()
+    obstacles = {key: table[:-1] if key == "boxes" and solids.ground is not None else table
+                 for key, table in tables.items()}  # fmt: skip
+    empty = {"cylinders": 8, "boxes": 7, "spheres": 4}
+    bounds = primitive_bounds(*(obstacles.get(key, np.zeros((0, columns))) for key, columns in empty.items()))
+    corners = np.vstack([*bounds, tables.get("triangles", np.zeros((0, 9))).reshape(-1, 3)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if solids.ground is not None:
+        low[2] = solids.ground[2] + 0.5 * solids.ground[5]
+    _check_span(np.stack([low, high]), path)
+    ends = np.stack([low, np.maximum(high, low)])
+    return np.array([[x, y, z] for x in ends[:, 0] for y in ends[:, 1] for z in ends[:, 2]]), tables
+
+
+def _moved(key: str, table: Array, offset: Array) -> Array:
+    """Return a table of a world, moved by an offset [m], [3]."""
+    positions = 3 if key == "triangles" else 1
+    move = np.zeros(table.shape[1])
+    move[: 3 * positions] = np.tile(offset, positions)
+    return table + move
 
 
 def _position(value: ArrayLike, name: str) -> Array:
@@ -165,7 +209,13 @@ def _sample(triangles: Array) -> Array:
 
 
 def _choose_ends(
-    points: Array, tables: dict[str, Array], start: Array | None, goal: Array | None, *, path: str | Path
+    points: Array,
+    tables: dict[str, Array],
+    start: Array | None,
+    goal: Array | None,
+    *,
+    across: bool,
+    path: str | Path,
 ) -> tuple[Array, Array]:
     """Return start and goal; each one that is None is chosen as `load_map` says."""
     from aero_viz.scenes.clearance_grid import ClearanceGrid
@@ -191,15 +241,24 @@ def _choose_ends(
     free = (grid.distance >= CLEARANCE) & (np.abs(height - HEIGHT) <= 0.5 * cell + 1e-9)
     holds_origin = np.all((lower[:2] <= 0.0) & (upper[:2] >= 0.0))
     centre = np.zeros(2) if holds_origin else 0.5 * (lower + upper)[:2]
+    ends = np.stack([0.5 * (lower + upper)[:2]] * 2)
+    if across:
+        side = int(np.argmax((upper - lower)[:2]))
+        ends[:, side] = lower[side], upper[side]
+        centre = ends[0]
     if start is None:
-        error = np.linalg.norm(places - (centre if goal is None else goal[:2]), axis=-1)
-        if goal is not None:
+        error = np.linalg.norm(places - (centre if goal is None or across else goal[:2]), axis=-1)
+        if goal is not None and not across:
             error = np.abs(error - DISTANCE_MAX)
         start = _best_position(axes, free, grid.distance - 0.05 * error[..., None], "start", path)
     if goal is None:
         reachable = grid.reachable(start, threshold=math.hypot(DRONE_RADIUS, 0.5 * cell))
         distance = np.hypot(np.linalg.norm(places - start[:2], axis=-1)[..., None], axes[2] - start[2])
-        goal = _best_position(axes, free & reachable & (distance <= DISTANCE_MAX), distance, "goal", path)
+        if across:
+            nearness = np.broadcast_to(-np.linalg.norm(places - ends[1], axis=-1)[..., None], free.shape)
+            goal = _best_position(axes, free & reachable, nearness, "goal", path)
+        else:
+            goal = _best_position(axes, free & reachable & (distance <= DISTANCE_MAX), distance, "goal", path)
     return start, goal
 
 

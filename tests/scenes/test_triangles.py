@@ -11,7 +11,7 @@ import warp as wp
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.bench.world_export import surface_points
+from aero_viz.evaluation.world_export import surface_points
 from aero_viz.flight import FlightBatch, FlightRules, fly
 from aero_viz.scenes import World, load_map
 from aero_viz.scenes.passable import is_passable

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.causes import cause_rows
+from aero_viz.evaluation.bench.difficulty_groups import DIFFICULTY, GROUPS_NOTE, format_groups
 from aero_viz.evaluation.bench.external_results import ExternalResults
 from aero_viz.evaluation.bench.plots import plot
 from aero_viz.evaluation.bench.published_results import PUBLISHED
@@ -89,27 +92,47 @@ def format_causes(run: Run) -> str:
 
 
 def world_records(run: Run) -> list[dict[str, Any]]:
-    """Return a record per world in the order of the rows: its kind, its seed, and whether a path exists."""
+    """Return a record per world: kind, seed, whether a path exists, difficulty. The easiest of a kind come first."""
     kinds = {row.label: row.world_kind for row in run.benchmark.rows}
     order = list(dict.fromkeys(kinds.values()))
-    found = {(kinds[flight["row"]], flight["world_seed"]): flight["passable"] for flight in run.flights}
-    ordered = sorted(found.items(), key=lambda item: (order.index(item[0][0]), item[0][1]))
-    return [{"kind": kind, "seed": seed, "passable": passable} for (kind, seed), passable in ordered]
+    found = {
+        (kinds[flight["row"]], flight["world_seed"]): {name: flight.get(name) for name in ("passable", *DIFFICULTY)}
+        for flight in run.flights
+    }
+    if run.benchmark.worlds:  # a file is the same world whatever the seed
+        found = {(kind, run.header["seed"]): about for (kind, _), about in found.items()}
+    records = [{"kind": kind, "seed": seed, **about} for (kind, seed), about in found.items()]
+
+    def rank(record: dict[str, Any]) -> tuple[int, float, int]:
+        difficulty = math.inf if record["difficulty"] is None else record["difficulty"]
+        return 0 if run.benchmark.worlds else order.index(record["kind"]), difficulty, record["seed"]
+
+    return sorted(records, key=rank)
 
 
 def format_worlds(run: Run) -> list[str]:
-    """Return a line per kind of world that says in how many of them a path exists for the drone's radius."""
-    kinds: dict[str, dict[int, bool]] = {}
+    """Return a line per kind of world: in how many a path exists for the drone's radius, and their difficulty."""
+    kinds: dict[str, list[dict[str, Any]]] = {}
     for record in world_records(run):
-        kinds.setdefault(record["kind"], {})[record["seed"]] = record["passable"]
-    lines = []
-    for kind, seeds in kinds.items():
-        closed = [str(seed) for seed, passable in seeds.items() if not passable]
-        line = (
-            f"{kind}, seeds {min(seeds)} to {max(seeds)}: a path exists in {sum(seeds.values())} of {len(seeds)} worlds"
-        )
-        lines.append(f"{line}, none with the seeds {', '.join(closed)}" if closed else line)
-    return lines
+        kinds.setdefault(record["kind"], []).append(record)
+    return [_format_kind(kind, records, is_file=bool(run.benchmark.worlds)) for kind, records in kinds.items()]
+
+
+def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool) -> str:
+    known = [record for record in records if record["difficulty"] is not None]
+    means = [statistics.fmean(record[name] for record in known) for name in DIFFICULTY[:3]] if known else []
+    names = ("traversability obstruction", "view occlusion", "angle over length")
+    difficulty = ", ".join(f"{name} {mean:.3g}" for name, mean in zip(names, means, strict=False))
+    suffix = f"; {difficulty}" if difficulty else ""
+    if is_file:
+        return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path'}{suffix}"
+    seeds = [record["seed"] for record in records]
+    closed = [str(record["seed"]) for record in records if not record["passable"]]
+    line = (
+        f"{kind}, seeds {min(seeds)} to {max(seeds)}: a path exists in {len(records) - len(closed)} of {len(records)} "
+        "worlds"
+    )
+    return (f"{line}, none with the seeds {', '.join(sorted(closed, key=int))}" if closed else line) + suffix
 
 
 def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> str:
@@ -134,6 +157,9 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
     targets = _targets_table(benchmark, own)
     if targets:
         parts += ["## Targets", targets]
+    groups = format_groups(run)
+    if groups:
+        parts += ["## Success over difficulty", GROUPS_NOTE, _markdown_table(groups[0], groups[1:])]
     if benchmark.metric == "throughput":
         parts += ["## Throughput", _throughput_table(run, own)]
         parts += ["## Stages of a tick [ms]", _STAGES_NOTE, _stages_table(run)]

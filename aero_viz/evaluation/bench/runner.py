@@ -19,12 +19,12 @@ from aero_viz.evaluation.batching import Progress, batch_status, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
+from aero_viz.evaluation.difficulty import describe_world
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import hardware, versions
 from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World, scene
-from aero_viz.scenes.passable import is_passable
 from aero_viz.sensors import LidarModel, lidar_model
 
 __all__ = ["STAGE_FIELD", "BenchmarkInterrupted", "Run", "run_benchmark"]
@@ -80,6 +80,8 @@ class _PlannedFlight:
     rules: FlightRules
     group: tuple[Any, ...]
     """Flights can share a batch if their groups are equal."""
+    world: World | None = None
+    """World from a file; None for a scene."""
 
 
 def run_benchmark(
@@ -233,10 +235,11 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
         UserError: the flights do not fit each other.
     """
     started = time.perf_counter()
-    found = [
-        _load_world(flight.row.scene, flight.row.count, flight.world_seed, shard.radius) for flight in shard.flights
+    worlds = [
+        flight.world or _generate_world(flight.row.scene, flight.row.count, flight.world_seed)
+        for flight in shard.flights
     ]
-    worlds, passable = zip(*found, strict=True)
+    about_worlds = [_describe(world, shard.radius) for world in worlds]
     batch = _build(shard, worlds)
     built = time.perf_counter()
     results = batch.run(progress=progress)
@@ -253,10 +256,10 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
             "index": flight.index,
             "world_seed": flight.world_seed,
             **result.to_dict(),
-            "passable": has_path,
+            **about_world,
             **about_batch,
         }
-        for flight, result, has_path in zip(shard.flights, results, passable, strict=True)
+        for flight, result, about_world in zip(shard.flights, results, about_worlds, strict=True)
         if result.reason is not None  # after Ctrl-C some flights have not ended
     ]
     batch.planner.close()
@@ -296,10 +299,14 @@ def _time_stages(shard: _Shard, worlds: Sequence[World]) -> dict[str, float]:
 
 
 @lru_cache(maxsize=4096)  # rows share worlds, and a device keeps equal objects once
-def _load_world(name: str, count: int | None, seed: int, radius: float) -> tuple[World, bool]:
-    """Return the world of a scene, and whether there is a path for a drone of this radius [m]."""
-    world = scene(name, count=count, seed=seed)
-    return world, is_passable(world, radius=radius)
+def _generate_world(name: str, count: int | None, seed: int) -> World:
+    return scene(name, count=count, seed=seed)
+
+
+@lru_cache(maxsize=4096)
+def _describe(world: World, radius: float) -> dict[str, Any]:
+    """Return what a record says about a world, for a drone of this radius [m]."""
+    return describe_world(world, radius=radius)
 
 
 def _plan_flights(
@@ -332,7 +339,8 @@ def _plan_flights(
         for row, config, vehicle, row_rules in rows:
             for index in range(row.batch or flights):
                 world_seed = seed + index % flights
-                yield _PlannedFlight(row, index, next_seed, world_seed, config, vehicle, row_rules, group)
+                world = benchmark.worlds.get(row.label)
+                yield _PlannedFlight(row, index, next_seed, world_seed, config, vehicle, row_rules, group, world)
                 next_seed += 1
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from aero_planner.config import Value
+from aero_viz.scenes import World
 
 __all__ = ["BENCHMARKS", "PUBLISHED_SPEED", "Benchmark", "Row"]
 
@@ -43,10 +44,14 @@ class Row:
     """Scene of the paper's table that the row is compared with."""
     target: tuple[float, float | None] | None = None
     """Success rate and mean speed [m/s] to reach."""
+    sha256: str | None = None
+    """Checksum of the file of the row's world; None for a scene."""
 
     @property
     def world_kind(self) -> str:
         """Name of the row's worlds without the seed."""
+        if self.sha256 is not None:
+            return self.label
         return self.scene if self.count is None else f"{self.scene}-{self.count}"
 
 
@@ -65,6 +70,8 @@ class Benchmark:
     """Added to the user's seed."""
     metric: Literal["success", "throughput"] = "success"
     """Metric to plot."""
+    worlds: Mapping[str, World] = field(default_factory=dict)
+    """Worlds from files by the label of their row; the other rows fly through scenes."""
 
 
 _GROUND_KNOWN: dict[str, Value] = {"costs.use_ground": True}

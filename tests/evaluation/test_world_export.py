@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from aero_viz.errors import UserError
-from aero_viz.evaluation.bench.world_export import export_world, surface_points
+from aero_viz.evaluation.world_export import export_world, surface_points
 from aero_viz.scenes import World, scene
 
 TILTED = [1.0, 2.0, 0.5, 0.6, 0.0, 0.8, 0.5, 3.0]

@@ -1,0 +1,68 @@
+"""A report about a world: its obstacles, whether a path exists, and its difficulty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aero_viz.evaluation.difficulty import describe_world
+from aero_viz.scenes import World
+from aero_viz.text_table import format_table
+
+__all__ = ["WorldInfo", "examine_world"]
+
+
+@dataclass(frozen=True)
+class WorldInfo:
+    """What can be said about a world without flying."""
+
+    world: World
+    radius: float
+    """Radius of the drone [m]."""
+    about: dict[str, Any]
+    """See `describe_world`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the report as plain values for JSON."""
+        world = self.world
+        counts = {name: len(getattr(world, name)) for name in ("cylinders", "boxes", "spheres", "triangles")}
+        places = {name: getattr(world, name).tolist() for name in ("start", "goal", "bounds")}
+        return {"name": world.name, **counts, "ground_height": world.ground_height, **places, "radius": self.radius,
+                **self.about}  # fmt: skip
+
+    def format_table(self) -> str:
+        """Return the report as text for a terminal."""
+        about, content = self.about, self.to_dict()
+        kinds = ("cylinders", "boxes", "spheres", "triangles")
+        obstacles = ", ".join(f"{content[kind]} {kind}" for kind in kinds if content[kind]) or "none"
+        ground = content["ground_height"]
+        rows = [
+            ["world", self.world.name],
+            ["obstacles", obstacles],
+            ["ground", "none known" if ground is None else f"{ground:.2f} m"],
+            ["start", _position(content["start"])],
+            ["goal", f"{_position(content['goal'])}, {np.linalg.norm(self.world.goal - self.world.start):.1f} m away"],
+            ["airspace", f"{_position(content['bounds'][0])} to {_position(content['bounds'][1])}"],
+            [f"path for a radius of {self.radius:g} m", "yes" if about["passable"] else "no"],
+        ]
+        if about["difficulty"] is None:
+            return format_table([*rows, ["difficulty", "unknown: no guide from start to goal was found"]])
+        rows += [
+            ["guide", f"{about['guide_length']:.1f} m"],
+            ["traversability obstruction", f"{about['traversability_obstruction']:.2f}"],
+            ["view occlusion", f"{about['view_occlusion']:.2f}"],
+            ["angle over length", f"{about['angle_over_length']:.2g} /m"],
+            ["difficulty", f"{about['difficulty']:.2f}, the sum of the three (FlightBench)"],
+        ]
+        return format_table(rows)
+
+
+def examine_world(world: World, *, radius: float) -> WorldInfo:
+    """Return the report about a world for a drone of this radius [m]."""
+    return WorldInfo(world, radius, describe_world(world, radius=radius))
+
+
+def _position(values: list[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
