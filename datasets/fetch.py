@@ -1,4 +1,4 @@
-"""Downloads public recordings and checks them: `python datasets/fetch.py` lists them, `.. fetch.py NAME` gets one.
+"""Downloads public recordings and worlds, and checks them: `datasets/fetch.py` lists them, `.. NAME` gets one.
 
 Needs nothing but Python. A file is kept only if its size and SHA-256 are right. The checksums were computed from the
 repositories at the commits that the addresses name. Without a network, a file that was downloaded elsewhere can be put
@@ -38,6 +38,9 @@ class PublicFile(NamedTuple):
 
 
 _RAW = "https://raw.githubusercontent.com"
+_KR = f"{_RAW}/KumarRobotics/kr_param_map/2594f9c8f20ffb6bdb12f6b15c03d209d18ae84e/param_env/data"
+_FASTER = f"{_RAW}/jtorde/planning_worlds_gazebo/95d18de94a16aa5b58c625a2d4d968d07f014607"
+_SUPER = f"{_RAW}/hku-mars/SUPER/d6bc41479500cd784598070064979dc570c7e5d8/mars_uav_sim"
 FILES = {
     "livox-surf": PublicFile(
         f"{_RAW}/Livox-SDK/livox_relocalization/518f2eb9049e2f3d6e2f357516b99f4635549de6/map/surf.pcd",
@@ -59,6 +62,34 @@ FILES = {
         "68d1020f688109f027dba08d2950247cc0ae34aaefdcf37e4a7d60838f3e1aa3",
         "BSD-3-Clause",
         "state of a flight with PX4, for --poses (ULog)",
+    ),
+    "faster-forest": PublicFile(
+        f"{_FASTER}/src/forest/density01seed0.world",
+        485_338,
+        "702f5fa86d3f7a48325e6840ba01c470054675f00e9e45eed654361542b3c04e",
+        "BSD-3-Clause",
+        "forest of 250 cylinders in which FASTER flew, for fly and demo (Gazebo world)",
+    ),
+    "kr-maze": PublicFile(
+        f"{_KR}/img/maze/maze1.png",
+        845,
+        "1954864bcd7e545bca6f17b00957c67b48a9e93721c8eab7173ea48ff20a2fb2",
+        "BSD-3-Clause",
+        "maze of 20 m x 10 m of kr_param_map, for fly and demo (PNG)",
+    ),
+    "kr-cloud": PublicFile(
+        f"{_KR}/pcd/cloud_0917.pcd",
+        150_640,
+        "b065686db6d3d9e833533f1548fc3da57c5fe220a999fd5c08c2996e4d18ccc4",
+        "BSD-3-Clause",
+        "map of kr_param_map, for fly and demo (PCD)",
+    ),
+    "super-forest": PublicFile(
+        f"{_SUPER}/perfect_drone_sim/pcd/random_map_24_6635.pcd",
+        3_619_744,
+        "e469aa2150ed33ef8f8f3359bfb924a0283dc7e9d640cd83a98ad1723d3a34c4",
+        "not stated",
+        "map of the simulation of SUPER, in the form of MARSIM's, for fly and demo (PCD)",
     ),
     "kitti-sweep": PublicFile(
         f"{_RAW}/open-mmlab/mmdetection3d/fe25f7a51d36e3702f961e198894580d83c4387b/demo/data/kitti/000008.bin",

@@ -48,6 +48,8 @@ class RunFlags:
     """Folder of the results; by default results/NAME."""
     resume: bool = False
     """Continue with the results in the folder."""
+    examine: bool = True
+    """Search a path through every world and measure its difficulty, about 1 s of CPU time per world."""
     ray: RayFlag = None
     """Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS."""
     causes: bool = True
@@ -154,6 +156,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
                 noise=flags.flight.state_noise(),
                 drone=flags.flight.drone_changes,
                 sensor=flags.flight.lidar_changes,
+                examine=flags.examine,
                 executor=executor,
                 causes=flags.causes,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol
 
-__all__ = ["METRICS", "PairedComparison", "Summary", "sign_test", "summarise", "wilson_interval"]
+__all__ = ["METRICS", "PairedComparison", "Summary", "mean_interval", "sign_test", "summarise", "wilson_interval"]
 
 METRICS = (
     "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance", "min_clearance", "flight_time_s",
@@ -86,6 +86,17 @@ def sign_test(wins: int, losses: int) -> float:
     return float(binomtest(wins, wins + losses).pvalue)
 
 
+def mean_interval(values: Sequence[float]) -> tuple[float, float, float] | None:
+    """Return the mean of values and its 95 % interval by Student's t, or None for fewer than two values."""
+    if len(values) < 2:
+        return None
+    from scipy.stats import t
+
+    mean = statistics.fmean(values)
+    half = float(t.ppf(0.975, len(values) - 1)) * statistics.stdev(values) / len(values) ** 0.5
+    return mean, mean - half, mean + half
+
+
 @dataclass(frozen=True)
 class PairedComparison:
     """The comparison of flights A and B through the same worlds."""
@@ -104,6 +115,9 @@ class PairedComparison:
     """Number of worlds in which both arrive, A earlier."""
     faster_b: int
     """Number of worlds in which both arrive, B earlier."""
+    slower_by_s: tuple[float, float, float] | None = None
+    """Mean of B's flight time less A's over the worlds in which both arrive [s], and its 95 % interval by Student's t;
+    None for fewer than two such worlds."""
 
     @classmethod
     def from_flights(cls, flights_a: Sequence[Flown], flights_b: Sequence[Flown]) -> PairedComparison:
@@ -122,6 +136,7 @@ class PairedComparison:
             only_b=sum(b.arrived and not a.arrived for a, b in pairs),
             faster_a=sum(a < b for a, b in times),
             faster_b=sum(b < a for a, b in times),
+            slower_by_s=mean_interval([b - a for a, b in times]),
         )
 
     @property

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from aero_viz.evaluation.statistics import METRICS, sign_test, summarise, wilson_interval
+from aero_viz.evaluation.statistics import METRICS, mean_interval, sign_test, summarise, wilson_interval
 
 
 @pytest.mark.parametrize(
@@ -64,3 +64,9 @@ def test_summary_without_arrivals_and_of_recorded_flights():
     line = summarise([lost], row="r", planner="p")
     assert line.mean["mean_speed"] is None and line.reasons == {"incomplete": 1}
     assert line.passable is None and line.flights_per_minute is None and line.plan_ms_median is None
+
+
+def test_the_mean_difference_of_times_has_its_interval() -> None:
+    # Student's t with 3 degrees of freedom: 3.182 times 1.2910 / 2.
+    assert mean_interval([1.0, 2.0, 3.0, 4.0]) == pytest.approx((2.5, 0.4457, 4.5543), abs=1e-3)
+    assert mean_interval([1.0]) is None

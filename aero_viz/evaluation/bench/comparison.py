@@ -16,7 +16,20 @@ __all__ = ["RunComparison", "compare_runs"]
 _SAME = ("benchmark", "seed", "lidar", "simulation")
 """Keys of the header that must be equal, because the worlds or the flights depend on them besides the planner."""
 
-_HEADER = ("row", "worlds", "A arrives", "B arrives", "only A", "only B", "p", "A faster", "B faster", "p", "better")
+_HEADER = (
+    "row",
+    "worlds",
+    "A arrives",
+    "B arrives",
+    "only A",
+    "only B",
+    "p",
+    "A faster",
+    "B faster",
+    "p",
+    "B slower by",
+    "better",
+)
 
 
 @dataclass(frozen=True)
@@ -49,23 +62,11 @@ class RunComparison:
     def format_table(self) -> str:
         """Return the differences and one line per row as text."""
         lines = [f"{name}: A {a}, B {b}" for name, (a, b) in self.differences.items()] or ["A and B do not differ."]
-        header = [
-            "row",
-            "worlds",
-            "A arrives",
-            "B arrives",
-            "only A",
-            "only B",
-            "p",
-            "A faster",
-            "B faster",
-            "p",
-            "better",
-        ]
         cells = [[label, *_cells(paired)] for label, paired in self.rows.items()]
-        lines += ["", format_table(cells, header=header, right=range(1, len(header) - 1))]
+        lines += ["", format_table(cells, header=_HEADER, right=range(1, len(_HEADER) - 1))]
         lines.append(
-            "p: two-sided sign test over the worlds. Better: p is at most 5 %, by arrivals, else by flight times."
+            "p: two-sided sign test over the worlds. In brackets: 95 % interval. Better: p is at most 5 %, by "
+            "arrivals, else by flight times."
         )
         if self.unpaired:
             lines.append(f"{self.unpaired} flights were left out, because only one of the two runs has them.")
@@ -137,5 +138,6 @@ def _cells(paired: PairedComparison) -> list[str]:
         str(paired.faster_a),
         str(paired.faster_b),
         f"{paired.p_time:.2g}",
+        "-" if paired.slower_by_s is None else "{:.2f} s ({:.2f} to {:.2f})".format(*paired.slower_by_s),
         paired.verdict,
     ]

@@ -78,7 +78,7 @@ def format_summaries(summaries: Sequence[Summary]) -> str:
     """Return the summaries as a table for a terminal."""
     rows = [
         [summary.row, summary.planner, f"{summary.arrived}/{summary.flights}", _interval(summary),
-         _percent(summary.passable), _number(summary.mean["mean_speed"]), _reasons(summary)]
+         _percent(summary.passable), _mean_std(summary, "mean_speed"), _reasons(summary)]
         for summary in summaries
     ]  # fmt: skip
     header = ["row", "planner", "success", "95 % interval", "passable", "mean speed", "ended by"]
@@ -124,6 +124,8 @@ def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool)
     names = ("traversability obstruction", "view occlusion", "angle over length")
     difficulty = ", ".join(f"{name} {mean:.3g}" for name, mean in zip(names, means, strict=False))
     suffix = f"; {difficulty}" if difficulty else ""
+    if records[0]["passable"] is None:
+        return f"{kind}: {len(records)} worlds, not examined"
     if is_file:
         return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path'}{suffix}"
     seeds = [record["seed"] for record in records]

@@ -100,6 +100,7 @@ def run_benchmark(
     noise: StateNoise | None = None,
     drone: Mapping[str, float] | None = None,
     sensor: Mapping[str, Any] | None = None,
+    examine: bool = True,
     executor: Executor | None = None,
     progress: Progress | None = None,
     causes: bool = True,
@@ -125,6 +126,7 @@ def run_benchmark(
         noise: noise of the state estimates; None flies with the true states.
         drone: differences from the vehicle that the planner assumes, by field of `VehicleModel`.
         sensor: differences from the named LiDAR models, by field of `LidarModel`.
+        examine: search a path through every world and measure its difficulty, which takes about 1 s of CPU time.
         executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
         causes: fly each failure once more, alone, and explain it.
@@ -169,8 +171,9 @@ def run_benchmark(
     finished = {(flight["row"], flight["index"]) for flight in done}
     pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
     executor = executor or LocalExecutor()
+    common = (noise, rules.radius, examine, device, executor.threads, causes)
     shards = [
-        _Shard(tuple(part), models[lidar or part[0].row.lidar], noise, rules.radius, device, executor.threads, causes)
+        _Shard(tuple(part), models[lidar or part[0].row.lidar], *common)
         for part in _split_into_batches(pending, size)
     ]
     _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
@@ -186,6 +189,7 @@ class _Shard:
     noise: StateNoise | None
     radius: float
     """Radius of the drone, for which a path is searched [m]."""
+    examine: bool
     device: str
     threads: int | None
     causes: bool
@@ -239,7 +243,7 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
         flight.world or _generate_world(flight.row.scene, flight.row.count, flight.world_seed)
         for flight in shard.flights
     ]
-    about_worlds = [_describe(world, shard.radius) for world in worlds]
+    about_worlds = [_describe(world, shard.radius) if shard.examine else {"passable": None} for world in worlds]
     batch = _build(shard, worlds)
     built = time.perf_counter()
     results = batch.run(progress=progress)

@@ -28,13 +28,16 @@ class Score:
     """Number of flights that arrived."""
     flight_time_s: float | None
     """Mean time of the flights that arrived [s], None if none did."""
+    flight_time_std_s: float | None = None
+    """Sample standard deviation of these times [s], None if fewer than two flights arrived."""
 
     @classmethod
     def from_results(cls, results: Iterable[FlightResult]) -> Score:
         """Return the score of flights."""
         flights = list(results)
         times = [flight.flight_time_s for flight in flights if flight.arrived]
-        return cls(len(flights), len(times), statistics.fmean(times) if times else None)
+        deviation = statistics.stdev(times) if len(times) > 1 else None
+        return cls(len(flights), len(times), statistics.fmean(times) if times else None, deviation)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields and the 95 % Wilson interval of the share as plain values for JSON."""
@@ -163,6 +166,7 @@ class TuningResult:
     def _row(self, name: str, score: Score, config: PlannerConfig) -> list[str]:
         low, high = wilson_interval(score.arrived, score.flights)
         time = "-" if score.flight_time_s is None else f"{score.flight_time_s:.2f} s"
+        time += "" if score.flight_time_std_s is None else f" ± {score.flight_time_std_s:.2f}"
         interval = f"{100.0 * low:.0f} to {100.0 * high:.0f} %"
         values = [f"{value:g}" for value in self.values(config).values()]
         return [name, str(score.flights), str(score.arrived), interval, time, *values]

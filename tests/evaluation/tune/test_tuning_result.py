@@ -79,10 +79,10 @@ def test_candidate_that_is_worse_in_fresh_worlds_is_not_chosen() -> None:
 def test_table_shows_incumbent_and_best_and_warns() -> None:
     text = tuning(check([None, 8.0, 8.0], [7.0, 7.0, None])).format_table()
     assert [" ".join(line.split()) for line in text.splitlines()[1:5]] == [
-        "incumbent 4 2 15 to 85 % 8.00 s 5",
-        "best, trial 7 4 4 51 to 100 % 6.50 s 7.5",
-        "incumbent, fresh worlds 3 2 21 to 94 % 8.00 s 5",
-        "best, fresh worlds 3 2 21 to 94 % 7.00 s 7.5",
+        "incumbent 4 2 15 to 85 % 8.00 s ± 0.00 5",
+        "best, trial 7 4 4 51 to 100 % 6.50 s ± 0.41 7.5",
+        "incumbent, fresh worlds 3 2 21 to 94 % 8.00 s ± 0.00 5",
+        "best, fresh worlds 3 2 21 to 94 % 7.00 s ± 0.00 7.5",
     ]
     assert "only the best candidate arrives in 1, only the incumbent in 1; where both arrive, the best is" in text
     assert "Warning: the difference is not significant" in text
