@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +20,11 @@ def model(name: str, geometry: str, pose: str = "0 0 0 0 0 0", *, part: str = "c
       <{part} name='c'><geometry>{geometry}</geometry></{part}></link></model>"""
 
 
-def load(tmp_path: Path, *models: str, header: str = "<?xml version='1.0'?>", **options: object) -> World:
+def load(tmp_path: Path, *models: str, header: str = "<?xml version='1.0'?>", **options: Any) -> World:
     path = tmp_path / "trees.world"
     text = f"{header}<sdf version='1.6'><world name='default'>{GROUND}{''.join(models)}</world></sdf>"
     path.write_text(text, encoding="utf-8")
-    ends = {"start": (-15.0, 0.0, 2.0), "goal": (15.0, 0.0, 2.0)}
+    ends: dict[str, Any] = {"start": (-15.0, 0.0, 2.0), "goal": (15.0, 0.0, 2.0)}
     return load_map(path, **(ends | options))
 
 

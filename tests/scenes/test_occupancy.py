@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from PIL import Image
 from aero_viz.errors import UserError
 from aero_viz.scenes import World, load_map
 
-ENDS = {"start": (1.0, 1.0, 1.5), "goal": (5.0, 3.0, 1.5)}
+ENDS: dict[str, Any] = {"start": (1.0, 1.0, 1.5), "goal": (5.0, 3.0, 1.5)}
 
 
 def maze(path: Path, *, mode: str = "RGB") -> Path:
@@ -41,7 +42,7 @@ def test_the_file_of_the_map_server_places_and_scales_the_image(tmp_path: Path) 
     maze(tmp_path / "maze.pgm", mode="L")
     text = "image: maze.pgm\nresolution: 0.2\norigin: [-1.0, -2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
     (tmp_path / "maze.yaml").write_text(text, encoding="utf-8")
-    ends = {"start": (1.0, 0.0, 1.5), "goal": (5.0, 1.0, 1.5)}
+    ends: dict[str, Any] = {"start": (1.0, 0.0, 1.5), "goal": (5.0, 1.0, 1.5)}
     by_yaml, by_image = (load_map(tmp_path / name, **ends) for name in ("maze.yaml", "maze.pgm"))
     np.testing.assert_allclose(walls(by_yaml)[0, :6], [-0.8, 2.0, 1.5, 0.4, 8.0, 3.0])
     np.testing.assert_array_equal(by_yaml.boxes, by_image.boxes)
