@@ -173,8 +173,7 @@ def run_benchmark(
     executor = executor or LocalExecutor()
     common = (noise, rules.radius, examine, device, executor.threads, causes)
     shards = [
-        _Shard(tuple(part), models[lidar or part[0].row.lidar], *common)
-        for part in _split_into_batches(pending, size)
+        _Shard(tuple(part), models[lidar or part[0].row.lidar], *common) for part in _split_into_batches(pending, size)
     ]
     _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
     return run
