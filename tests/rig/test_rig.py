@@ -39,7 +39,7 @@ def test_a_flight_arrives(world):
     result = fly_rig(world, command=companion(3.0), duration=20.0)
     assert result.arrived, (result, result.log)
     assert event_texts(result) == [
-        "node started", "pilot arms", "pilot switches to OFFBOARD, autopilot accepts", "arrived",
+        "node started", "pilot arms and takes off", "pilot switches to OFFBOARD, autopilot accepts", "arrived",
     ]  # fmt: skip
     assert np.linalg.norm(result.trajectory.positions[-1] - world.goal) < 1.0
     assert 2.0 < result.max_speed < 3.5
