@@ -6,9 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner
+from aero_planner.arrays import fine_shape
+from aero_planner.kernels.kernel_tuning import CPU
+from aero_planner.kernels.mppi import PROBES
+from aero_planner.kernels.records import DroneState, bundle
+from aero_planner.kernels.records import Rollouts as StateRollouts
+from aero_planner.kernels.stops import evaluate_stops, roll_out_stops
 from aero_viz.errors import UserError
 from aero_viz.explain.terms import (
     Obstacles,
@@ -167,7 +174,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
     is_safe = nearest >= np.float32(safe)
     if config.candidates.prove_stop != "off":
-        stops = read("stop_clearance").reshape(M, -1).max(axis=1)
+        stops = _clearance_of_all_stops(planner).reshape(M, -1).max(axis=1)
         limit = min(config.candidates.stop_clearance, config.candidates.safe_clearance)
         has_stop = stops >= np.float32(_least(limit, start_clearance, 0.005))
         is_safe = has_stop & (is_safe | (config.candidates.prove_stop == "instead"))
@@ -191,6 +198,29 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
         start=(read("position"), read("velocity"), read("quaternion")),
         control=(read("control"), read("command")),
     )
+
+
+def _clearance_of_all_stops(planner: Planner) -> Array:
+    """Return the clearance of every stop of the last plan [m], shape [M STOPS].
+
+    On a CPU the planner itself evaluates only those that its choice needs.
+    """
+    i, o, w, config = planner.inputs, planner.outputs, planner.workspace, planner.config
+    if not w.stop_clearance.device.is_cpu:
+        return w.stop_clearance.numpy()[0].astype(np.float64)
+    state = {name: getattr(w, name) for name in ("position", "velocity", "quaternion", "acceleration")}
+    drone = bundle(DroneState, **state, command=w.command, control=w.control)
+    names = ("controls", "positions", "velocities", "quaternions")
+    rollouts = bundle(StateRollouts, **{name: getattr(o, name) for name in names})
+    count, (rows, columns) = w.stop_clearance.shape[1], fine_shape(config)
+    outputs = [wp.empty_like(array) for array in (w.stop_controls, w.stop_positions, w.stop_clearance)]
+    with wp.ScopedDevice("cpu"):
+        inputs = [drone, planner.params, w.plan_period, rollouts]
+        wp.launch(roll_out_stops, (1, count), inputs=inputs, outputs=outputs)
+        inputs = [i.position, i.quaternion, i.ground_height, planner.params, int(PROBES), 1, rows, columns]
+        inputs += [o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1], w.state_terms]
+        wp.launch(evaluate_stops(CPU), (1, count, 4 * config.sampling.steps, 1), inputs=inputs, outputs=outputs[2:])
+    return outputs[2].numpy()[0].astype(np.float64)
 
 
 def _least(limit: float, start: float, gain: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import VehicleState
+from aero_planner import Sweeps, VehicleState
 from aero_planner.config.file import ConfigFile
 from aero_planner.config.yaml_entries import parse_entries
 from aero_viz.errors import UserError
@@ -46,7 +47,7 @@ class FlightTrace:
             self.frames.clear()
         while self.frames and self.frames[-1].time >= frame.time - 1e-9:
             self.frames.pop()
-        self.frames.append(frame)
+        self.frames.append(_small(frame))
         while self.frames[0].time < frame.time - KEPT:
             self.frames.popleft()
 
@@ -76,6 +77,14 @@ class FlightTrace:
         """Rules of the flight."""
         values = self.last.source.settings.get("rules")
         return FlightRules(**values) if isinstance(values, dict) else FlightRules()
+
+
+def _small(frame: Frame) -> Frame:
+    """Return a frame without what takes megabytes: the samples, and the joined cloud that others have asked for."""
+    seen = frame.observation
+    whole = len(seen.sweeps) - seen.sweeps.thinned if seen.sweeps.thinned else None
+    observation = dataclasses.replace(seen, sweeps=Sweeps(seen.sweeps, whole=whole))
+    return dataclasses.replace(frame, observation=observation, plan=dataclasses.replace(frame.plan, samples=None))
 
 
 class _Tee:

@@ -10,6 +10,7 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.selection import SelectionLayer
 from tests.browser.desk import open_desk
 from tests.browser.pictures import count
+from tests.explain.conftest import OPEN_ABOVE
 
 INSTANCE = 5
 
@@ -19,7 +20,7 @@ def desk(browser):
     """At the first wall of the trap."""
     layers = ["rollouts", "selection", "anchors", "drone"]
     source = open_source("double_wall_trap", seed=0)
-    with open_desk(browser, source, ticks=12, size=(1280, 900), layers=layers) as desk:
+    with open_desk(browser, source, ticks=12, config=OPEN_ABOVE, size=(1280, 900), layers=layers) as desk:
         desk.open_tab("Why")
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0

@@ -10,6 +10,9 @@ from aero_viz.catalog import open_source
 from aero_viz.explain.evidence import Evidence, Replanner
 from aero_viz.session import Session
 
+OPEN_ABOVE = PlannerConfig().replace({"partition.continue_above": 0.0, "partition.continue_below": 2.0})
+"""A planner that takes what it does not see above for free, and hits ceilings."""
+
 
 @pytest.fixture(scope="session")
 def replan() -> Iterator[Replanner]:
@@ -21,7 +24,10 @@ def replan() -> Iterator[Replanner]:
 @functools.cache
 def evidence_of(scene: str, ticks: int, every: int, preset: str = "default") -> tuple[Evidence, ...]:
     """Return the evidence of every n-th plan of the beginning of a flight."""
-    session, replanner = Session(open_source(scene, seed=0), config=PlannerConfig.preset(preset)), Replanner()
+    session, replanner = (
+        Session(open_source(scene, seed=0), config=OPEN_ABOVE if preset == "default" else PlannerConfig.preset(preset)),
+        Replanner(),
+    )
     frames = [session.tick() for _ in range(ticks)][every - 1 :: every]
     session.close()
     evidence = tuple(map(replanner, frames))

@@ -17,6 +17,7 @@ from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
 from aero_viz.explain.visibility import find_seen
 from aero_viz.flight import FlightRules, fly
 from aero_viz.scenes import World, scene
+from tests.explain.conftest import OPEN_ABOVE
 
 GROUND = [0.0, 0.0, -0.5, 80.0, 80.0, 1.0, 0.0]
 
@@ -27,7 +28,7 @@ def world_of(goal: list[float], box: list[float]) -> World:
 
 def flown(world: World, **options: Any) -> Any:
     trace = FlightTrace()
-    result = fly(world, recorder=recorder(trace), **options)
+    result = fly(world, config=OPEN_ABOVE, recorder=recorder(trace), **options)
     return result, trace, *explain_flight(trace)
 
 
@@ -35,7 +36,7 @@ def flown(world: World, **options: Any) -> Any:
 def trap(tmp_path_factory):
     log = tmp_path_factory.mktemp("trap") / "trap.mcap"
     trace = FlightTrace()
-    fly(scene("double_wall_trap", seed=0), recorder=recorder(trace, log))
+    fly(scene("double_wall_trap", seed=0), config=OPEN_ABOVE, recorder=recorder(trace, log))
     return trace, log
 
 

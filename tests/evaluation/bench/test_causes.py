@@ -9,9 +9,11 @@ from aero_viz.evaluation.bench.runner import run_benchmark
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.scenes import scene
 
+OPEN_ABOVE = {"partition.continue_above": 0.0, "partition.continue_below": 2.0}
+
 
 def test_failures_are_explained_in_records_and_report(tmp_path):
-    row = Row("trap", "double_wall_trap", None, speed=7.0)
+    row = Row("trap", "double_wall_trap", changes=OPEN_ABOVE)
     run = run_benchmark(Benchmark("trap", "Trap", "A trap.", (row,)), tmp_path, flights=1)
     (flight,) = run.flights
     assert flight["reason"] == "collision" and flight["obstacle"] == "box 7"
@@ -25,7 +27,7 @@ def test_failures_are_explained_in_records_and_report(tmp_path):
 
 def test_a_failure_that_is_not_repeated_says_so():
     world = scene("double_wall_trap", seed=0)
-    cause = cause_of(world, "stall", seed=0, config=PlannerConfig())
+    cause = cause_of(world, "stall", seed=0, config=PlannerConfig().replace(OPEN_ABOVE))
     assert cause == {"cause": "stall; not repeated when flown alone", "obstacle": None}
 
 
