@@ -206,7 +206,7 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
     On a CPU the planner itself evaluates only those that its choice needs.
     """
     i, o, w, config = planner.inputs, planner.outputs, planner.workspace, planner.config
-    if not w.stop_clearance.device.is_cpu:
+    if not planner.device.startswith("cpu"):
         return w.stop_clearance.numpy()[0].astype(np.float64)
     state = {name: getattr(w, name) for name in ("position", "velocity", "quaternion", "acceleration")}
     drone = bundle(DroneState, **state, command=w.command, control=w.control)
