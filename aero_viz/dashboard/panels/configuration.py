@@ -129,9 +129,16 @@ class ConfigurationPanel(Panel):
         )
 
         undo = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl", icon=viser.Icon.ARROW_BACK_UP)
-        undo.on_trigger(lambda _: self._controls.undo())
+
+        @undo.on_trigger
+        async def _(_: viser.CommandEvent) -> None:
+            self._controls.undo()
+
         redo = gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift", icon=viser.Icon.ARROW_FORWARD_UP)
-        redo.on_trigger(lambda _: self._controls.redo())
+
+        @redo.on_trigger
+        async def _(_: viser.CommandEvent) -> None:
+            self._controls.redo()
 
         @save.on_click
         async def _(event: viser.GuiEvent) -> None:
