@@ -56,6 +56,14 @@ def test_a_slider_grows_to_a_value_beyond_its_end(server):
     assert control.value == control.slider.value == 1e6
 
 
+@pytest.mark.parametrize("height", [-5.0, 0.0, 2.0])
+def test_a_slider_that_ends_below_zero_grows_to_a_height(server, height):
+    control = slider(server, "costs.height_min")
+    assert control.slider.max < height
+    apply(control.show(height))
+    assert control.value == control.slider.value == height <= control.slider.max <= control.info.high
+
+
 def test_a_logarithmic_slider_stays_within_the_bounds_of_the_parameter(server):
     control = slider(server, "sampling.temperature")
     for end in (control.slider.min, control.slider.max):

@@ -106,7 +106,15 @@ class SliderControl(Control):
         if self.slider_value != number:  # left alone if it stands for the value: rounding would move it
             position = self._to_slider(number)
             if position > self.slider.max:
-                changes.append((self.slider, "max", self._to_slider(min(self.info.high, _round_up(2.0 * number)))))
+                changes.append(
+                    (
+                        self.slider,
+                        "max",
+                        self._to_slider(
+                            min(self.info.high, _round_up(2.0 * number) if number > 0.0 else self.info.high)
+                        ),
+                    )
+                )
             changes.append((self.slider, "value", position))
         return changes
 
