@@ -34,7 +34,9 @@ VERBS: dict[str, Verb] = {
         "Write a flight to one file: page, video, picture or log.",
     ),
     "world": _verb("tools", "world", "Write a world to a file for other programs."),
-    "world info": _verb("tools", "world_info", "Describe a world: obstacles, whether a path exists, and difficulty."),
+    "world info": _verb(
+        "tools", "world_info", "Describe a world: its obstacles, whether a path exists, and how difficult it is."
+    ),
     "export": _verb("tools", "export", "Compile all kernels ahead of time for a drone that has no compiler."),
     "parameters": _verb("tools", "parameters", "Print a Markdown table of every planner parameter."),
     "doctor": _verb("tools", "doctor", "Check this machine and print how to install what is missing."),

@@ -8,12 +8,11 @@ import socket
 import time
 import urllib.request
 
-import msgspec
 import pytest
 
 from aero_viz.dashboard.server import LocalServer
 from aero_viz.errors import UserError
-from tests.dashboard.page_client import join
+from tests.dashboard.page_client import CAMERA, join, send
 
 
 def test_the_page_listens_on_this_machine_only_by_default(server):
@@ -28,7 +27,8 @@ def test_the_printed_address_opens_the_page(host, shown):
     server = LocalServer(host=host, port=0)
     try:
         assert server.url == f"http://{shown}:{server.get_port()}"
-        with urllib.request.urlopen(server.url, timeout=10.0) as answer:
+        cookies = urllib.request.HTTPCookieProcessor()  # the token of the link becomes a cookie
+        with urllib.request.build_opener(cookies).open(server.link(), timeout=10.0) as answer:
             assert answer.status == 200
     finally:
         server.stop()
@@ -65,7 +65,8 @@ def test_an_impossible_address_is_an_error_that_tells_which_flag_to_change(host,
 
 def test_a_request_to_share_the_page_publicly_is_refused(server, caplog):
     with caplog.at_level(logging.WARNING), join(server) as client:
-        client.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
+        send(client, **CAMERA)  # the only visitor holds control
+        send(client, type="ShareUrlRequest")
         deadline = time.monotonic() + 10.0
         while "refused" not in caplog.text:
             assert time.monotonic() < deadline, "the request was not answered"

@@ -172,7 +172,7 @@ def continued_range(cell: int, case: Case, config: PlannerConfig, point_of: dict
     below, above = np.degrees(b) < part.view_min, np.degrees(b) > part.view_max and part.continue_above > 0
     d = R @ [np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)]
     flat, inside = np.hypot(d[0], d[1]), 0
-    if not (below or above) or flat < 0.2 or (above and d[2] < 0.1):
+    if not (below or above) or flat < 0.2:
         return config.farthest_range
     start, ahead = np.arctan2(d[2], flat), np.array([d[0], d[1], 0.0]) / flat
     for k in range(1, rows // 2):
@@ -189,7 +189,7 @@ def continued_range(cell: int, case: Case, config: PlannerConfig, point_of: dict
             end = away * ahead + [0.0, 0.0, away * np.tan(start)]
             is_continued = source[2] - end[2] <= part.continue_below
             if above:
-                end, is_continued = source[2] / d[2] * d, 0 < source[2] <= part.continue_above
+                is_continued = end[2] - source[2] <= part.continue_above
             distance = float(np.linalg.norm(end))
             return distance if is_continued and distance <= config.farthest_range else config.farthest_range
     return config.farthest_range
