@@ -57,9 +57,8 @@ def smooth_motion(
     attitude[0] = quaternions[0]
     for i, turn in enumerate(turns):
         attitude[i + 1] = multiply(attitude[i], turn)
-    error = rotation_vector(multiply(quaternions, conjugate(attitude[at])))
-    smooth = _local_fit(times, error, grid, degree=1)
-    attitude = multiply(_turn(smooth), attitude)
+    errors = multiply(quaternions, conjugate(attitude[at]))
+    attitude = multiply(_fit_turns(times, errors, grid), attitude)
     specific = rotate(multiply(attitude[:-1], _turn(0.5 * rate * steps[:, None])), force)
     velocity = np.concatenate([np.zeros((1, 3)), np.cumsum(specific * steps[:, None], axis=0)])
     moved = (velocity[:-1] + 0.5 * specific * steps[:, None]) * steps[:, None]
@@ -78,6 +77,23 @@ def _turn(vectors: NDArray[np.floating]) -> Array:
 def _gravity(specific: Array) -> float:
     """Return the mean vertical force [m/s^2]: nearly gravity, and the parabolas absorb the rest."""
     return float(specific[:, 2].mean())
+
+
+def _fit_turns(times: Array, turns: Array, at: NDArray[np.floating]) -> Array:
+    """Return rotations [m, 4] at times `at` from straight lines through the rotations [n, 4] around each of them.
+
+    The lines are in rotation vectors relative to the nearest rotation: within minutes, a biased IMU turns by more than
+    half a revolution, beyond which absolute rotation vectors jump.
+    """
+    nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), at)
+    fitted = np.empty((len(at), 4))
+    for i, turn in enumerate(turns):
+        first, last = np.searchsorted(times, [times[i] - 2.0 * _WINDOW, times[i] + 2.0 * _WINDOW])
+        window = slice(max(first - _MIN_POSES, 0), last + _MIN_POSES)
+        vectors = rotation_vector(multiply(turns[window], conjugate(turn)))
+        mine = nearest == i
+        fitted[mine] = multiply(_turn(_local_fit(times[window], vectors, at[mine], degree=1)), turn)
+    return fitted
 
 
 def _local_fit(times: Array, values: Array, at: NDArray[np.floating], *, degree: int) -> Array:

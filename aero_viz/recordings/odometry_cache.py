@@ -16,7 +16,7 @@ from aero_viz.recordings.odometry import Motion
 
 __all__ = ["cache_folder", "load_motion", "motion_key", "save_motion"]
 
-_VERSION = 2
+_VERSION = 3
 """Changes when the estimate of the same file would change."""
 _WHOLE = 64 << 20
 """A file up to this size is hashed as a whole, of a larger one only `_SAMPLES` blocks of `_BLOCK` bytes [bytes]."""

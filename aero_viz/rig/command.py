@@ -167,14 +167,14 @@ def format_result(result: RigResult) -> str:
 
 def _format_log(log: Px4LogSummary) -> list[str]:
     def numbers(values: Sequence[float], scale: float, form: str) -> str:
-        return ", ".join(format(scale * value, form) for value in values)
+        return ", ".join("unknown" if math.isnan(value) else format(scale * value, form) for value in values)
 
     return [
         f"PX4's log: estimate off by up to {log.position_error:.2f} m, {log.height_error:.2f} m in height; "
         f"{log.velocity_error:.2f} m/s and {math.degrees(log.tilt_error):.1f} deg (root mean squares)",
         f"PX4's log: lags of roll, pitch, yaw {numbers(log.rate_lags, 1e3, '.0f')} ms, "
         f"{numbers(log.sign_changes, 1.0, '.1f')} sign changes per second, a motor at its limit "
-        f"{100 * log.saturated:.1f} % of the time, hover thrust {log.hover_thrust:.3f}",
+        f"{100 * log.saturated:.1f} % of the time, hover thrust {numbers([log.hover_thrust], 1.0, '.3f')}",
     ]
 
 

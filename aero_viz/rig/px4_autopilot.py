@@ -110,7 +110,11 @@ class Px4Autopilot:
             "EXTENDED_SYS_STATE": self._handle_landed_state,
             "STATUSTEXT": self._handle_text,
         }
-        self._wait_for_truth()
+        try:
+            self._wait_for_truth()
+        except BaseException:
+            self._close_sockets()
+            raise
 
     # --- what a flight needs ----------------------------------------------------------------------------------------
 
@@ -189,6 +193,9 @@ class Px4Autopilot:
             self._command(self._dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0, _FORCE_DISARM)
             self._px4.check()
             time.sleep(1.0)
+        self._close_sockets()
+
+    def _close_sockets(self) -> None:
         for connection in (self._station, self._side_of_px4, self._side_of_node):
             connection.close()
 

@@ -14,7 +14,7 @@ from aero_planner.onboard.lag_identification import identify_lag
 from aero_planner.quaternions import rotate
 from aero_viz.errors import UserError
 
-__all__ = ["Px4LogSummary", "summarize_log"]
+__all__ = ["Px4LogSummary", "load_reader", "summarize_log"]
 
 _OFFBOARD = 14  # vehicle_status.nav_state
 _SATURATED = 0.99  # of a motor's range
@@ -43,14 +43,18 @@ class Px4LogSummary:
     saturated: float
     """Fraction of the time in which at least one motor was at a limit."""
     hover_thrust: float
-    """PX4's newest estimate of the hover thrust; NaN without one."""
+    """PX4's last estimate of the hover thrust before OFFBOARD ended; NaN without one."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields in types that JSON has: None in place of NaN."""
+        return {name: _without_nan(value) for name, value in vars(self).items()}
 
 
-def summarize_log(path: Path) -> Px4LogSummary | None:
-    """Return the summary of a log, or None if the vehicle was never in OFFBOARD.
+def load_reader() -> Any:
+    """Return pyulog's class that reads a log.
 
     Raises:
-        UserError: pyulog is not installed, or the file cannot be read.
+        UserError: pyulog is not installed.
     """
     try:
         from pyulog import ULog
@@ -58,8 +62,18 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
         raise UserError(
             f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read PX4's log."
         ) from error
+    return ULog
+
+
+def summarize_log(path: Path) -> Px4LogSummary | None:
+    """Return the summary of a log, or None if the vehicle was never in OFFBOARD, or only at the end of the log.
+
+    Raises:
+        UserError: pyulog is not installed, or the file cannot be read.
+    """
+    reader = load_reader()
     try:
-        log = ULog(str(path))
+        log = reader(str(path))
     except Exception as error:  # pyulog raises many kinds for a damaged file
         raise UserError(f"PX4's log {path} cannot be read: {error}") from error
     topics = {topic.name: topic.data for topic in log.data_list if topic.multi_id == 0}
@@ -71,6 +85,8 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
     later = 1e-6 * status["timestamp"][np.argmax(offboard) :][~offboard[np.argmax(offboard) :]]
     end = float(later[0]) if len(later) else 1e-6 * float(log.last_timestamp)
     times = np.arange(begin, end, _PERIOD)
+    if len(times) < 2:
+        return None
     estimate, truth = (
         _sampled(topics, name, ("x", "y", "z", "vx", "vy", "vz"), times)
         for name in ("vehicle_local_position", "vehicle_local_position_groundtruth")
@@ -87,7 +103,6 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
     wanted = _sampled(topics, "vehicle_rates_setpoint", ("roll", "pitch", "yaw"), times)
     rates = _sampled(topics, "vehicle_angular_velocity", ("xyz[0]", "xyz[1]", "xyz[2]"), times)
     motors = _sampled(topics, "actuator_motors", tuple(f"control[{number}]" for number in range(4)), times)
-    hover = topics.get("hover_thrust_estimate", {}).get("hover_thrust", np.array([math.nan]))
     return Px4LogSummary(
         offboard_time=end - begin,
         position_error=float(np.linalg.norm(moved[:, :2], axis=1).max()),
@@ -97,7 +112,7 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
         rate_lags=tuple(_lag(times, wanted[:, k], rates[:, k]) for k in range(3)),  # type: ignore[arg-type]
         sign_changes=tuple(_sign_changes(wanted[:, k]) / (end - begin) for k in range(3)),  # type: ignore[arg-type]
         saturated=float(((motors <= 1.0 - _SATURATED) | (motors >= _SATURATED)).any(axis=1).mean()),
-        hover_thrust=float(hover[-1]),
+        hover_thrust=_hover_thrust(topics, end),
     )
 
 
@@ -109,6 +124,22 @@ def _sampled(
     if data is None:
         return np.full((len(times), len(fields)), math.nan)
     return np.stack([np.interp(times, 1e-6 * data["timestamp"], data[field]) for field in fields], axis=1)
+
+
+def _hover_thrust(topics: dict[str, Any], end: float) -> float:
+    """Return the last estimate before `end` [s]; PX4 logs NaN once it has disarmed."""
+    data = topics.get("hover_thrust_estimate")
+    if data is None:
+        return math.nan
+    values = data["hover_thrust"][1e-6 * data["timestamp"] <= end]
+    values = values[np.isfinite(values)]
+    return float(values[-1]) if len(values) else math.nan
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_without_nan(item) for item in value]
+    return value if math.isfinite(value) else None
 
 
 def _rms(values: NDArray[np.float64]) -> float:

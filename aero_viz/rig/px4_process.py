@@ -52,7 +52,7 @@ class Px4Process:
         speed: simulated time per time that passes, at most. A slow PX4 can be stopped in time on a busy machine.
 
     Raises:
-        UserError: there is no PX4, or all of its instances are in use.
+        UserError: there is no PX4, it was built for another computer, or all of its instances are in use.
 
     Attributes:
         system: MAVLink's system id of the vehicle.
@@ -74,11 +74,15 @@ class Px4Process:
         if speed != 1.0:
             environment["PX4_SIM_SPEED_FACTOR"] = str(speed)
         command = [str(binary), "-d", "-i", str(instance), "-w", str(self._folder), str(binary.parents[1] / "etc")]
-        with self._output.open("wb") as output, raised_priority():
-            self._process = subprocess.Popen(
-                command, cwd=self._folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-                env=environment,
-            )  # fmt: skip
+        try:
+            with self._output.open("wb") as output, raised_priority():
+                self._process = subprocess.Popen(
+                    command, cwd=self._folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+                    env=environment,
+                )  # fmt: skip
+        except OSError as error:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise UserError(f"{binary} cannot be started ({error.strerror}): build PX4 on this computer.") from error
 
     def check(self) -> None:
         """Raise UserError if the process has ended; the message quotes the last line that it wrote."""

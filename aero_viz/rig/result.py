@@ -113,10 +113,10 @@ class RigResult:
         content = vars(self).copy()
         del content["trajectory"], content["commands"]
         content["events"] = [dataclasses.asdict(event) for event in self.events]
-        for name in ("handover", "px4_log"):
+        for name in ("handover", "intervals"):
             value = content[name]
             content[name] = dataclasses.asdict(value) if value else None
-        content["intervals"] = dataclasses.asdict(self.intervals) if self.intervals else None
+        content["px4_log"] = self.px4_log.to_dict() if self.px4_log else None
         return content
 
 

@@ -31,7 +31,7 @@ from aero_viz.rig.flight import RigFlight
 from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.process import NodeProcess
 from aero_viz.rig.px4_autopilot import Px4Autopilot
-from aero_viz.rig.px4_log import summarize_log
+from aero_viz.rig.px4_log import load_reader, summarize_log
 from aero_viz.rig.px4_process import HOST, Px4Process
 from aero_viz.rig.px4_setup import set_parameters
 from aero_viz.rig.result import RigResult
@@ -99,7 +99,8 @@ def fly_rig(
 
     Raises:
         ImportError: pymavlink is not installed.
-        UserError: there is no PX4 in the folder, it does not start, or it does not accept a parameter.
+        UserError: there is no PX4 in the folder, it does not start, or it does not accept a parameter, or pyulog
+            is not installed.
         ValueError: the speed is out of range.
     """
     config = config or PlannerConfig()
@@ -109,11 +110,12 @@ def fly_rig(
     lidar_port, mavlink_port = free_ports(2)
     onboard = (onboard or OnboardConfig()).replace(rig_settings(lidar, lidar_port, mavlink_port))
     with contextlib.ExitStack() as stack:
-        process = (
-            None
-            if px4 is None
-            else stack.enter_context(contextlib.closing(Px4Process(px4, speed=_LOCKSTEP_SPEED if lockstep else 1.0)))
-        )
+        process = None
+        if px4 is not None:
+            load_reader()  # rather than after the flight, whose result would be lost
+            process = stack.enter_context(
+                contextlib.closing(Px4Process(px4, speed=_LOCKSTEP_SPEED if lockstep else 1.0))
+            )
         if process is None:
             autopilot = _simulated_autopilot(world, config, onboard, mavlink_port, loss_time or 0.5, state_pair, seed)
         else:

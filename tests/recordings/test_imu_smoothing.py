@@ -21,17 +21,20 @@ def motion(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return positions, attitudes
 
 
-@pytest.fixture(scope="module")
-def imu() -> ImuSamples:
-    """The slalom as an IMU of 200 Hz with constant biases measures it."""
-    times = np.arange(-0.1, 6.1, 0.005)
+def measure(times: np.ndarray, *, rate_bias: float = 0.005) -> ImuSamples:
+    """Return the slalom as an IMU with constant biases measures it, that of its rates in [rad/s]."""
     _, attitudes = motion(times)
     step = 1e-3
     before, after = motion(times - step), motion(times + step)
     force = (before[0] - 2.0 * motion(times)[0] + after[0]) / step**2 + [0.0, 0.0, 9.81]
     rates = rotation_vector(multiply(conjugate(before[1]), after[1])) / (2.0 * step)
     stamps = START + np.round(1e9 * times).astype(np.int64)
-    return ImuSamples("/imu", "imu", stamps, rotate(conjugate(attitudes), force) + 0.05, rates + 0.005)
+    return ImuSamples("/imu", "imu", stamps, rotate(conjugate(attitudes), force) + 0.05, rates + rate_bias)
+
+
+@pytest.fixture(scope="module")
+def imu() -> ImuSamples:
+    return measure(np.arange(-0.1, 6.1, 0.005))
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +59,14 @@ def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, nois
     positions, attitudes = smooth_motion(*noisy, imu, IDENTITY, START)
     smooth = errors(noisy[0], positions, attitudes)
     assert smooth[0] < 0.6 * raw[0] and smooth[1] < 0.5 * raw[1]
+
+
+def test_a_bias_may_add_up_to_more_than_half_a_turn() -> None:
+    times = np.arange(0.0, 20.0, 0.1)
+    biased = measure(np.arange(-0.1, 20.1, 0.01), rate_bias=0.2)  # 4 rad about each axis in the end
+    smooth = smooth_motion(times, *motion(times), biased, IDENTITY, START)
+    distance, angle = errors(times, *smooth)
+    assert distance < 0.02 and angle < 1.0
 
 
 @pytest.mark.parametrize("kept", [slice(600), slice(100, None), np.r_[0:300, 400:1240]])

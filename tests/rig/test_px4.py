@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import stat
@@ -169,6 +170,35 @@ def test_a_log_is_summarized(tmp_path, flight):
     assert log.sign_changes == pytest.approx((2.0, 0.0, 0.0), abs=0.2)
     assert log.saturated == pytest.approx(0.1, abs=0.01)
     assert log.hover_thrust == pytest.approx(0.47)
+
+
+def test_the_hover_thrust_is_that_of_the_flight(tmp_path, flight):
+    fields, values = flight["hover_thrust_estimate"]
+    flight["hover_thrust_estimate"] = fields, np.where((values[:, :1] > 8.5) & [False, True], np.nan, values)
+    log = summarize_log(write_log(tmp_path / "1.ulg", flight))
+    assert log is not None
+    assert log.hover_thrust == pytest.approx(0.47)
+
+
+def test_a_summary_with_unknown_values_is_json(tmp_path, flight):
+    del flight["hover_thrust_estimate"]
+    log = summarize_log(write_log(tmp_path / "1.ulg", flight))
+    assert log is not None
+    content = json.loads(json.dumps(log.to_dict(), allow_nan=False))
+    assert content["hover_thrust"] is None
+    assert content["rate_lags"][0] == pytest.approx(LAG, rel=0.1)
+    assert content["rate_lags"][1:] == [None, None]
+
+
+def test_a_log_that_ends_as_offboard_begins_has_no_summary(tmp_path):
+    status = ("uint8_t nav_state;", np.array([[1.0, 4.0], [2.0, 14.0]]))
+    assert summarize_log(write_log(tmp_path / "1.ulg", {"vehicle_status": status})) is None
+
+
+def test_a_program_for_another_computer_is_an_error(tmp_path):
+    program(tmp_path, "").write_bytes(b"\x7fELF and nothing else")
+    with pytest.raises(UserError, match=r"cannot be started .*build PX4 on this computer"):
+        Px4Process(tmp_path)
 
 
 def test_a_log_without_offboard_or_without_content(tmp_path, flight):
