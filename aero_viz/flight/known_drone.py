@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from aero_planner import PlannerConfig
+from aero_planner.config.field_of_view import mounted_view
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel
 
 __all__ = ["config_for_drone", "config_for_next_flight", "config_in_world"]
-
-_UPRIGHT, _INVERTED = (0.0, 0.0), (180.0, 0.0)
 
 
 def config_for_drone(
@@ -17,17 +16,13 @@ def config_for_drone(
 ) -> PlannerConfig:
     """Return `config` with what is known about a flight where it has the default values.
 
-    This is the field of view of `lidar`, the delay of `vehicle`, and the top of `world`, see `config_in_world`. The
-    delay is the latency, plus the time constant of the body rates unless `config` models their lag. A sensor that is
-    neither upright nor upside down has no edges of its view that could be continued.
+    This is the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`, see
+    `config_in_world`. The delay is the latency, plus the time constant of the body rates unless `config` models their
+    lag.
     """
     default = PlannerConfig()
-    roll_and_pitch = (abs(lidar.mount_angles[0]), abs(lidar.mount_angles[1]))
-    view = (-90.0, 90.0)
-    if roll_and_pitch == _UPRIGHT:
-        view = (lidar.elevation_min, lidar.elevation_max)
-    elif roll_and_pitch == _INVERTED:
-        view = (-lidar.elevation_max, -lidar.elevation_min)
+    roll, pitch, _ = lidar.mount_angles
+    view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
     unmodelled_lag = vehicle.rate_lag if config.vehicle.rate_xy_lag == 0.0 else 0.0
     known = {
         "partition.view_min": view[0],

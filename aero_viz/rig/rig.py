@@ -23,7 +23,7 @@ from aero_planner.onboard.connections import thrust_model
 from aero_planner.onboard.frames import ned_from_world
 from aero_planner.onboard.livox import CARTESIAN_MM
 from aero_planner.onboard.mavlink_sender import load_dialect
-from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.settings import OnboardConfig, config_on_drone
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import Fault
@@ -127,7 +127,7 @@ def fly_rig(
         sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed, data_type=data_type)
         stack.callback(sensor.close)
         if lockstep:
-            planner = stack.enter_context(contextlib.closing(Planner(config, device="cpu")))
+            planner = stack.enter_context(contextlib.closing(Planner(config_on_drone(config, onboard), device="cpu")))
             node = LockstepNode(planner, onboard, clock=lambda: flight.now, advance=lambda time: flight.advance(time))
         else:
             node = NodeProcess(config, onboard, command=command)

@@ -19,7 +19,7 @@ from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import Observer
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.settings import OnboardConfig, config_on_drone
 from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.planner import Planner
 
@@ -65,9 +65,8 @@ def run_node(
         OSError: a connection or the flight log can't be opened.
     """
     if not planner_config.costs.use_ground:
-        # A Mid-360 does not see the ground below it, so the node avoids what is below its geofence in any case.
         _log.warning("costs.use_ground is off; the node switches it on to stay above limits.fence_height_min")
-        planner_config = planner_config.replace({"costs.use_ground": True})
+    planner_config = config_on_drone(planner_config, onboard)
     with contextlib.ExitStack() as resources:
         with _planning_errors(device):
             planner = Planner(planner_config, device=device, seed=seed, threads=threads)

@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+import pytest
+
+from aero_planner.config.field_of_view import mounted_view
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "view"),
+    [
+        (0.0, 0.0, (-7.0, 52.0)),
+        (1.0, -2.0, (-7.0, 52.0)),
+        (180.0, 0.0, (-52.0, 7.0)),
+        (-179.0, 1.0, (-52.0, 7.0)),
+        (0.0, 180.0, (-52.0, 7.0)),
+        (180.0, 180.0, (-7.0, 52.0)),
+        (0.0, 20.0, (-90.0, 90.0)),
+        (90.0, 0.0, (-90.0, 90.0)),
+    ],
+)
+def test_the_view_turns_with_the_sensor(roll: float, pitch: float, view: tuple[float, float]):
+    assert mounted_view((-7.0, 52.0), roll=roll, pitch=pitch) == view
