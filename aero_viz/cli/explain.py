@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -60,7 +59,9 @@ def explain(
     if flight.endswith(".mcap"):
         is_flag_set = world_flags != _WORLD or flight_flags != _FLIGHT or config_flags != _CONFIG or speed is not None
         if is_flag_set or trajectory is not None or log is not None or (lidar, seed) != ("mid360", 0):
-            raise UserError("A log is explained as it was flown: leave out the flags of the flight.")
+            raise UserError(
+                "A log is explained as it was flown: leave out the flags of the world, the flight and the planner."
+            )
         trace = trace_of_log(flight, device=device)
     else:
         trace, config = FlightTrace(), config_flags.load()
@@ -75,12 +76,12 @@ def explain(
             except FlightInterrupted:
                 raise SystemExit(130) from None
     report, evidence = explain_flight(trace)
+    print_report(report, as_json=json)
     if picture is not None:
         if evidence is None:
-            raise UserError("There is no picture: the flight did not fail.")
+            raise UserError("No picture was written: the flight did not fail. Leave --picture out.")
         is_collision = report.outcome == "collision"
         try:
-            Path(picture).write_text(draw_map(evidence, trace.end_position if is_collision else None), encoding="utf-8")
+            picture.write_text(draw_map(evidence, trace.end_position if is_collision else None), encoding="utf-8")
         except OSError as error:
             raise UserError(f"The picture {picture} cannot be written: {error.strerror or error}.") from error
-    print_report(report, as_json=json)

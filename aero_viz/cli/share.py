@@ -8,6 +8,7 @@ from pathlib import Path
 
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.cli.output import progress_bar
+from aero_viz.errors import UserError
 
 __all__ = ["share"]
 
@@ -50,19 +51,24 @@ def share(
     from aero_viz.cli.page import flight_opener
     from aero_viz.dashboard.share import share as write
     from aero_viz.dashboard.share.share import check_path
+    from aero_viz.flight.known_drone import config_in_world
 
     check_path(output)
-    config = flight_flags.complete(config_flags.load(), lidar=lidar)
+    config = config_flags.load()
     if Path(source).exists() and not (source.endswith(".json") or is_map(source)):
+        if (world_flags, flight_flags, lidar) != (_WORLD, _FLIGHT, "mid360"):
+            raise UserError(f"{source} is a recording: leave out the flags of the world, the LiDAR and the flight.")
         flight = open_source(source, seed=seed, device=device)
     else:
+        config = flight_flags.complete(config, lidar=lidar)
         opener = flight_opener(source, world_flags, flight_flags, config, lidar=lidar, device=device)
         flight = opener(source, seed=seed)
+        config = config_in_world(config, flight.info.world)
     with progress_bar(flight.info.name, enabled=True) as update_bar:
         write(
             flight,
             output,
-            command=_command(source, str(output), closed_loop=flight.info.closed_loop),
+            command=_command(source, output, closed_loop=flight.info.closed_loop),
             config=config,
             seed=seed,
             device=device,
@@ -73,13 +79,12 @@ def share(
     print(f"{output}: {output.stat().st_size / 1e6:.1f} MB")
 
 
-def _command(source: str, output: str, *, closed_loop: bool) -> str:
-    """Return the command that shows live what this one writes: with the same flags, without those of the file."""
-    arguments = sys.argv[2:]
-    for word in (source, output):
-        if word in arguments:
-            arguments.remove(word)
-    for flag in ("--duration", "--layers"):
-        if flag in arguments:
-            del arguments[arguments.index(flag) : arguments.index(flag) + 2]
-    return shlex.join(["aero-viz", "demo" if closed_loop else "play", source, *arguments])
+def _command(source: str, output: Path, *, closed_loop: bool) -> str:
+    """Return the command that shows the flight live: the present one without the output and its flags."""
+    flags, words = [], iter(sys.argv[2:])
+    for word in words:
+        if word in ("--duration", "--layers"):
+            next(words, None)
+        elif word != source and Path(word) != output and not word.startswith(("--duration=", "--layers=")):
+            flags.append(word)
+    return shlex.join(["aero-viz", "demo" if closed_loop else "play", source, *flags])
