@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from aero_viz.dashboard.dashboard import Dashboard
 from aero_viz.dashboard.layers import LAYERS
 from aero_viz.dashboard.scripts import run_script
+from aero_viz.flight.known_drone import config_in_world
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Conditions, Opener
@@ -118,8 +119,8 @@ STOPS = (
     Stop(
         "double_wall_trap",
         (
-            "It does not always work: two walls, with passages on opposite sides.",
-            "Without a map the drone cannot know that the way leads back. Improving this is research.",
+            "Two walls with passages on opposite sides, under a low ceiling.",
+            "Without a map the drone cannot know where a passage is: it has to look for it.",
         ),
         shot="top",
         layers=("rollouts", "cloud"),
@@ -172,7 +173,7 @@ class Tour:
     """Shows scene after scene, for ever. Whatever fails is skipped and said.
 
     Args:
-        session: started session.
+        session: started session, whose configuration knows the top of no world.
         dashboard: its page, without panels.
         open_source: opens scenes.
         stops: the scenes, in turn.
@@ -192,6 +193,7 @@ class Tour:
     ) -> None:
         self._session, self._dashboard, self._open = session, dashboard, open_source
         self._stops, self._say, self._pause = stops, say, pause
+        self._config = session.config
         self.director = Director()
         """The camera."""
         self.caption = ("AERO-Viz", "")
@@ -223,6 +225,7 @@ class Tour:
         self._set_caption(stop.scene, "")
         source = self._open(stop.scene, seed=seed, conditions=conditions)
         self.director.shot = stop.shot
+        self._session.configure(config_in_world(self._config, source.info.world))
         self._session.set_source(source).result()
         self._dashboard.show_only([*_BASE, *stop.layers])
         self._session.play()
@@ -251,9 +254,8 @@ class Tour:
                 moved, index = now, frame.index
             elif now - moved > _STILL_MAX:
                 raise RuntimeError("no plan was computed for some seconds")
-            text = stop.captions[
-                min(int(len(stop.captions) * frame.time / (0.6 * stop.seconds)), len(stop.captions) - 1)
-            ]
+            part = int(len(stop.captions) * frame.time / (_READING * stop.seconds))
+            text = stop.captions[min(part, len(stop.captions) - 1)]
             speed = np.linalg.norm(np.asarray(frame.observation.actual_state.velocity))
             self._set_caption(f"{stop.scene}   {frame.time:.0f} s   {speed:.1f} m/s", text)
 

@@ -107,6 +107,7 @@ class Comparison:
             raise UserError("Pin a configuration to compare with first.")
         if self._engine.source.outcome is not None:
             raise UserError("The end is reached at this tick. Go back to an earlier one, and compare from there.")
+        self._follow_source()
         self._flight = _Flight(frame.checkpoint.source, frame.checkpoint.planner)
         self._when_over = when_over
         self._events.publish(ComparisonEvent("departed", self.pinned))
@@ -123,8 +124,7 @@ class Comparison:
 
     def work(self) -> None:
         """Plan the session's tick with A, or fly A for a few ticks."""
-        if self._engine.source is not self._source:
-            self._source, self._flight, self.frame = self._engine.source, None, None
+        self._follow_source()
         if self.pinned is None:
             return
         if self._must_plan:
@@ -148,6 +148,11 @@ class Comparison:
             return False
         planned = self._planned
         return planned is None or planned[0] is not frame.checkpoint or planned[1] is not self.pinned
+
+    def _follow_source(self) -> None:
+        """Drop the plan and the flight of another source."""
+        if self._engine.source is not self._source:
+            self._source, self._flight, self.frame = self._engine.source, None, None
 
     def _clear(self) -> None:
         self.frame, self._planned, self._flight, self._when_over = None, None, None, None

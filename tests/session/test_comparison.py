@@ -135,6 +135,18 @@ def test_another_source_ends_the_flight_of_a(session):
     session.pin().result()
     session.fly_both().result()
     session.set_source(small_source(goal=9.0)).result()
-    wait_for(lambda: not session.comparison.has_work)
+    wait_for(lambda: not session.comparison.has_work and session.comparison.frame is not None)
     assert not session.comparison.is_flying
     assert session.comparison.frame.source is session.source
+
+
+def test_a_flies_through_a_source_that_was_chosen_while_time_ran(session):
+    events = listen(session)
+    session.start(play=False)
+    wait_for(lambda: session.frame is not None)
+    session.pin().result()
+    session.play()
+    session.set_source(small_source(goal=6.0)).result()
+    session.fly_both().result()
+    wait_for(lambda: events[-1].frame is not None and events[-1].frame.outcome is not None)
+    assert events[-1].frame.source is session.source
