@@ -19,10 +19,11 @@ from aero_viz.explain.visibility import Seen, find_seen
 from aero_viz.scenes import World
 from aero_viz.session.frame import Frame
 
-__all__ = ["BrakingTick", "PostMortem", "explain_flight"]
+__all__ = ["FAILURES", "BrakingTick", "PostMortem", "explain_flight"]
 
 Array = NDArray[np.float64]
-_FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
+FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
+"""Outcomes that are explained."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
     last = trace.last
     outcome = trace.outcome or last.outcome
     facts: dict[str, Any] = {"scene": last.source.name, "outcome": outcome, "time_s": round(trace.end_time, 3)}
-    if outcome not in _FAILURES:
+    if outcome not in FAILURES:
         text = "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight is not over."
         return PostMortem(**facts, cause=None, sentences=[text], missing=trace.missing), None
     replan = Replanner()
@@ -105,7 +106,6 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
     sentences.append(_seen_sentence(seen, braking))
-    stopping = next((f for f in reversed(frames) if f.plan.status == PlanStatus.OK), None)
     if braking is None:
         sentences.append(f"Braking would not have worked from any of the last {len(frames)} ticks.")
     else:
@@ -119,7 +119,7 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
         )
     was_braking = frames[-1].plan.status != PlanStatus.OK
     if was_braking:
-        since = frames[0].time if stopping is None else stopping.time
+        since = next((f.time for f in reversed(frames) if f.plan.status == PlanStatus.OK), frames[0].time)
         sentences.append(f"It was stopping when it hit: no candidate was safe after {since:.2f} s.")
     cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
     report = PostMortem(

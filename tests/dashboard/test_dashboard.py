@@ -5,6 +5,8 @@ from __future__ import annotations
 from small_source import small_config, small_source
 
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.layers.rollouts import RolloutLayer
+from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session import Session
 
 
@@ -22,5 +24,22 @@ def test_a_late_frame_belongs_to_its_own_source():
     assert new is not None
     dashboard.changes(new)
     assert dashboard.source is session.source is not before
+    dashboard.close()
+    session.close()
+
+
+def test_another_source_ends_the_selection_of_an_instance():
+    session = Session(small_source(), config=small_config())
+    dashboard = Dashboard(session, port=0)
+    dashboard.changes(session.tick())
+    why = next(panel for panel in dashboard.panels if isinstance(panel, WhyPanel))
+    rollouts = dashboard.layers["rollouts"]
+    assert isinstance(rollouts, RolloutLayer)
+    why.select(3)
+    assert rollouts.selected == 3
+    session.set_source(small_source(goal=20.0)).result()
+    assert session.frame is not None
+    dashboard.changes(session.frame)
+    assert rollouts.selected is None
     dashboard.close()
     session.close()

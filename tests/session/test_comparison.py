@@ -149,4 +149,5 @@ def test_a_flies_through_a_source_that_was_chosen_while_time_ran(session):
     session.set_source(small_source(goal=6.0)).result()
     session.fly_both().result()
     wait_for(lambda: events[-1].frame is not None and events[-1].frame.outcome is not None)
-    assert events[-1].frame.source is session.source
+    last: Any = events[-1].frame
+    assert last.source is session.source

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from concurrent.futures import CancelledError
 from contextlib import suppress
 
@@ -14,21 +13,19 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.explain.picture import draw_map
-from aero_viz.explain.post_mortem import explain_flight
+from aero_viz.explain.post_mortem import FAILURES, explain_flight
 from aero_viz.explain.trace import FlightTrace
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
 __all__ = ["PostMortemPanel"]
 
-_FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
-
 
 class PostMortemPanel(Panel):
     """Explains every simulated flight that does not arrive, on its own thread, and leads to the tick in question."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._trace, self._lock = FlightTrace(), threading.Lock()
+        self._trace = FlightTrace()
         self._reported: Frame | None = None
         self._tick: float | None = None
         self._folder = gui.add_folder("Why the flight failed", visible=False)
@@ -36,7 +33,7 @@ class PostMortemPanel(Panel):
             self._report = gui.add_html("")
             self._go = gui.add_button("Go to that tick", icon=viser.Icon.ARROW_BACK_UP, color="gray", visible=False)
             self._map = gui.add_html("")
-        self._work = Mailbox(self._explain, name="aero-viz-post-mortem", low_priority=True)
+        self._work = Mailbox(self._work_on, name="aero-viz-post-mortem", low_priority=True)
         self._sink = self.session.subscribe(self._add, every=True, name="trace")
 
         @self._go.on_click
@@ -55,22 +52,26 @@ class PostMortemPanel(Panel):
     def _add(self, frame: Frame) -> None:
         if not frame.source.closed_loop or frame.checkpoint is None:
             return
-        with self._lock:
-            self._trace.write(frame)
-        if frame.outcome in _FAILURES and (self._reported is None or self._reported.epoch != frame.epoch):
+        self._trace.write(frame)
+        if frame.outcome in FAILURES and (self._reported is None or self._reported.epoch != frame.epoch):
             self._reported = frame
-            self._work.put(None)
-
-    def _explain(self, time: float | None) -> None:
-        """Go to a time [s], or report on the flight that has ended."""
-        if time is not None:
-            with suppress(CancelledError):
-                self.session.seek(time).exception()
-            return
-        trace = FlightTrace()
-        with self._lock:
+            trace = FlightTrace()
             trace.frames.extend(self._trace.frames)
+            self._work.put(trace)
+
+    def _work_on(self, task: float | FlightTrace) -> None:
+        """Go to a time [s], or report on a flight that has ended."""
+        if isinstance(task, FlightTrace):
+            self._explain(task)
+        else:
+            with suppress(CancelledError):
+                self.session.seek(task).exception()
+
+    def _explain(self, trace: FlightTrace) -> None:
         report, evidence = explain_flight(trace)
+        shown = self.session.frame
+        if shown is None or shown.source is not trace.last.source:
+            return  # another source was opened in the meantime
         lines = "".join(f"<li>{markup.text(text)}</li>" for text in report.sentences)
         cause = markup.pill(report.cause or "", palette.BAD)
         list_style = "margin:6px 0;padding-left:16px"

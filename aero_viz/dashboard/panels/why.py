@@ -51,9 +51,7 @@ class WhyPanel(Panel):
                 scene.on_click()(self._click)
             else:
                 scene.remove_click_callback(self._click)
-                self.select(None)
-            self._due = 0.0
-            self.page.refresh()
+            self.select(None)
 
         @self._numbers.on_click
         async def _(_: viser.GuiEvent) -> None:
@@ -66,12 +64,15 @@ class WhyPanel(Panel):
 
     def select(self, instance: int | None, point: np.ndarray | None = None) -> None:
         """Select an instance or a point of the cloud [m], shape [3], and highlight it everywhere."""
+        self._highlight(instance, point)
+        self._due = 0.0
+        self.page.refresh()
+
+    def _highlight(self, instance: int | None, point: np.ndarray | None) -> None:
         if (layer := self._selection) is not None:
             layer.instance, layer.point = instance, point
         if isinstance(rollouts := self.page.layers.get("rollouts"), RolloutLayer):
             rollouts.selected = instance
-        self._due = 0.0
-        self.page.refresh()
 
     def close(self) -> None:
         self._work.close()
@@ -88,9 +89,8 @@ class WhyPanel(Panel):
         self.select(None if picked is None else picked.instance, None if picked is None else picked.point)
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
-        self._evidence, self._due = None, 0.0
-        if (layer := self._selection) is not None:
-            layer.instance = layer.point = None
+        self._due = 0.0
+        self._highlight(None, None)
         return []
 
     def update(self, frame: Frame) -> list[Change]:
@@ -115,21 +115,25 @@ class WhyPanel(Panel):
         """Explain a frame and show the result, on the mailbox's thread."""
         _, instance, point = self._key(frame)
         try:
-            if self._evidence is None or self._evidence.frame is not frame:
-                self._evidence = self._replan(frame)
+            evidence = self._evidence
+            if evidence is None or evidence.frame is not frame:
+                evidence = self._evidence = self._replan(frame)
         except UserError as error:
-            self._chart.content, self._card.content = markup.block(markup.text(error)), ""
+            self._show(markup.text(error))
             return
-        evidence = self._evidence
-        parts = [*_recorded(frame)]
+        parts = _recorded(frame)
         if isinstance(instance, int) and instance < len(evidence.plan.kinds):
             parts.append(card(evidence, instance))
         if isinstance(point, np.ndarray):
             parts.append(markup.table([(label, value, "") for label, value in describe_point(frame, point)]))
         if not parts:
             parts.append(markup.muted("Click an anchor, a guide, a rollout, a point or a cell, or a number above."))
-        self._chart.content = markup.block(chart(evidence, instance if isinstance(instance, int) else None))
-        self._card.content = markup.block(*parts)
+        self._show(chart(evidence, instance if isinstance(instance, int) else None), *parts)
+
+    def _show(self, bars: str, *parts: str) -> None:
+        if self._switch.value:  # it may have been switched off in the meantime
+            self._chart.content = markup.block(bars)
+            self._card.content = markup.block(*parts) if parts else ""
 
 
 def _recorded(frame: Frame) -> list[str]:
