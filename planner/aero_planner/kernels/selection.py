@@ -128,6 +128,8 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             half = (t - steps - PROBES) % steps
             half_end = wp.where(t == state_terms.shape[2] - 1, half, half + 1)
             x = 0.5 * (rollouts.positions[b, m, half] + rollouts.positions[b, m, half_end])
+            # A midpoint faster than the speed limit is below its margin in open space, too, and counts as unsafe. That
+            # limit is the one for which the grid is made, and the speed cost keeps candidates near it.
             limit = safety_limit(c)
             margin = c.speed_margin * wp.length(rollouts.velocities[b, m, half])
             if t == state_terms.shape[2] - 1:

@@ -10,6 +10,7 @@ from aero_planner.config import VehicleConfig
 from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.settings import ThrustSettings
+from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import rotate
 
 __all__ = ["ThrustEstimate"]
@@ -37,7 +38,7 @@ class ThrustEstimate:
 
     Args:
         vehicle: Mass and gravity.
-        settings: The hover thrust, for the log, and whether it is corrected at all.
+        settings: The hover thrust and the thrust curve, for the log, and whether anything is corrected at all.
 
     Attributes:
         gain: True thrust divided by the commanded one; 1 before it is known.
@@ -46,14 +47,15 @@ class ThrustEstimate:
     def __init__(self, vehicle: VehicleConfig, settings: ThrustSettings) -> None:
         self.gain = 1.0
         self._vehicle, self._settings = vehicle, settings
+        self._model = ThrustModel(vehicle.mass, vehicle.gravity, settings.hover_thrust, settings.curve)
         self._logged = 1.0
 
     def update(self, previous: VehicleSample, predicted: MotionState | None, sample: VehicleSample) -> None:
         """Compare a state with what was predicted for its time from the previous one.
 
         Args:
-            previous: The state from which was predicted.
-            predicted: Prediction with the commands; without a control the vehicle did not obey them.
+            previous: The state from which the motion was predicted.
+            predicted: Prediction from the commands; without a control, the vehicle did not obey them.
             sample: The new state.
         """
         interval = sample.time - previous.time
@@ -70,7 +72,8 @@ class ThrustEstimate:
         self.gain = min(max(gain, 1.0 / _LARGEST), _LARGEST)
         if abs(self.gain - self._logged) > _NOTABLE:
             self._logged = self.gain
+            hover_thrust = self._model.signal(self._vehicle.mass * self._vehicle.gravity / self.gain)
             _log.warning(
                 "the thrust is %.2f times what thrust.hover_thrust says, which is corrected in flight; set it to %.3f",
-                self.gain, self._settings.hover_thrust / self.gain,
+                self.gain, hover_thrust,
             )  # fmt: skip

@@ -65,3 +65,8 @@ def test_nothing_is_learnt_without_commands_or_when_it_is_switched_off():
 def test_a_far_wrong_thrust_is_bounded_and_logged(caplog):
     assert fly(20.0, factor=0.4) == pytest.approx(1.0 / 1.5)
     assert "0.90 times what thrust.hover_thrust says" in caplog.text
+
+
+def test_the_logged_hover_thrust_follows_the_thrust_curve(caplog):
+    fly(5.0, factor=0.8, settings=ThrustSettings(hover_thrust=0.5, curve=1.0))
+    assert "set it to 0.527" in caplog.text  # 0.5 / sqrt(0.9): the thrust grows with the square of the signal
