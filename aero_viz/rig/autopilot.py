@@ -22,6 +22,7 @@ from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.rig.estimate_error import covariance, estimate_error
 from aero_viz.rig.faults import Channel
 from aero_viz.rig.offboard import Mode, OffboardControl, Setpoint
 from aero_viz.rig.setpoint_decoder import PILOT_MESSAGES, decode_setpoint
@@ -39,11 +40,6 @@ _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram
 _ODOMETRY, _EXTENDED_SYS_STATE = 331, 245
 _START_RADIUS = 0.2  # [m] from the start at which the take-off ends
 _ARMING_TIME = 1.5  # [s] after which a companion has received a heartbeat of a disarmed vehicle
-_POSITION_STD, _VELOCITY_STD = 0.2, 0.05  # [m], [m/s]; reported while the position is known
-# A lost position, after a flight of PX4 1.17 whose GNSS was switched off: in 13 s, its error grows to 6 m, and its
-# reported variance from 0.04 to 31 m^2.
-_DRIFT = np.array([0.05, 0.05, 0.0])  # acceleration of the error [m/s^2]
-_POSITION_STD_GROWTH, _VELOCITY_STD_GROWTH = 0.032, 0.065  # both [m/s^2], the first with the square of the time
 _HOLD_ACCELERATION = 2.0  # [m/s^2], the largest that HOLD asks for; PX4 limits the jerk as well
 
 
@@ -364,19 +360,11 @@ class SimulatedAutopilot:
         self._on_ground = False
         return d.MAV_LANDED_STATE_IN_AIR
 
-    def _estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
-        """Return position and velocity as the autopilot estimates them, and their standard deviations."""
-        lost = max(0.0, self._now - self._lost_at)
-        offset = np.array([0.0, 0.0, self._height_offset])
-        position = self.position + offset + 0.5 * lost * lost * _DRIFT
-        position_std = _POSITION_STD + _POSITION_STD_GROWTH * lost * lost
-        return position, self.velocity + lost * _DRIFT, position_std, _VELOCITY_STD + _VELOCITY_STD_GROWTH * lost
-
     def _state_messages(self) -> list[Any]:
         d = self._dialect
         stamp = _BOOT_TIME + self._now
-        position, velocity, position_std, velocity_std = self._estimate()
-        p, v = ned_from_world(position), ned_from_world(velocity)
+        error = estimate_error(max(0.0, self._now - self._lost_at), height_offset=self._height_offset)
+        p, v = ned_from_world(self.position + error.position), ned_from_world(self.velocity + error.velocity)
         q = attitude_to_ned(self._q)
         rates = frd_from_flu(self.vehicle.control.numpy()[0, 1:])  # type: ignore[index]
         if self._pair:
@@ -387,7 +375,7 @@ class SimulatedAutopilot:
             ]
         frames = d.MAV_FRAME_LOCAL_NED, d.MAV_FRAME_LOCAL_NED
         motion = [*p.tolist(), q.tolist(), *v.tolist(), *rates.tolist()]
-        covariances = _covariance(position_std), _covariance(velocity_std)
+        covariances = covariance(error.position_std), covariance(error.velocity_std)
         return [d.MAVLink_odometry_message(int(1e6 * stamp), *frames, *motion, *covariances, 0, 0)]
 
     def _send(self, message: Any) -> None:
@@ -398,10 +386,3 @@ class SimulatedAutopilot:
     def _deliver(self, data: bytes) -> None:
         with contextlib.suppress(OSError):  # nobody listens now; a real datagram would be lost, too
             self._socket.sendto(data, self._address)
-
-
-def _covariance(std: float) -> list[float]:
-    """Return the upper triangle of a 6 x 6 covariance of which, as in PX4, only the diagonal is known."""
-    values = [math.nan] * 21
-    values[0] = values[6] = values[11] = std * std
-    return values

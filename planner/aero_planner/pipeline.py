@@ -27,18 +27,9 @@ from aero_planner.kernels import (
     selection,
     stops,
 )
-from aero_planner.kernels.escape import Escape
 from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.kernels.records import (
-    DroneState,
-    GoalState,
-    GuideSet,
-    InstanceCosts,
-    PreviousPlan,
-    Rollouts,
-    bundle,
-)
 from aero_planner.launch_sequence import Chunk, LaunchSequence
+from aero_planner.pipeline_records import PipelineRecords
 
 __all__ = ["Pipeline", "tuned_kernels"]
 
@@ -98,52 +89,7 @@ class Pipeline(LaunchSequence):
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
         self._duplicate_rows = 0 if tuning.is_cuda else 1
-        i, o, w = inputs, outputs, work
-        self._drone = bundle(
-            DroneState,
-            position=w.position,
-            velocity=w.velocity,
-            quaternion=w.quaternion,
-            acceleration=w.acceleration,
-            command=w.command,
-            control=w.control,
-        )
-        self._goal = bundle(GoalState, position=i.goal_position, velocity=w.goal_velocity, quaternion=w.goal_quaternion)
-        self._guides = bundle(
-            GuideSet,
-            initial_endpoints=o.initial_endpoints,
-            anchors=o.anchors,
-            coefficients=o.guide_coefficients,
-            positions=o.guides,
-        )
-        self._rollouts = bundle(
-            Rollouts,
-            controls=o.controls,
-            positions=o.positions,
-            velocities=o.velocities,
-            quaternions=o.quaternions,
-        )
-        self._costs = bundle(
-            InstanceCosts, goal_cost=o.goal_cost, collision_cost=o.collision_cost, stage2_cost=o.stage2_cost
-        )
-        self._previous = bundle(
-            PreviousPlan,
-            controls=w.previous_controls,
-            start_control=w.previous_start_control,
-            stop=w.proven_stop,
-            stop_age=w.proven_stop_age,
-            end=w.previous_end,
-            waypoint=w.previous_waypoint,
-            time=w.previous_time,
-        )
-        self._escape = bundle(
-            Escape,
-            places=w.places,
-            count=w.place_count,
-            goal=w.place_goal,
-            nearest=w.place_nearest,
-            idle=w.place_idle,
-        )
+        self._records = PipelineRecords(inputs, outputs, work)
         self.stages = self._record()
 
     # --- the stages, in the order of docs/design.md ------------------------------------------------------------------
@@ -165,37 +111,27 @@ class Pipeline(LaunchSequence):
         ]
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
-        i, o, w, anchor_config = self._inputs, self._outputs, self._work, self._config.anchors
-        goal = bundle(GoalState, position=i.goal_position, velocity=i.goal_velocity, quaternion=i.goal_quaternion)
+        i, o, w, r, anchor_config = self._inputs, self._outputs, self._work, self._records, self._config.anchors
         place = self.record(
             anchors.place_anchors,
             (self._sizes.B, self._sizes.A),
             inputs=[
-                self._drone, i.time, goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N,
-                w.tick, self._escape, self._previous,
+                r.drone, i.time, r.given_goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N,
+                w.tick, r.escape, r.previous,
             ],
             outputs=[
-                w.command, w.control, self._goal, w.lookahead_length, w.initial_directions, o.initial_endpoints,
+                w.command, w.control, r.goal, w.lookahead_length, w.initial_directions, o.initial_endpoints,
             ],
         )  # fmt: skip
         return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), place]
 
     def _predict_state(self) -> Callable[[], Any]:
-        i, w = self._inputs, self._work
-        drone = bundle(
-            DroneState,
-            position=i.position,
-            velocity=i.velocity,
-            quaternion=i.quaternion,
-            acceleration=i.acceleration,
-            command=w.command,
-            control=w.control,
-        )
+        r = self._records
         return self.record(
             prediction.predict_state,
             (self._sizes.B,),
-            inputs=[drone, i.time, self._params, self._previous],
-            outputs=[self._drone],
+            inputs=[r.given_drone, self._inputs.time, self._params, r.previous],
+            outputs=[r.drone],
         )
 
     def _scan_points(self) -> list[Chunk]:
@@ -271,16 +207,17 @@ class Pipeline(LaunchSequence):
         return chunks
 
     def _make_guides(self) -> Callable[[], Any]:
-        i, o, w, sizes, part = self._inputs, self._outputs, self._work, self._sizes, self._config.partition
+        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
+        part = self._config.partition
         return self.record(
             guides.make_guides(self._tuning),
             (sizes.B, sizes.R, self._tuning.threads_per_instance),
             inputs=[
-                self._drone, i.time, self._goal, self._params, sizes.M, sizes.A, self._previous_index,
+                r.drone, i.time, r.goal, self._params, sizes.M, sizes.A, self._previous_index,
                 part.fine_cells, part.coarse_rows, part.coarse_columns, o.fine_range, w.fine_directions,
-                w.lookahead_length, w.initial_directions, self._previous,
+                w.lookahead_length, w.initial_directions, r.previous,
             ],
-            outputs=[self._guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready],
+            outputs=[r.guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready],
             block_dim=32,
         )  # fmt: skip
 
@@ -301,12 +238,12 @@ class Pipeline(LaunchSequence):
         ]
 
     def _sample_rollouts(self, first: int, count: int) -> Callable[[], Any]:
-        o, w, sizes, width = self._outputs, self._work, self._sizes, self._tuning.samples_per_thread
+        o, w, r, sizes, width = self._outputs, self._work, self._records, self._sizes, self._tuning.samples_per_thread
         return self.record(
             mppi.sample_rollouts(self._tuning),
             (count, sizes.L // width),
             inputs=[
-                first, sizes.M, self._previous_index, self._drone, self._goal, self._params, w.seed, w.tick,
+                first, sizes.M, self._previous_index, r.drone, r.goal, self._params, w.seed, w.tick,
                 as_vectors(w.noise, width), o.guides, w.waypoints, w.nominal_controls,
             ],
             outputs=[
@@ -340,14 +277,14 @@ class Pipeline(LaunchSequence):
         )  # fmt: skip
 
     def _update_controls(self, first: int, count: int) -> Callable[[], Any]:
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         threads, width = self._batch_tuning.threads_per_update, self._tuning.samples_per_read
         sample_controls = as_vectors(w.sample_controls, width).reshape((sizes.B * sizes.M, sizes.N * 4, -1))
         return self.record(
             mppi.update_controls(self._batch_tuning),
             (count, threads),
             inputs=[
-                first, sizes.M, i.goal_position, self._params, self._escape, w.waypoints,
+                first, sizes.M, i.goal_position, self._params, r.escape, w.waypoints,
                 as_scalars(w.nominal_controls), sample_controls, w.sample_positions, w.sample_clearance_cost,
             ],
             outputs=[o.stage1_cost, w.sample_weights, as_vectors(w.sample_weights, width), as_scalars(o.controls)],
@@ -372,21 +309,21 @@ class Pipeline(LaunchSequence):
 
         On a CPU stops are only proven as far as the selection needs it.
         """
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         lanes, threads = self._tuning.threads_per_instance, self._batch_tuning.threads_per_query
         roll_out = self.record(
             selection.roll_out_controls(self._tuning),
             (sizes.B, sizes.R, lanes),
-            inputs=[self._drone, self._params, sizes.M, w.nominal_controls],
-            outputs=[self._rollouts],
+            inputs=[r.drone, self._params, sizes.M, w.nominal_controls],
+            outputs=[r.rollouts],
             block_dim=32,
         )
         evaluate = self.record(
             selection.evaluate_states(self._batch_tuning),
             (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
             inputs=[
-                self._drone, i.position, i.ground_height, self._goal, self._params, self._duplicate_rows, w.cell_ends,
-                w.point_packs, w.waypoints, self._rollouts,
+                r.drone, i.position, i.ground_height, r.goal, self._params, self._duplicate_rows, w.cell_ends,
+                w.point_packs, w.waypoints, r.rollouts,
             ],
             outputs=[o.clearance, w.state_terms],
             block_dim=32,
@@ -394,21 +331,21 @@ class Pipeline(LaunchSequence):
         score = self.record(
             selection.score_instances(self._tuning),
             (sizes.B, sizes.R, lanes),
-            inputs=[i.goal_position, self._params, self._escape, w.waypoints, o.positions, w.state_terms],
-            outputs=[self._costs, w.instance_scores],
+            inputs=[i.goal_position, self._params, r.escape, w.waypoints, o.positions, w.state_terms],
+            outputs=[r.costs, w.instance_scores],
             block_dim=32,
         )
         proof = self._evaluate_all_stops() if self._tuning.is_cuda else self._prove_stops()
         return [roll_out, evaluate, score, *proof]
 
     def _prove_stops(self) -> list[Callable[[], Any]]:
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         prove = self.record(
             stops.prove_stops(self._batch_tuning),
             (sizes.B,),
             inputs=[
-                self._drone, i.position, i.quaternion, i.ground_height, self._params, sizes.M, sizes.Q - sizes.N,
-                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, self._rollouts, w.cell_ends,
+                r.drone, i.position, i.quaternion, i.ground_height, self._params, sizes.M, sizes.Q - sizes.N,
+                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts, w.cell_ends,
                 w.point_packs, w.state_terms, w.instance_scores,
             ],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
@@ -416,11 +353,11 @@ class Pipeline(LaunchSequence):
         return [prove]
 
     def _evaluate_all_stops(self) -> list[Callable[[], Any]]:
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         roll_out = self.record(
             stops.roll_out_stops,
             (sizes.B, sizes.M * sizes.J),
-            inputs=[self._drone, self._params, w.plan_period, self._rollouts],
+            inputs=[r.drone, self._params, w.plan_period, r.rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
             block_dim=32,
         )
@@ -438,7 +375,7 @@ class Pipeline(LaunchSequence):
         return [roll_out, evaluate]
 
     def _commit_plan(self) -> Callable[[], Any]:
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         return self.record(
             selection.commit_plan,
             (sizes.B, sizes.N + 1),
@@ -448,8 +385,8 @@ class Pipeline(LaunchSequence):
                 w.stop_clearance,
             ],
             outputs=[
-                self._guides, self._rollouts, self._costs, o.clearance, w.tick, self._escape, o.best, o.status,
-                o.braking_instance, self._previous,
+                r.guides, r.rollouts, r.costs, o.clearance, w.tick, r.escape, o.best, o.status,
+                o.braking_instance, r.previous,
             ],
             block_dim=32,
         )  # fmt: skip
