@@ -36,7 +36,7 @@ class Flight(NamedTuple):
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     options = SensorLogOptions(every=4, plan_period=None, duration=4.0)
-    write_sensor_log(scene("forest", seed=3), path, seed=3, speed=5.0, options=options)
+    write_sensor_log(scene("forest", seed=5), path, seed=5, speed=5.0, options=options)
     with open_recording(path) as recording:
         poses = recording.poses
         assert poses is not None

@@ -63,8 +63,9 @@ def build(
                 panels.append(GoalPanel(page, controls))
     with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
         panels.append(ChartPanel(page))
-    with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
-        panels += [PostMortemPanel(page), WhyPanel(page)]
+    if controls is not None:  # the frames of a drone hold too little to explain them
+        with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
+            panels += [PostMortemPanel(page), WhyPanel(page)]
     with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
         panels.append(LayerPanel(page, tab))
     if controls is not None:

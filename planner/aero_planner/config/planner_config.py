@@ -417,7 +417,10 @@ class EscapeConfig(ParameterSection, section="escape"):
     patience: float = live(
         0.3, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
     )
-    progress: float = live(0.3, "m", 0.01, 10.0, "Decrease of the distance to the goal that counts as progress.")
+    progress: float = live(
+        0.3, "m", 0.01, 10.0, "Decrease of the distance to the goal that counts as progress; at most a third of what "
+        "the speed limit allows in the time of patience.",
+    )  # fmt: skip
 
 
 RENAMED: dict[str, str] = {"costs.way_ahead": "costs.waypoint_distance"}

@@ -37,14 +37,18 @@ def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
 
 @wp.func
 def remember_place(b: int, p: wp.vec3, goal: wp.vec3, period: float, escape: Escape, params: Params):
-    """Remember the position p if the drone has made no progress for a while; forget all places for a new goal."""
+    """Remember the position p if the drone has made no progress for a while; forget all places for a new goal.
+
+    Of a slow drone, no more progress is asked than a third of what its speed limit allows in that time.
+    """
     distance = wp.length(goal - p)
+    progress = wp.min(params.progress, params.speed_limit * params.patience / 3.0)
     if not (wp.length(goal - escape.goal[b]) < 0.1):
         escape.goal[b] = goal
         escape.count[b] = 0
         escape.nearest[b] = distance
         escape.idle[b] = 0.0
-    elif distance < escape.nearest[b] - params.progress:
+    elif distance < escape.nearest[b] - progress:
         escape.nearest[b] = distance
         escape.idle[b] = 0.0
     else:

@@ -97,11 +97,12 @@ def test_report_says_for_every_world_whether_it_has_a_path(capsys, tmp_path, mon
     passable = {seed: is_passable(scene("verticals", count=1000, seed=seed), radius=0.5) for seed in (14, 15, 16)}
     none = ", ".join(str(seed) for seed, found in passable.items() if not found)
     assert code == 0 and none
-    assert "verticals-5, seeds 14 to 16: a path exists in 3 of 3 worlds\n" in text
+    assert "verticals-5, seeds 14 to 16: a path exists in 3 of 3 worlds; traversability obstruction " in text
     line = f"verticals-1000, seeds 14 to 16: a path exists in {sum(passable.values())} of 3 worlds, none with the seeds"
     assert f"{line} {none}\n" in text and f"- {line} {none}\n" in (tmp_path / "a" / "report.md").read_text()
     worlds = (tmp_path / "a" / "worlds.csv").read_text().splitlines()
-    assert worlds[0] == "kind,seed,passable" and f"verticals-1000,14,{passable[14]}" in worlds
+    assert worlds[0].startswith("kind,seed,passable,traversability_obstruction,")
+    assert any(row.startswith(f"verticals-1000,14,{passable[14]},") for row in worlds)
 
 
 def test_points_of_a_world(capsys, tmp_path):

@@ -68,6 +68,16 @@ def test_the_stop_that_was_proven_is_flown_when_no_candidate_has_one(device: str
     assert second.status == PlanStatus.NO_SAFE_CANDIDATE and second.kinds[second.best] == "brake"
 
 
+def test_a_slow_drone_that_makes_progress_remembers_nothing(device: str):
+    case, config = level(), config_of(vehicle__speed_limit=1.0)
+    planner = Planner(config, device=device)
+    for k in range(20):
+        position = np.array([0.09 * k, 0.0, 0.0])  # 0.9 m/s
+        state = VehicleState(position, case.velocity, case.quaternion, case.acceleration, time=0.1 * k)
+        planner.plan(state, Goal(case.goal), case.points)
+    assert planner.history().place_count[0] == 0
+
+
 def test_a_drone_without_progress_remembers_where_it_was(device: str):
     config = config_of(escape__patience=0.5)
     case, planner = level(), Planner(config, device=device)
