@@ -9,7 +9,7 @@ import tyro
 
 from aero_viz.cli.flags import Inline
 from aero_viz.cli.output import print_report
-from aero_viz.cli.page import PageFlags, announce, shutdown_event, wait_for
+from aero_viz.cli.serving import PageFlags, announce, shutdown_event, wait_for
 
 __all__ = ["compare"]
 

@@ -18,7 +18,8 @@ from aero_viz.cli.flags import (
     flight_rules,
 )
 from aero_viz.cli.output import print_report, progress_bar
-from aero_viz.cli.page import PageFlags, announce_foxglove, serve_flight
+from aero_viz.cli.page import serve_flight
+from aero_viz.cli.serving import PageFlags, announce_foxglove
 from aero_viz.errors import UserError
 
 __all__ = ["fly", "score"]

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import signal
-import threading
-import webbrowser
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +12,6 @@ import tyro
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
-    FoxgloveFlag,
     Inline,
     OptionalFileName,
     OptionalPath,
@@ -25,60 +20,23 @@ from aero_viz.cli.flags import (
     WorldName,
 )
 from aero_viz.cli.output import progress_bar
+from aero_viz.cli.serving import (
+    PageFlags,
+    announce,
+    play_when_first_client_connects,
+    serve_foxglove,
+    shutdown_event,
+    wait_for,
+)
 from aero_viz.errors import UserError
 from aero_viz.reader_process import read_here
 
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
-    from aero_viz.dashboard import Dashboard
     from aero_viz.reader_process import Reader
-    from aero_viz.session import Session
-    from aero_viz.session.base import BaseSession
     from aero_viz.session.source import Conditions, Opener, Source
 
-__all__ = [
-    "PageFlags", "announce", "announce_foxglove", "connect", "demo", "flight_opener", "play", "serve_flight",
-    "shutdown_event", "wait_for",
-]  # fmt: skip
-
-
-_FOXGLOVE_PORT = 8765
-"""Foxglove's own default."""
-
-
-@dataclass(frozen=True)
-class PageFlags:
-    """The page."""
-
-    host: str = "127.0.0.1"
-    """Address to listen on. Beyond 127.0.0.1, the page requires one of two links, which the terminal shows."""
-    port: int = 8080
-    """Port to listen on."""
-    open: bool = False
-    """Open the page in the default browser."""
-    paused: bool = False
-    """Start paused, until somebody presses play."""
-    folder: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIR")] = ()
-    """Folder whose files the page may open, besides that of the first file and datasets/; may be repeated."""
-    allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
-    """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
-    foxglove: FoxgloveFlag = None
-    """Serve the topics of the flight log live on --host, by default on port 8765, for Foxglove and Lichtblick."""
-
-    @property
-    def foxglove_port(self) -> int | None:
-        """The port for Foxglove, None without it.
-
-        Raises:
-            UserError: more than one port was given, or a number that is no port.
-        """
-        if self.foxglove is None:
-            return None
-        port, *rest = self.foxglove or (_FOXGLOVE_PORT,)
-        if rest or not 0 <= port < 1 << 16:
-            raise UserError(f"--foxglove takes one port from 0 to 65535, not {' '.join(map(str, self.foxglove))}.")
-        return port
-
+__all__ = ["connect", "demo", "flight_opener", "play", "serve_flight"]
 
 _PAGE = PageFlags()
 _CONFIG = ConfigFlags()
@@ -120,17 +78,8 @@ def demo(
         from aero_viz.cli.tour import serve_tour
 
         config = flight_flags.complete(config_flags.load(), lidar=lidar)
-        return serve_tour(
-            flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device),
-            config,
-            seed=seed,
-            device=device,
-            announce=lambda dashboard: announce("the tour", dashboard, page_flags),
-            shutdown=shutdown_event,
-            host=page_flags.host,
-            port=page_flags.port,
-            allowed_hosts=page_flags.allow_host,
-        )
+        opener = flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device)
+        return serve_tour(opener, config, page_flags, seed=seed, device=device)
     flags = (world_flags, flight_flags, config_flags.load(), page_flags)
     serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log)
 
@@ -217,7 +166,7 @@ def connect(
         shutdown = shutdown_event()
         dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
         stack.callback(dashboard.close)
-        _serve_foxglove(stack, session, page_flags)
+        serve_foxglove(stack, session, page_flags)
         announce(drone, dashboard, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)
@@ -334,11 +283,11 @@ def serve(
             from aero_viz.logs import record
 
             stack.enter_context(record(session, log))
-        _serve_foxglove(stack, session, page_flags)
+        serve_foxglove(stack, session, page_flags)
         announce(spec, dashboard, page_flags)
         session.start(play=False)
         if not page_flags.paused:
-            _play_when_first_client_connects(session, dashboard)
+            play_when_first_client_connects(session, dashboard)
         wait_for(shutdown)
 
 
@@ -353,70 +302,3 @@ def _folders(spec: str, page_flags: PageFlags) -> list[Path]:
             raise UserError(f"{folder} is no folder; give --folder a folder whose files the page may open.")
     first = [Path(spec).resolve().parent] if Path(spec).exists() else []
     return [*page_flags.folder, *first, Path("datasets"), Path(__file__).parents[2] / "datasets"]
-
-
-def shutdown_event() -> threading.Event:
-    """Return an event that is set by Ctrl-C or SIGTERM, so that the caller can close everything in order.
-
-    A second signal ends the program at once.
-    """
-    event = threading.Event()
-    signals = (signal.SIGINT, signal.SIGTERM)
-
-    def set_event(*_: object) -> None:
-        for number in signals:
-            signal.signal(number, signal.SIG_DFL)
-        event.set()
-
-    for number in signals:
-        signal.signal(number, set_event)
-    return event
-
-
-def wait_for(event: threading.Event) -> None:
-    """Wait until the event is set.
-
-    Python handles a signal when the main thread runs again, which may be never if the signal arrives just before a wait
-    without a timeout.
-    """
-    while not event.wait(0.5):
-        pass
-
-
-def _serve_foxglove(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> None:
-    """Serve the session for Foxglove until the stack closes, if the flags say so."""
-    port = page_flags.foxglove_port
-    if port is not None:
-        from aero_viz.logs import serve_foxglove
-
-        announce_foxglove(stack.enter_context(serve_foxglove(session, page_flags.host, port)).url)
-
-
-def announce_foxglove(url: str) -> None:
-    """Print the address for Foxglove."""
-    print(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
-
-
-def announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
-    """Print the address of the page and who can reach it, and open it if that is asked for."""
-    print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
-    server = dashboard.server
-    if not server.is_private:
-        for address in server.addresses:
-            print(f"  to control it from another machine: {server.link(address=address)}", flush=True)
-            print(f"  to look on from another machine: {server.link(address=address, view_only=True)}", flush=True)
-        print("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
-    if page_flags.open:
-        webbrowser.open(dashboard.url)
-
-
-def _play_when_first_client_connects(session: Session, dashboard: Dashboard) -> None:
-    """Start playback when the first page is open, so that nobody misses the start."""
-    connected = threading.Event()
-
-    def start_playback(_: object) -> None:
-        if not connected.is_set():
-            connected.set()
-            session.play()
-
-    dashboard.server.on_client_connect(start_playback)

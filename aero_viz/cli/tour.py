@@ -3,38 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import threading
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from aero_viz.cli.serving import PageFlags, announce, shutdown_event
 
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
-    from aero_viz.dashboard import Dashboard
     from aero_viz.session.source import Opener
 
 __all__ = ["serve_tour"]
 
 
-def serve_tour(
-    opener: Opener,
-    config: PlannerConfig,
-    *,
-    seed: int,
-    device: str,
-    announce: Callable[[Dashboard], None],
-    shutdown: Callable[[], threading.Event],
-    **page: Any,
-) -> None:
+def serve_tour(opener: Opener, config: PlannerConfig, page_flags: PageFlags, *, seed: int, device: str) -> None:
     """Show the scenes of the tour until Ctrl-C or SIGTERM.
 
     Args:
         opener: opens the scenes.
         config: configuration of the planner.
+        page_flags: the page.
         seed: seed of the planner's noise.
         device: Warp device of the planner.
-        announce: says where the page is.
-        shutdown: returns the event that ends the tour.
-        page: other arguments of `Dashboard`.
     """
     from aero_viz.dashboard import Dashboard
     from aero_viz.dashboard.tour import STOPS, Tour
@@ -43,9 +31,11 @@ def serve_tour(
     with contextlib.ExitStack() as stack:
         session = Session(opener(STOPS[0].scene, seed=seed), config=config, device=device, seed=seed)
         stack.callback(session.close)
-        event = shutdown()
-        dashboard = Dashboard(session, panels=False, **page)
+        shutdown = shutdown_event()
+        dashboard = Dashboard(
+            session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host, panels=False
+        )
         stack.callback(dashboard.close)
-        announce(dashboard)
+        announce("the tour", dashboard, page_flags)
         session.start(play=False)
-        Tour(session, dashboard, opener, say=lambda line: print(line, flush=True)).run(event)
+        Tour(session, dashboard, opener, say=lambda line: print(line, flush=True)).run(shutdown)

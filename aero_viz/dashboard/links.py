@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -25,6 +26,11 @@ class Opening:
     seed: int = 0
     conditions: Conditions | None = None
     """Conditions of a flight; None are those of the program's flags."""
+
+    def command(self, *, closed_loop: bool) -> str:
+        """Return the command that opens the same source: a flight, or else a recording."""
+        verb = "demo" if closed_loop else "play"
+        return shlex.join(["aero-viz", verb, self.spec, "--seed", str(self.seed)])
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ def test_a_second_ctrl_c_ends_a_program_that_takes_long_to_close(
 ) -> None:
     process = start_python(
         "-c",
-        "import time; from aero_viz.cli.page import shutdown_event, wait_for; event = shutdown_event()\n"
+        "import time; from aero_viz.cli.serving import shutdown_event, wait_for; event = shutdown_event()\n"
         "print('serving', flush=True); wait_for(event); print('closing', flush=True); time.sleep(60)",
     )
     assert read_line(process) == "serving\n"

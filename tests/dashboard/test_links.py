@@ -18,6 +18,11 @@ def test_a_link_keeps_source_seed_time_conditions_and_configuration():
     assert PlannerConfig().replace(again.config) == config
 
 
+def test_the_command_opens_the_same_source():
+    assert Opening("forest", 3).command(closed_loop=True) == "aero-viz demo forest --seed 3"
+    assert Opening("my data/a.mcap").command(closed_loop=False) == "aero-viz play 'my data/a.mcap' --seed 0"
+
+
 def test_an_address_without_a_source_has_no_link():
     assert Link.parse("") is None and Link.parse("?darkMode=1") is None
 

@@ -369,7 +369,7 @@ def test_a_drone_lost_before_its_first_plan_is_not_shown_as_connected():
 
 def test_the_connect_verb_serves_the_page_until_it_is_terminated(telemetry: Telemetry):
     script = (
-        "import sys\nfrom aero_viz.cli.page import PageFlags, connect\n"
+        "import sys\nfrom aero_viz.cli.page import connect\nfrom aero_viz.cli.serving import PageFlags\n"
         "connect('127.0.0.1', drone_port=int(sys.argv[1]), page_flags=PageFlags(port=0))"
     )
     with subprocess.Popen(

@@ -44,6 +44,15 @@ if (location.search.includes("source=")) {
 }
 """
 """Script that hands over the link of a page's address, once."""
+_COPY_LINK = """
+const area = document.createElement("textarea");
+area.value = location.origin + location.pathname + QUERY;
+document.body.append(area);
+area.select();
+document.execCommand("copy");
+area.remove();
+"""
+"""Script that copies a link; the clipboard's own interface needs HTTPS."""
 _LINK_TIMEOUT = 20.0
 """Longest wait for the answer of a page [s]."""
 
@@ -94,10 +103,7 @@ class SharePanel(Panel):
         @copy.on_click
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                query = json.dumps(self._query())
-                run_script(
-                    event.client, f"navigator.clipboard.writeText(location.origin + location.pathname + {query})"
-                )
+                run_script(event.client, _COPY_LINK.replace("QUERY", json.dumps(self._query())))
                 notify(self.page.server, "The link to this moment is in the clipboard.", client=event.client)
 
     def update(self, frame: Frame) -> list[Change]:
@@ -169,7 +175,8 @@ class SharePanel(Panel):
         if suffix == ".png":
             return self._files.picture(self.page.server.link(view_only=True))
         shown = [name for name, layer in self.page.layers.items() if layer.visible]
-        command = f"aero-viz demo {self._sources.opening.spec} --seed {self._sources.opening.seed}"
+        frame = self.session.frame
+        command = self._sources.opening.command(closed_loop=frame is None or frame.source.closed_loop)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"flight{suffix}"
 

@@ -1,0 +1,130 @@
+"""What the verbs that serve the page share: its flags, its address on the terminal, and the end by a signal."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from aero_viz.cli.flags import FoxgloveFlag
+from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from aero_viz.dashboard import Dashboard
+    from aero_viz.session import Session
+    from aero_viz.session.base import BaseSession
+
+__all__ = [
+    "PageFlags", "announce", "announce_foxglove", "play_when_first_client_connects", "serve_foxglove", "shutdown_event",
+    "wait_for",
+]  # fmt: skip
+
+_FOXGLOVE_PORT = 8765
+"""Foxglove's own default."""
+
+
+@dataclass(frozen=True)
+class PageFlags:
+    """The page."""
+
+    host: str = "127.0.0.1"
+    """Address to listen on. Beyond 127.0.0.1, the page requires one of two links, which the terminal shows."""
+    port: int = 8080
+    """Port to listen on."""
+    open: bool = False
+    """Open the page in the default browser."""
+    paused: bool = False
+    """Start paused, until somebody presses play."""
+    folder: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIR")] = ()
+    """Folder whose files the page may open, besides that of the first file and datasets/; may be repeated."""
+    allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
+    """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
+    foxglove: FoxgloveFlag = None
+    """Serve the topics of the flight log live on --host, by default on port 8765, for Foxglove and Lichtblick."""
+
+    @property
+    def foxglove_port(self) -> int | None:
+        """The port for Foxglove, None without it.
+
+        Raises:
+            UserError: more than one port was given, or a number that is no port.
+        """
+        if self.foxglove is None:
+            return None
+        port, *rest = self.foxglove or (_FOXGLOVE_PORT,)
+        if rest or not 0 <= port < 1 << 16:
+            raise UserError(f"--foxglove takes one port from 0 to 65535, not {' '.join(map(str, self.foxglove))}.")
+        return port
+
+
+def shutdown_event() -> threading.Event:
+    """Return an event that is set by Ctrl-C or SIGTERM, so that the caller can close everything in order.
+
+    A second signal ends the program at once.
+    """
+    event = threading.Event()
+    signals = (signal.SIGINT, signal.SIGTERM)
+
+    def set_event(*_: object) -> None:
+        for number in signals:
+            signal.signal(number, signal.SIG_DFL)
+        event.set()
+
+    for number in signals:
+        signal.signal(number, set_event)
+    return event
+
+
+def wait_for(event: threading.Event) -> None:
+    """Wait until the event is set.
+
+    Python handles a signal when the main thread runs again, which may be never if the signal arrives just before a wait
+    without a timeout.
+    """
+    while not event.wait(0.5):
+        pass
+
+
+def serve_foxglove(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> None:
+    """Serve the session for Foxglove until the stack closes, if the flags say so."""
+    port = page_flags.foxglove_port
+    if port is not None:
+        from aero_viz.logs import serve_foxglove as serve
+
+        announce_foxglove(stack.enter_context(serve(session, page_flags.host, port)).url)
+
+
+def announce_foxglove(url: str) -> None:
+    """Print the address for Foxglove."""
+    print(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
+
+
+def announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
+    """Print the address of the page and who can reach it, and open it if that is asked for."""
+    print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
+    server = dashboard.server
+    if not server.is_private:
+        for address in server.addresses:
+            print(f"  to control it from another machine: {server.link(address=address)}", flush=True)
+            print(f"  to look on from another machine: {server.link(address=address, view_only=True)}", flush=True)
+        print("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
+    if page_flags.open:
+        webbrowser.open(dashboard.url)
+
+
+def play_when_first_client_connects(session: Session, dashboard: Dashboard) -> None:
+    """Start playback when the first page is open, so that nobody misses the start."""
+    connected = threading.Event()
+
+    def start_playback(_: object) -> None:
+        if not connected.is_set():
+            connected.set()
+            session.play()
+
+    dashboard.server.on_client_connect(start_playback)
