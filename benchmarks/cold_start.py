@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import os
 import resource
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from typing import Any
 
 from aero_planner.cli_util import run_command
-from benchmarks.common import machine, make_parser
+from benchmarks.common import machine, make_parser, run_program
 
 __all__ = ["first_plan", "main"]
 
@@ -43,14 +41,11 @@ def first_plan(cache: str, *, device: str = "cpu", points: int = 200_000) -> dic
         ValueError: the process failed; the message is its last line.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM, device, str(points)],
-        env={**os.environ, "WARP_CACHE_PATH": cache}, capture_output=True, text=True,
-    )  # fmt: skip
-    if done.returncode:
-        raise ValueError(f"the planner did not start: {done.stderr.strip().splitlines()[-1]}")
+    environment = {"WARP_CACHE_PATH": cache}
+    times: dict[str, float] = run_program(
+        _PROGRAM, device, points, failure="the planner did not start", environment=environment
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    times: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return {**times, "total_s": sum(times.values()), "cpu_s": cpu}
 

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import config_from_name
 from aero_planner.warp_init import find_device
 
-__all__ = ["config_of", "machine", "make_parser", "positive"]
+__all__ = ["config_of", "machine", "make_parser", "positive", "run_program"]
 
 
 def make_parser(name: str, description: str | None, *, points: int = 200_000) -> argparse.ArgumentParser:
@@ -46,6 +53,31 @@ def machine(device: str) -> str:
     except OSError:
         names = set()
     return ", ".join(sorted(names)) or "CPU"
+
+
+def run_program(
+    program: str, *arguments: object, failure: str, folder: Path | None = None, environment: Mapping[str, str] = {}
+) -> Any:
+    """Run a Python program in a new process and return the JSON that its last line holds.
+
+    Args:
+        program: source text.
+        arguments: its arguments.
+        failure: begin of the error's message.
+        folder: working folder; None is the present one.
+        environment: variables to add or replace.
+
+    Raises:
+        ValueError: the program failed; the message ends with its last line.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        cwd=folder, env={**os.environ, **environment}, capture_output=True, text=True,
+    )  # fmt: skip
+    if done.returncode:
+        reason = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        raise ValueError(f"{failure}: {reason[-1]}")
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def positive(text: str) -> int:

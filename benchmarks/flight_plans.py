@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import argparse
 import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from aero_planner.cli_util import run_command
-from benchmarks.common import make_parser, positive
+from benchmarks.common import positive, run_program
 
 __all__ = ["main", "plan_times"]
 
@@ -52,15 +50,9 @@ def plan_times(root: Path, ticks: int) -> list[float]:
     """
     if not (root / "planner" / "aero_planner").is_dir():
         raise ValueError(f"{root} is no checkout of this repository: it has no folder planner/aero_planner.")
-    done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM, str(ticks)],
-        cwd=root, env={**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{root / 'planner'}"},
-        capture_output=True, text=True,
-    )  # fmt: skip
-    if done.returncode:
-        raise ValueError(f"the flight with the code of {root} failed: {done.stderr.strip().splitlines()[-1]}")
-    times: list[float] = json.loads(done.stdout.splitlines()[-1])
-    return times
+    environment = {"PYTHONPATH": f"{root}{os.pathsep}{root / 'planner'}"}
+    failure = f"the flight with the code of {root} failed"
+    return run_program(_PROGRAM, ticks, failure=failure, folder=root, environment=environment)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Raises:
         ValueError: as for `plan_times`.
     """
-    parser = make_parser("flight_plans", __doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.flight_plans", description=__doc__)
     parser.add_argument("--ticks", type=positive, default=150, help="ticks of the flight, 20 ms each")
     parser.add_argument("--against", type=Path, help="another checkout of this repository")
     parser.add_argument("--repeat", type=positive, default=2, help="flights with each checkout, in turn")

@@ -9,8 +9,6 @@ import argparse
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from aero_planner import VehicleState
 from aero_planner.cli_util import run_command
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages, sweep
-from benchmarks.common import machine
+from benchmarks.common import machine, run_program
 
 __all__ = ["SWEEP_POINTS", "main", "measure", "write"]
 
@@ -135,11 +133,7 @@ def measure(path: Path) -> dict[str, Any]:
             os.fsync(opened.fileno())
             if hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(opened.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-    command = [sys.executable, "-c", _PROGRAM, str(path), str(_SEEKS), str(_PLAYED)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise ValueError(f"the recording did not play: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads(done.stdout.splitlines()[-1])
+    return run_program(_PROGRAM, path, _SEEKS, _PLAYED, failure="the recording did not play")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -14,15 +14,15 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.braking_path import BrakingPath
+from aero_planner.onboard.command_choice import Command, CommandChoice
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
 from aero_planner.onboard.drift_monitor import DriftMonitor
-from aero_planner.onboard.failsafe_process import Failsafe, takeover_time
+from aero_planner.onboard.failsafe_process import Failsafe
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
     COMMANDING,
@@ -30,14 +30,13 @@ from aero_planner.onboard.failsafe_table import (
     Inputs,
     Reaction,
     State,
-    blind_time_left,
     cause_applies,
     is_inside_fence,
 )
 from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.ground_tracker import GroundTracker
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample
-from aero_planner.onboard.periodic_loop import PeriodicLoop
+from aero_planner.onboard.periodic_loop import PeriodicLoop, run_step
 from aero_planner.onboard.plan_schedule import PlanSchedule
 from aero_planner.onboard.readiness_log import ReadinessLog
 from aero_planner.onboard.replanner import ControlSnapshot, Replanner
@@ -45,7 +44,7 @@ from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.stop_controller import StopCommand, StopController
 from aero_planner.onboard.thrust_estimate import ThrustEstimate
-from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat, Watchdog
+from aero_planner.onboard.watchdog import Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
 
@@ -55,13 +54,6 @@ _log = logging.getLogger(__name__)
 
 _SWITCH_INTERVAL = 0.0005
 """Longest time for which another thread may keep the interpreter from the control loop [s]."""
-
-
-class _Command(NamedTuple):
-    """A command as `CommandSink.send` takes it."""
-
-    control: NDArray[np.float64]
-    attitude: NDArray[np.float64] | None
 
 
 class Node:
@@ -122,6 +114,7 @@ class Node:
         self.safety = SafetyMachine(config.limits, on_change=self._on_change)
         self._reckoning = DeadReckoning(self._vehicle, config.response)
         self._stop_controller = StopController(self._vehicle, config.brake)
+        self._commands = CommandChoice(self._vehicle, config, self.schedule, self._stop_controller)
         self._thrust = ThrustEstimate(self._vehicle, config.thrust)
         self._drift = DriftMonitor()
         self._watchdog = Watchdog(
@@ -138,9 +131,6 @@ class Node:
         self._sample: VehicleSample | None = None
         self._state_finite = True
         self._points_time = -math.inf
-        self._hold: NDArray[np.float64] | None = None
-        self._path: BrakingPath | None = None
-        self._reset_time = -math.inf
         self._stopping = False
         self._fell_silent = threading.Event()
         self._closing = threading.Event()
@@ -153,9 +143,9 @@ class Node:
         return {
             "control": PeriodicLoop(period, self._run_control, **options),
             "planning": PeriodicLoop(
-                replan_period, lambda: _run_step(self.plan_once, "a plan"), on_grid=False, **options
+                replan_period, lambda: run_step(self.plan_once, "a plan"), on_grid=False, **options
             ),
-            "watchdog": PeriodicLoop(period, lambda: _run_step(self.watch_once, "the watchdog"), **options),
+            "watchdog": PeriodicLoop(period, lambda: run_step(self.watch_once, "the watchdog"), **options),
         }
 
     # --- may be read by any thread ----------------------------------------------------------------------------------
@@ -210,7 +200,7 @@ class Node:
         previous_state = self.state
         reaction = self.safety.step(now, inputs)
         is_obeyed = inputs.armed and inputs.offboard
-        command = self._choose_command(now, reaction, inputs, motion)
+        command = self._commands.choose(now, reaction, self.state, inputs, motion)
         if command is not None:
             self._send(command)
         elif (
@@ -269,8 +259,7 @@ class Node:
             self._state_finite = all(np.isfinite(v).all() for v in (state.position, state.velocity, state.quaternion))
             if self._state_finite:
                 if previous is not None and sample.resets != previous.resets:
-                    # In the new estimate, places have other coordinates.
-                    self._hold, self._path, self._reset_time = None, None, sample.time
+                    self._commands.forget_places(sample.time)
                     self.ground.clear()
                 if self._sample is not None:
                     self._thrust.update(self._sample, self._reckoning.at(sample.time), sample)
@@ -332,27 +321,6 @@ class Node:
         )
         return inputs, motion
 
-    def _choose_command(
-        self, now: float, reaction: Reaction, inputs: Inputs, motion: MotionState | None
-    ) -> _Command | None:
-        """Return what to send; None to send nothing."""
-        if reaction is not Reaction.HOLD:
-            self._hold = None
-        if reaction is not Reaction.BRAKE or self.state is not State.BRAKING:
-            self._path = None
-        elif self._path is None:
-            self._path = self.schedule.path(self._reset_time)
-        if reaction is Reaction.SILENT or motion is None:
-            return None
-        if reaction in AS_PLANNED and (planned := self.schedule.command(now)) is not None:
-            return _Command(self._bounded(planned), None)
-        if reaction is Reaction.HOLD and self._hold is None and motion.speed <= self.config.limits.speed_stopped:
-            self._hold = motion.position
-        remaining = blind_time_left(inputs, self.config.limits)
-        stop = self._stop_controller.command(motion, hold=self._hold, path=self._path, remaining=remaining)
-        # The attitude is only for a blind drone: it makes PX4 change controllers.
-        return _Command(stop.control, stop.attitude if math.isfinite(remaining) else None)
-
     def _report(
         self, now: float, motion: MotionState | None, obeyed: NDArray[np.float64] | None, *, follows_plan: bool
     ) -> None:
@@ -360,25 +328,13 @@ class Node:
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
             self.snapshot = ControlSnapshot(self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan)
-        upcoming = self._upcoming_commands(now) if follows_plan else None
-        path = self._path or self.schedule.path(self._reset_time)
-        heartbeat = Heartbeat(now, motion, obeyed, upcoming, path, self._thrust.gain)
+        upcoming = self._commands.upcoming(now) if follows_plan else None
+        heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._commands.path, self._thrust.gain)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)
 
-    def _upcoming_commands(self, now: float) -> NDArray[np.float64]:
-        """Return the planned commands for the next control periods if no tick follows, shape [n, 4]."""
-        period, limits = 1.0 / self.config.rates.control, self.config.limits
-        count = min(UPCOMING_MAX, math.ceil(takeover_time(self.config) / period))
-        return self._bounded(self.schedule.upcoming(now, period=period, count=count, age_max=limits.plan_age))
-
-    def _bounded(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
-        vehicle = self._vehicle
-        xy, z = vehicle.rate_xy_max, vehicle.rate_z_max
-        return np.clip(command, (vehicle.thrust_min, -xy, -xy, -z), (vehicle.thrust_max, xy, xy, z))
-
-    def _send(self, command: _Command | StopCommand) -> None:
+    def _send(self, command: Command | StopCommand) -> None:
         self._link.send(*command)
         self.sent += 1
 
@@ -390,7 +346,7 @@ class Node:
 
     def _notify(self, item: Observation) -> None:
         for observer in self._observers:
-            _run_step(lambda observer=observer: observer.observe(item), type(observer).__name__)
+            run_step(lambda observer=observer: observer.observe(item), type(observer).__name__)
 
     # --- start and end ----------------------------------------------------------------------------------------------
 
@@ -431,23 +387,13 @@ class Node:
         if self._threads:
             sys.setswitchinterval(self._switch_interval)
         if self._watchdog.needed:
-            self._send(_Command(self._stop_controller.hover, None))  # for the same reason as in `control_once`
+            self._send(Command(self._stop_controller.hover, None))  # for the same reason as in `control_once`
         self._link.close()
         self._lidar.close()
         for observer in self._observers:
-            _run_step(observer.close, type(observer).__name__)
+            run_step(observer.close, type(observer).__name__)
         return not any(thread.is_alive() for thread in self._threads)
 
     def _run_control(self) -> None:
         # A tick that fails sends no heartbeat: if failures continue, the watchdog brakes.
-        self.failures += not _run_step(self.control_once, "a tick of the control loop")
-
-
-def _run_step(step: Callable[[], Any], name: str) -> bool:
-    """Run one step of a thread and log its exception; return True if there was none."""
-    try:
-        step()
-    except Exception:
-        _log.exception("%s failed", name)
-        return False
-    return True
+        self.failures += not run_step(self.control_once, "a tick of the control loop")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -9,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DeadlineStatistics", "PeriodicLoop"]
+__all__ = ["DeadlineStatistics", "PeriodicLoop", "run_step"]
+
+_log = logging.getLogger(__name__)
 
 _KEPT = 30_000
 """Number of ticks that the statistics cover: ten minutes at 50 Hz."""
@@ -108,3 +111,13 @@ class PeriodicLoop:
             now = self._clock()
             missed = max(0, int((now - due) / period))
             due = due + (1 + missed) * period if self._on_grid else max(due + period, now)
+
+
+def run_step(step: Callable[[], Any], name: str) -> bool:
+    """Run one step of a thread and log its exception; return True if there was none."""
+    try:
+        step()
+    except Exception:
+        _log.exception("%s failed", name)
+        return False
+    return True
