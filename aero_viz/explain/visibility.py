@@ -1,4 +1,4 @@
-"""Whether a place was in the cloud, and if not, why: out of range, outside the field of view, occluded, forgotten."""
+"""Since when a place was in the cloud, and why it was not: out of range, outside the view, occluded or forgotten."""
 
 from __future__ import annotations
 
@@ -99,12 +99,12 @@ def _reason(frames: Sequence[Frame], place: Array, total: int) -> tuple[str, str
         else:
             reasons.append("no ray hit it")
     reason, count = Counter(reasons).most_common(1)[0]
-    said = [i for i, name in enumerate(reasons) if name == reason]
+    counted = [i for i, name in enumerate(reasons) if name == reason]
     detail = {
-        "beyond range": f"{distance[said].min():.1f} m away or more, beyond the range of {reach:g} m",
+        "beyond range": f"{distance[counted].min():.1f} m away or more, beyond the range of {reach:g} m",
         "outside the field of view": (
-            f"at elevations of {elevation[said].min():.0f} to {elevation[said].max():.0f} deg in the frame of the "
-            f"sensor, which sees {model.elevation_min:g} to {model.elevation_max:g} deg"
+            f"at elevations of {elevation[counted].min():.0f} to {elevation[counted].max():.0f} deg in the frame of "
+            f"the sensor, which sees {model.elevation_min:g} to {model.elevation_max:g} deg"
         ),
         "occluded": f"hidden by {names.most_common(1)[0][0] if names else 'something'}",
         "no ray hit it": "in view, but no ray hit it",
