@@ -126,11 +126,10 @@ class FlightBatch:
         self.interrupted = False
         rules, lidar = rules or FlightRules(), lidar or LIDARS["mid360"]
         vehicle = vehicle or VehicleModel.from_config(configs[0])
-        informed = {
-            (id(c), id(world)): config_for_drone(c, lidar=lidar, vehicle=vehicle, world=world)
+        configs = [
+            config_for_drone(c, lidar=lidar, vehicle=vehicle, world=world)
             for c, world in zip(configs, worlds, strict=True)
-        }
-        configs = [informed[id(c), id(world)] for c, world in zip(configs, worlds, strict=True)]
+        ]
         time_steps = {c.sampling.dt for c in configs}
         if rules.ticks_per_plan > 1 and len(time_steps) > 1:
             raise ValueError(
