@@ -47,7 +47,10 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "forest", "--goal", "1e6", "0", "2"], '"goal" has x = 1e+06; it must be within 100000 m'),
         (["demo", "forest", "--goal", "300", "0", "2"], "goal (300, 0, 2) lies outside the bounds"),
         (["fly", "forest", "--start", "nan", "0", "2"], '"start" has x = nan'),
-        (["fly", "forest", "--voxel", "0.2"], "--voxel applies to point-cloud maps and images only"),
+        (
+            ["fly", "forest", "--voxel", "0.2"],
+            "--voxel applies to point-cloud maps and images only, and forest is neither",
+        ),
         (["fly", "map.pcd", "--count", "3"], "--count applies to generated scenes only"),
         (["fly", "forest", "--port", "9000"], "add --no-headless"),
         (["fly", "forest", "--no-headless", "--json"], "leave out --no-headless"),

@@ -101,7 +101,8 @@ def test_report_says_for_every_world_whether_it_has_a_path(capsys, tmp_path, mon
     line = f"verticals-1000, seeds 14 to 16: a path exists in {sum(passable.values())} of 3 worlds, none with the seeds"
     assert f"{line} {none}\n" in text and f"- {line} {none}\n" in (tmp_path / "a" / "report.md").read_text()
     worlds = (tmp_path / "a" / "worlds.csv").read_text().splitlines()
-    assert worlds[0].startswith("kind,seed,passable,traversability_obstruction,")
+    difficulty = "traversability_obstruction,view_occlusion,angle_over_length,guide_length,difficulty"
+    assert worlds[0] == f"kind,seed,passable,{difficulty}"
     assert any(row.startswith(f"verticals-1000,14,{passable[14]},") for row in worlds)
 
 
