@@ -29,7 +29,7 @@ def test_the_status_takes_less_than_half_the_height(small):
     tab = small.page.get_by_role("tab", name="Planner").bounding_box()
     assert tab["y"] > 360
     small.page.get_by_role("tab", name="Legend").click()
-    small.page.get_by_text("inputs", exact=True).first.wait_for()
+    small.page.get_by_text("partition", exact=True).first.wait_for()
     small.page.get_by_role("tab", name="Planner").click()
     small.page.get_by_text("distance to goal").wait_for()
 

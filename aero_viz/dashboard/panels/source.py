@@ -84,6 +84,7 @@ class SourcePanel(Panel):
         """True while the list has been told of the open source."""
         self._reader: ReaderProcess | None = None
         """Reader of the source that is being opened; None if there is none."""
+        self._cancellations = 0
         self._closed = False
         self._lock = threading.Lock()
         super().__init__(page)
@@ -144,8 +145,9 @@ class SourcePanel(Panel):
         return [(self._choice, "options", tuple(self._choices)), (self._choice, "value", name)]
 
     def cancel(self) -> None:
-        """Stop opening a source."""
+        """Stop opening a source, and drop the clicks so far that have not opened one yet."""
         with self._lock:
+            self._cancellations += 1
             reader = self._reader
         if reader is not None:
             reader.cancel()
@@ -156,6 +158,7 @@ class SourcePanel(Panel):
 
     async def _start_opening(self, read_spec: Callable[[], str], client: viser.ClientHandle | None) -> None:
         """Open a source on a daemon thread. The program would wait for viser's thread pool at exit."""
+        cancellations = self._cancellations
         await asyncio.sleep(TYPING_DELAY)
         spec = read_spec()
         if not spec:
@@ -169,6 +172,8 @@ class SourcePanel(Panel):
                 notify(self.page.server, str(error), level="error", client=client)
                 return
         with self._lock:
+            if self._cancellations != cancellations:
+                return
             if self._reader is not None:
                 notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
                 return
