@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import bags
 import dpkt
@@ -19,7 +21,7 @@ WALL = bags.wall(500)
 
 def write_pcap(path: Path, datagrams: list[tuple[float, int, bytes]]) -> Path:
     with path.open("wb") as file:
-        writer = dpkt.pcap.Writer(file)
+        writer = dpkt.pcap.Writer(file, snaplen=1 << 16)
         for time, port, payload in datagrams:
             udp = dpkt.udp.UDP(sport=port, dport=port, data=payload, ulen=8 + len(payload))
             ip = dpkt.ip.IP(src=b"\x7f\0\0\1", dst=b"\x7f\0\0\1", p=17, data=udp, len=28 + len(payload))
@@ -135,3 +137,29 @@ def write_las(path: Path, points: np.ndarray, *, unit: int | None = None) -> Non
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     las.write(str(path))
+
+
+def write_ouster(path: Path) -> None:
+    """Write three sweeps of an OS-1-64 and its IMU: PATH.pcap with PATH.json, and the same sweeps as PATH.osf.
+
+    All ranges of sweep k are 5 + 0.1 k [m], except those of the first column, which has no returns.
+    """
+    core: Any = importlib.import_module("ouster.sdk.core")
+    osf: Any = importlib.import_module("ouster.sdk.osf")
+    info = core.SensorInfo.from_default(core.LidarMode._512x10)
+    info.config.udp_port_lidar, info.config.udp_port_imu = 7502, 7503
+    form = core.PacketFormat(info)
+    writer = osf.Writer(str(path.with_suffix(".osf")), info)
+    datagrams = []
+    for k in range(3):
+        frame, start = core.LidarFrame(info), bags.START + 100_000_000 * k
+        frame.field("RANGE")[:, 1:] = 5000 + 100 * k
+        frame.frame_id, frame.status[:], frame.measurement_id[:] = k + 1, 1, np.arange(512)
+        frame.timestamp[:] = start + 190_000 * np.arange(512)
+        writer.save(0, frame)
+        imu = struct.pack("<3Q6f", 0, start, start, 0.0, 0.0, 1.0, 10.0, 0.0, 0.0)  # [g], [deg/s]
+        datagrams.append((1e-9 * start, 7503, imu))
+        datagrams += [(1e-9 * start, 7502, bytes(packet.buf)) for packet in core.frame_to_packets(frame, form, 0, 0)]
+    writer.close()
+    write_pcap(path.with_suffix(".pcap"), datagrams)
+    path.with_suffix(".json").write_text(info.to_json_string())

@@ -14,15 +14,16 @@ from aero_viz.input_limits import TEXT_MAX
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, STAMP_END, CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.imu_messages import ImuRows
+from aero_viz.recordings.ouster import ouster_sweeps
 from aero_viz.recordings.packets import (
     LVX_MAGIC,
-    PCAP_MAGICS,
     livox_sweeps,
     lvx2_packets,
     pcap_kind,
     pcap_livox_packets,
     velodyne_sweeps,
 )
+from aero_viz.recordings.pcap import PCAP_MAGICS
 from aero_viz.scenes.map_files import MAP_SUFFIXES
 
 __all__ = ["CloudFolder", "open_cloud_folder", "open_other_file"]
@@ -33,6 +34,7 @@ _FIRST_STAMP = 1_000_000_000
 _MAGICS = {b"# .PCD": ".pcd", b"VERSION": ".pcd", b"ply": ".ply", b"LASF": ".las", b"\x93NUMPY": ".npy"}
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ULOG = b"ULog"
+_OSF = b"OSF"
 _SUBFOLDERS = ("", "velodyne", "velodyne_points/data", "points", "lidar", "clouds", "scans")
 _POSES = ("poses.txt", "pose.txt", "trajectory.txt", "groundtruth.txt", "gt.txt", "tum.txt")
 _TIMES = ("times.txt", "timestamps.txt")
@@ -64,7 +66,10 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
     if start.startswith(LVX_MAGIC):
         return "lvx2", PacketClouds(path, "/livox/lidar", livox_sweeps(lvx2_packets(path)))
     if start.startswith(PCAP_MAGICS):
-        if pcap_kind(path) == "livox":
+        kind = pcap_kind(path)
+        if kind == "ouster":
+            return "ouster-pcap", _ouster_clouds(path, is_osf=False)
+        if kind == "livox":
             imu = ImuRows("/livox/imu")
             sweeps = livox_sweeps(pcap_livox_packets(path, imu))
             return "livox-pcap", PacketClouds(path, "/livox/lidar", sweeps, imu=imu)
@@ -73,8 +78,8 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
         raise UserError(f"{path} is a pcapng capture: convert it with `editcap -F pcap {path.name} OUT.pcap`.")
     if start.startswith(_ULOG):
         raise UserError(f"{path} is a log of PX4, which has no clouds: play a recording with --poses {path}.")
-    if suffix == ".osf":
-        raise UserError(f"{path} is Ouster's format: convert it with `ouster-cli source {path.name} save OUT.bag`.")
+    if start[8:11] == _OSF:
+        return "osf", _ouster_clouds(path, is_osf=True)
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
     if found is None and suffix not in (".bin", ".xyz", ".pts"):
         return None
@@ -84,6 +89,11 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
     if suffix in MAP_SUFFIXES:
         clouds.notices.append(f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {path.name}")
     return suffix.lstrip("."), clouds
+
+
+def _ouster_clouds(path: Path, *, is_osf: bool) -> PacketClouds:
+    imu = ImuRows("/ouster/imu")
+    return PacketClouds(path, "/ouster/points", ouster_sweeps(path, imu, is_osf=is_osf), imu=imu)
 
 
 def open_cloud_folder(path: Path) -> CloudFolder | None:

@@ -1,4 +1,7 @@
-"""Raw packets of LiDARs: Livox's .lvx2, and .pcap captures of the Livox Mid-360 and of Velodyne's sensors."""
+"""Raw packets of LiDARs: Livox's .lvx2, and .pcap captures of the Livox Mid-360 and of Velodyne's sensors.
+
+`ouster.py` reads those of Ouster's.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -19,22 +22,19 @@ from aero_viz.input_limits import SWEEP_POINTS_MAX
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import StampedCloud
 from aero_viz.recordings.imu_messages import GRAVITY, ImuRows
+from aero_viz.recordings.ouster import find_metadata
+from aero_viz.recordings.pcap import udp_payloads
 
 __all__ = [
     "LVX_MAGIC",
-    "PCAP_MAGICS",
     "livox_sweeps",
     "lvx2_packets",
     "pcap_kind",
     "pcap_livox_packets",
-    "udp_payloads",
     "velodyne_sweeps",
 ]
 
 LVX_MAGIC = b"livox_tech"
-PCAP_MAGICS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d")
-"""Starts of captures: little and big endian with microseconds, and with nanoseconds."""
-
 _SWEEP = 100_000_000
 """A Livox never turns: packets of so much time make a sweep [ns]."""
 _LVX_HEADER, _LVX_DEVICE, _LVX_FRAME = 24 + 5, 63, 24
@@ -43,61 +43,18 @@ _POINT_SIZES = {1: 14, 2: 8}
 _POINT_INTERVAL = 1e9 / 200_000  # of a Mid-360 [ns]; .lvx2 does not say
 _VELODYNE = 1206
 _OUSTER_PORT = 7502
-_LINKS = {1: 14, 101: 0, 113: 16, 228: 0}
-"""Length of the header before IPv4 [bytes]: Ethernet, raw, Linux cooked, IPv4."""
 _TIME_MAX = 2**32 - 1  # [ns]
-_FRAME_MAX = 1 << 18
 _PACKAGE_MAX = 1 << 20
 _PROBED = 2000
 
 
-class _Datagram(NamedTuple):
-    time: int
-    """Time of capture [ns]."""
-    port: int
-    """Destination."""
-    payload: bytes
-
-
-def udp_payloads(path: Path) -> Iterator[_Datagram]:
-    """Yield the UDP datagrams of a capture. Fragments are left out.
-
-    Raises:
-        UserError: the capture has a link type that is not supported.
-        EOFError: it is truncated.
-        ValueError: it is damaged.
-    """
-    with open_user_file(path) as file:
-        head = file.read(24)
-        order = "<" if head[:4] in (PCAP_MAGICS[0], PCAP_MAGICS[2]) else ">"
-        unit = 1 if head[:4] in PCAP_MAGICS[2:] else 1000
-        link = struct.unpack(f"{order}I", head[20:24])[0] & 0xFFFF if len(head) == 24 else 0
-        if link not in _LINKS:
-            raise UserError(f"{path} is a capture of link type {link}; capture on an Ethernet interface.")
-        while record := file.read(16):
-            if len(record) < 16:
-                raise EOFError
-            seconds, fraction, length, _ = struct.unpack(f"{order}4I", record)
-            if length > _FRAME_MAX:
-                raise ValueError(f"damaged, a frame claims {length} bytes: only what precedes is used")
-            frame = file.read(length)
-            if len(frame) < length:
-                raise EOFError
-            ip = frame[_LINKS[link] :]
-            if link == 1 and frame[12:14] == b"\x81\x00":  # VLAN
-                ip = frame[18:]
-            if len(ip) < 28 or ip[0] >> 4 != 4 or ip[9] != 17 or (ip[6] & 0x3F) or ip[7]:
-                continue
-            size = 4 * (ip[0] & 15)
-            port, udp = struct.unpack_from(">HH", ip, size + 2) if len(ip) >= size + 8 else (0, 0)
-            yield _Datagram(seconds * 10**9 + fraction * unit, port, ip[size + 8 : size + udp])
-
-
 def pcap_kind(path: Path) -> str:
-    """Return "livox" or "velodyne", whichever most of the first packets of a capture are.
+    """Return "livox", "velodyne" or "ouster", whichever most of the first packets of a capture are.
+
+    The metadata of an Ouster beside a capture decide where its port is not the usual one.
 
     Raises:
-        UserError: they are neither.
+        UserError: they are none of these.
     """
     counts = {"livox": 0, "velodyne": 0, "ouster": 0}
     with contextlib.suppress(EOFError, ValueError):  # reported once the sweeps are read
@@ -108,11 +65,11 @@ def pcap_kind(path: Path) -> str:
             counts["ouster"] += datagram.port == _OUSTER_PORT
     kind = max(counts, key=lambda name: counts[name])
     if not counts[kind]:
-        raise UserError(f"{path} has no packets of a Livox Mid-360 or a Velodyne: capture the sensor's UDP port.")
-    if kind == "ouster":
+        if find_metadata(path):
+            return "ouster"
         raise UserError(
-            f"{path} holds packets of an Ouster, which AERO-Viz does not decode: convert it first, with "
-            "`ouster-cli source FILE save OUT.bag` of ouster-sdk, and play the bag."
+            f"{path} has no packets of a Livox Mid-360, a Velodyne or an Ouster: capture the sensor's UDP port; an "
+            "Ouster with another port than 7502 needs its metadata (JSON) beside the capture."
         )
     return kind
 

@@ -27,7 +27,8 @@ __all__ = ["SUPPORTED", "Storage", "open_storage", "readable"]
 
 SUPPORTED = (
     "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
-    "folders of PCD, PLY, LAS, LAZ, NPY and KITTI .bin clouds, Livox .lvx2, and .pcap of a Livox Mid-360 or a Velodyne"
+    "folders of PCD, PLY, LAS, LAZ, NPY and KITTI .bin clouds, Livox .lvx2, Ouster .osf, and .pcap of a Livox "
+    "Mid-360, a Velodyne or an Ouster"
 )
 
 _READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
