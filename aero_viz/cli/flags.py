@@ -15,7 +15,6 @@ from aero_planner.config.file import config_from_name
 from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel
-from aero_viz.flight.known_drone import config_for_drone
 from aero_viz.flight.vehicle import PLANNED
 from aero_viz.recordings.odometry import OdometryChoice
 from aero_viz.scenes import World
@@ -204,11 +203,6 @@ class FlightFlags:
             "rules": flight_rules(self.rules),
             "noise": self.state_noise(),
         }
-
-    def complete(self, config: PlannerConfig, *, lidar: str) -> PlannerConfig:
-        """Return `config` with the field of view and the delay of this flight; see `config_for_drone`."""
-        options = self.options(config, lidar=lidar)
-        return config_for_drone(config, lidar=options["lidar"], vehicle=options["vehicle"])
 
 
 @dataclasses.dataclass(frozen=True)

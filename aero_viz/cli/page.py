@@ -75,9 +75,11 @@ def demo(
     if tour:
         if log is not None or world_flags != WorldFlags() or scene != "forest":
             raise UserError("--tour shows scenes of its own; leave out the scene, the flags of the world and --log.")
+        if page_flags.paused or page_flags.folder:
+            raise UserError("--tour plays by itself and opens no files; leave out --paused and --folder.")
         from aero_viz.cli.tour import serve_tour
 
-        config = flight_flags.complete(config_flags.load(), lidar=lidar)
+        config = config_flags.load()
         opener = flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device)
         return serve_tour(opener, config, page_flags, seed=seed, device=device)
     flags = (world_flags, flight_flags, config_flags.load(), page_flags)
@@ -187,7 +189,6 @@ def serve_flight(
     """Serve the page of a flight until Ctrl-C or SIGTERM. The page offers the conditions of the flags at first."""
     from aero_viz.flight.conditions import conditions_of
 
-    config = flight_flags.complete(config, lidar=lidar)
     opener = flight_opener(spec, world_flags, flight_flags, config, lidar=lidar, device=device)
     conditions = conditions_of(flight_flags.options(config, lidar=lidar), count=world_flags.count)
     serve(spec, opener, config, page_flags, seed=seed, device=device, log=log, conditions=conditions)
@@ -250,16 +251,14 @@ def serve(
     from aero_viz.catalog import shipped_recordings
     from aero_viz.dashboard import Dashboard
     from aero_viz.dashboard.share import FlightFiles
-    from aero_viz.flight.known_drone import config_in_world
+    from aero_viz.flight.known_drone import config_for_flight
     from aero_viz.scenes import SCENES
     from aero_viz.session import Session
     from aero_viz.session.source import Conditions
 
     with contextlib.ExitStack() as stack:
         source = opener(spec, seed=seed)
-        if source.info.closed_loop:
-            config = config_in_world(config, source.info.world)
-        session = Session(source, config=config, device=device, seed=seed)
+        session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
         stack.callback(session.close)
         shutdown = shutdown_event()
         dashboard = Dashboard(

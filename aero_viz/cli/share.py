@@ -51,7 +51,7 @@ def share(
     from aero_viz.cli.page import flight_opener
     from aero_viz.dashboard.share import share as write
     from aero_viz.dashboard.share.share import check_path
-    from aero_viz.flight.known_drone import config_in_world
+    from aero_viz.flight.known_drone import config_for_flight
 
     check_path(output)
     config = config_flags.load()
@@ -60,16 +60,14 @@ def share(
             raise UserError(f"{source} is a recording: leave out the flags of the world, the LiDAR and the flight.")
         flight = open_source(source, seed=seed, device=device)
     else:
-        config = flight_flags.complete(config, lidar=lidar)
         opener = flight_opener(source, world_flags, flight_flags, config, lidar=lidar, device=device)
         flight = opener(source, seed=seed)
-        config = config_in_world(config, flight.info.world)
     with progress_bar(flight.info.name, enabled=True) as update_bar:
         write(
             flight,
             output,
             command=_command(source, output, closed_loop=flight.info.closed_loop),
-            config=config,
+            config=config_for_flight(config, flight.info),
             seed=seed,
             device=device,
             duration=duration,

@@ -51,13 +51,14 @@ def snapshot(
     """
     from aero_viz.catalog import open_source
     from aero_viz.dashboard.snapshot import snapshot as take_snapshot
+    from aero_viz.flight.known_drone import config_for_flight
 
-    opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
     config = config_flags.load()
+    opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
     take_snapshot(
         opened,
         time=time,
-        config=config,
+        config=config_for_flight(config, opened.info),
         camera=_viewpoint(camera),
         layers=None if layers is None else [name.strip() for name in layers.split(",")],
         legend=legend,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from aero_viz.cli.serving import PageFlags, announce, shutdown_event
+from aero_viz.cli.serving import PageFlags, announce, serve_foxglove, shutdown_event
 
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
@@ -36,6 +36,7 @@ def serve_tour(opener: Opener, config: PlannerConfig, page_flags: PageFlags, *, 
             session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host, panels=False
         )
         stack.callback(dashboard.close)
+        serve_foxglove(stack, session, page_flags)
         announce("the tour", dashboard, page_flags)
         session.start(play=False)
         Tour(session, dashboard, opener, say=lambda line: print(line, flush=True)).run(shutdown)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from aero_viz.dashboard.dashboard import Dashboard
 from aero_viz.dashboard.layers import LAYERS
 from aero_viz.dashboard.scripts import run_script
-from aero_viz.flight.known_drone import config_in_world
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Conditions, Opener
@@ -173,7 +173,7 @@ class Tour:
     """Shows scene after scene, for ever. Whatever fails is skipped and said.
 
     Args:
-        session: started session, whose configuration knows the top of no world.
+        session: started session, whose configuration knows nothing about a flight.
         dashboard: its page, without panels.
         open_source: opens scenes.
         stops: the scenes, in turn.
@@ -225,7 +225,7 @@ class Tour:
         self._set_caption(stop.scene, "")
         source = self._open(stop.scene, seed=seed, conditions=conditions)
         self.director.shot = stop.shot
-        self._session.configure(config_in_world(self._config, source.info.world))
+        self._session.configure(config_for_flight(self._config, source.info))
         self._session.set_source(source).result()
         self._dashboard.show_only([*_BASE, *stop.layers])
         self._session.play()

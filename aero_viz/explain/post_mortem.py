@@ -24,6 +24,8 @@ __all__ = ["FAILURES", "BrakingTick", "PostMortem", "explain_flight"]
 Array = NDArray[np.float64]
 FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
+_STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
+"""Why the planner stops the drone, by the status of the plan."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +119,10 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
             f"{braking.before_end_s:.2f} s before the end: speed {braking.speed:.1f} m/s, tilt {braking.tilt_deg:.0f} "
             f"deg; {which}, and {braking.flown} was flown."
         )
-    was_braking = frames[-1].plan.status != PlanStatus.OK
-    if was_braking:
-        since = next((f.time for f in reversed(frames) if f.plan.status == PlanStatus.OK), frames[0].time)
-        sentences.append(f"It was stopping when it hit: no candidate was safe after {since:.2f} s.")
+    status = _status(frames[-1])
+    if was_braking := status in _STOPPING:
+        since = next((f.time for f in reversed(frames) if _status(f) != status), frames[0].time)
+        sentences.append(f"It was stopping when it hit: {_STOPPING[status]} after {since:.2f} s.")
     cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
     report = PostMortem(
         **facts, cause=cause, obstacle=obstacle, seen=seen, braking=braking, sentences=sentences, missing=trace.missing
@@ -192,7 +194,7 @@ def _braking_tick(frame: Frame, evidence: Evidence, end: float) -> BrakingTick:
         safe=[int(m) for m in np.flatnonzero(evidence.is_safe)],
         instances=len(evidence.is_safe),
         flown=int(evidence.plan.best),
-        status=PlanStatus(int(np.asarray(frame.plan.status))).name,
+        status=_status(frame).name,
     )
 
 
@@ -211,13 +213,14 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     limit = last.config.costs.distance_max
     blocking = Counter(row["obstacle"] for row in anchors if not row["safe"] or row["clearance_m"] < limit)
     unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
-    stops = sum(frame.plan.status == PlanStatus.NO_SAFE_CANDIDATE for frame in frames)
+    statuses = Counter(map(_status, frames))
+    stops = {why: statuses[status] for status, why in _STOPPING.items()}
     remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
     sentences = [
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
         f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan."
         + ("" if not blocking else f" Near them: {', '.join(f'{name} ({n})' for name, n in blocking.most_common(4))}."),
-        f"No candidate was safe in {stops} of the last {len(frames)} ticks.",
+        *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items()),
     ]
     if weight > 0.0:
         free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
@@ -227,17 +230,21 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         )
     if len(evidence.problem.places):
         sentences.append(f"{len(evidence.problem.places)} places without progress are remembered nearby.")
-    cause = _stall_cause(facts["outcome"], anchors, stops / len(frames), to_go[: len(anchors)])
+    cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)])
     return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
 
 
-def _stall_cause(outcome: str, anchors: list[dict[str, Any]], stopping: float, to_go: Array) -> str:
+def _stall_cause(outcome: str, anchors: list[dict[str, Any]], stops: dict[str, int], ticks: int, to_go: Array) -> str:
     name = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}[outcome]
-    if stopping > 0.5:
-        return f"{name}: no candidate was safe"
+    if why := next((why for why, count in stops.items() if count > 0.5 * ticks), None):
+        return f"{name}: {why}"
     if not any(row["safe"] for row in anchors):
         return f"{name}: every anchor is blocked"
     return f"{name}: {'the way to the goal is blocked' if (to_go > 0.0).all() else 'moving without coming nearer'}"
+
+
+def _status(frame: Frame) -> PlanStatus:
+    return PlanStatus(int(np.asarray(frame.plan.status)))
 
 
 def _point(place: Array) -> str:

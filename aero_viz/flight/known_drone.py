@@ -7,8 +7,9 @@ from aero_planner.config.field_of_view import mounted_view
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel
+from aero_viz.session.source import SourceInfo
 
-__all__ = ["config_for_drone", "config_for_next_flight", "config_in_world"]
+__all__ = ["config_for_drone", "config_for_flight", "config_for_next_flight"]
 
 
 def config_for_drone(
@@ -16,9 +17,10 @@ def config_for_drone(
 ) -> PlannerConfig:
     """Return `config` with what is known about a flight where it has the default values.
 
-    This is the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`, see
-    `config_in_world`. The delay is the latency, plus the time constant of the body rates unless `config` models their
-    lag.
+    This is the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The delay
+    is the latency, plus the time constant of the body rates unless `config` models their lag. The top counts since a
+    flight that leaves the bounds is lost, and a LiDAR does not see them. As the height of the ground, it only counts
+    with costs.use_ground.
     """
     default = PlannerConfig()
     roll, pitch, _ = lidar.mount_angles
@@ -29,30 +31,23 @@ def config_for_drone(
         "partition.view_max": view[1],
         "vehicle.delay": min(vehicle.latency + unmodelled_lag, 0.5),
     }
-    config = config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})
-    return config_in_world(config, world)
+    if world is not None and config.costs.use_ground:
+        known["costs.height_max"] = float(world.bounds[1, 2])
+    return config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})
 
 
-def config_in_world(config: PlannerConfig, world: World | None) -> PlannerConfig:
-    """Return `config` with the top of the bounds of `world` as costs.height_max if that has the default value.
-
-    A flight that leaves the bounds is lost, and a LiDAR does not see them. As the height of the ground, they only count
-    with costs.use_ground.
-    """
-    if world is None or not config.costs.use_ground or config.costs.height_max != PlannerConfig().costs.height_max:
+def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
+    """Return `config` with what is known about a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
+    if not flight.closed_loop or "lidar" not in flight.settings:
         return config
-    return config.replace({"costs.height_max": float(world.bounds[1, 2])})
+    lidar, vehicle = LidarModel(**flight.settings["lidar"]), VehicleModel(**flight.settings["drone"])
+    return config_for_drone(config, lidar=lidar, vehicle=vehicle, world=flight.world)
 
 
-def config_for_next_flight(
-    config: PlannerConfig, *, before: tuple[LidarModel, World | None], after: tuple[LidarModel, World | None]
-) -> PlannerConfig:
+def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: SourceInfo) -> PlannerConfig:
     """Return `config` with the field of view and the top of the flight `after` where it has those of `before`."""
-    vehicle = VehicleModel.from_config(config)
     default = PlannerConfig().replace({"costs.use_ground": config.costs.use_ground})
-    old, new = (
-        config_for_drone(default, lidar=lidar, vehicle=vehicle, world=world) for lidar, world in (before, after)
-    )
+    old, new = config_for_flight(default, before), config_for_flight(default, after)
     for paths in (("partition.view_min", "partition.view_max"), ("costs.height_max",)):
         if all(config.get(path) == old.get(path) for path in paths):  # not chosen by the user
             config = config.replace({path: new.get(path) for path in paths})

@@ -17,14 +17,14 @@ from aero_viz.errors import UserError
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
-from aero_viz.flight.known_drone import config_for_drone
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.flight.metrics import FlightResult, config_name_of
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.source import FlightSource
 from aero_viz.flight.trajectory import trajectory_file
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.sensors.lidar import LidarModel
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 
@@ -86,19 +86,17 @@ def fly(
     try:
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
         refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
-        lidar, vehicle = lidar or LIDARS["mid360"], vehicle or VehicleModel.from_config(config)
-        config = config_for_drone(config, lidar=lidar, vehicle=vehicle, world=world)
         source = FlightSource(
             world,
             lidar=lidar,
-            vehicle=vehicle,
+            vehicle=vehicle or VehicleModel.from_config(config),
             rules=rules,
             noise=noise,
             control_step=config.sampling.dt,
             seed=seed,
             device=device,
         )
-        session = Session(source, config=config, device=device, seed=seed)
+        session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
     except ValueError as error:
         raise UserError(f"Cannot fly {world.name!r}: {error}") from error
     with contextlib.closing(session), contextlib.ExitStack() as stack:

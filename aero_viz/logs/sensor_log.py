@@ -28,12 +28,12 @@ from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector, slerp
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, FlightSource
-from aero_viz.flight.known_drone import config_for_drone
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.flight.metrics import FlightResult
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.recordings.imu_messages import IMU_TYPE, encode_imu
 from aero_viz.scenes import World
-from aero_viz.sensors import LIDARS, LidarModel
+from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 
 __all__ = ["SensorLogOptions", "write_sensor_log"]
@@ -94,12 +94,10 @@ def write_sensor_log(
     """
     config, rules, options = config or PlannerConfig(), rules or FlightRules(), options or SensorLogOptions()
     config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
-    lidar, vehicle = lidar or LIDARS["mid360"], VehicleModel.from_config(config)
-    config = config_for_drone(config, lidar=lidar, vehicle=vehicle, world=world)
     source = FlightSource(
         world,
         lidar=lidar,
-        vehicle=vehicle,
+        vehicle=VehicleModel.from_config(config),
         rules=rules,
         control_step=config.sampling.dt,
         seed=seed,
@@ -112,7 +110,7 @@ def write_sensor_log(
             hover: Any = SimpleNamespace(command=source.simulator.vehicle.control.numpy().repeat(2, axis=0))
             while source.simulator.time < options.hover - 1e-9:
                 source.advance(hover)
-            session = Session(source, config=config, seed=seed)
+            session = Session(source, config=config_for_flight(config, source.info), seed=seed)
             stack.callback(session.close)
             while source.outcome is None and source.simulator.time < options.duration:
                 frame = session.tick()

@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags
+from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, WorldFlags
+from aero_viz.cli.page import flight_opener
 from aero_viz.cli.renamed_flags import replace_renamed_flags
+from aero_viz.flight.known_drone import config_for_flight
 
 
 def flags(config: str = "default", **costs: Any) -> ConfigFlags:
@@ -49,7 +51,11 @@ def test_flags_of_renamed_parameters_keep_their_old_spelling(
 
 
 def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():
-    flight = FlightFlags(drone=DroneFlags(latency=0.05))
-    config = flight.complete(PlannerConfig(), lidar="full-sphere")
+    def config_with(flags: FlightFlags, lidar: str) -> PlannerConfig:
+        opener = flight_opener("wall", WorldFlags(), flags, PlannerConfig(), lidar=lidar, device="cpu")
+        return config_for_flight(PlannerConfig(), opener("wall", seed=0).info)
+
+    config = config_with(FlightFlags(drone=DroneFlags(latency=0.05)), "full-sphere")
     assert (config.partition.view_min, config.partition.view_max, config.vehicle.delay) == (-90.0, 90.0, 0.05)
-    assert FlightFlags().complete(PlannerConfig(), lidar="mid360") == PlannerConfig()
+    top = {"costs.height_max": config.costs.height_max}
+    assert config_with(FlightFlags(), "mid360") == PlannerConfig().replace(top)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from command_line import run_refused
 from playwright.sync_api import Browser
 
 StartPython = Callable[..., subprocess.Popen[str]]
@@ -90,6 +91,20 @@ def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str
     with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=10) as page:
         assert page.status == 200
     interrupt(process)
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["verticals"], "--tour shows scenes of its own; leave out the scene"),
+        (["--paused"], "--tour plays by itself"),
+        (["--folder", "."], "opens no files; leave out --paused and --folder"),
+    ],
+)
+def test_a_tour_refuses_what_it_does_not_obey(
+    capsys: pytest.CaptureFixture[str], flags: list[str], message: str
+) -> None:
+    assert message in run_refused(capsys, "demo", "--tour", *flags)
 
 
 def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: str, browser: Browser) -> None:

@@ -24,6 +24,15 @@ def test_a_missing_browser_is_reported(
     assert "AERO_VIZ_CHROMIUM" in run_refused(capsys, "snapshot", poles, str(tmp_path / "out.png"))
 
 
+def test_a_picture_is_planned_as_its_flight_would_be(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    taken: list[PlannerConfig] = []
+    monkeypatch.setattr("aero_viz.dashboard.snapshot.snapshot", lambda _, *, config, **options: taken.append(config))
+    run(capsys, "snapshot", "wall", str(tmp_path / "wall.png"))
+    assert [config.costs.height_max for config in taken] == [2.5]
+
+
 def test_doctor_finds_this_machine_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     report = run_json(capsys, "doctor")
     assert report["passed"]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aero_planner import Sweeps
+from aero_planner import PlanStatus, Sweeps
 from aero_viz.errors import UserError
 from aero_viz.explain.picture import draw_map
-from aero_viz.explain.post_mortem import explain_flight
+from aero_viz.explain.post_mortem import PostMortem, explain_flight
 from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
 from aero_viz.explain.visibility import find_seen
 from aero_viz.flight import FlightRules, fly
@@ -105,6 +105,25 @@ def test_a_stall_tells_what_blocks_the_anchors(standing):
     assert result.reason == report.outcome == "stall" and report.cause.startswith("stalled: ")
     assert {row["obstacle"] for row in report.blocked} & {"box 1"}
     assert any("cost-to-go" in text for text in report.sentences) and evidence is not None
+
+
+def report_with_stale_clouds(trace: FlightTrace) -> PostMortem:
+    stale = FlightTrace()
+    stale.end = trace.end
+    for frame in trace.frames:
+        stale.write(dataclasses.replace(frame, plan=dataclasses.replace(frame.plan, status=PlanStatus.STALE_CLOUD)))
+    return explain_flight(stale)[0]
+
+
+def test_a_stale_cloud_is_named_as_the_reason_of_a_stop(trap):
+    sentences = report_with_stale_clouds(trap[0]).sentences
+    assert any("It was stopping when it hit: the cloud was stale after" in text for text in sentences)
+
+
+def test_a_stale_cloud_is_named_as_the_cause_of_a_stall(standing):
+    report, ticks = report_with_stale_clouds(standing[1]), len(standing[1].frames)
+    assert report.cause == "stalled: the cloud was stale"
+    assert f"The cloud was stale in {ticks} of the last {ticks} ticks." in report.sentences
 
 
 @pytest.mark.parametrize(

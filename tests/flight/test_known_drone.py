@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_viz.flight import VehicleModel
-from aero_viz.flight.known_drone import config_for_drone, config_for_next_flight, config_in_world
+from aero_viz.flight import FlightSource, VehicleModel
+from aero_viz.flight.known_drone import config_for_drone, config_for_flight, config_for_next_flight
 from aero_viz.scenes import scene
 from aero_viz.sensors.lidar import LIDARS
 
@@ -35,12 +35,12 @@ def test_the_field_of_view_turns_with_the_sensor():
 
 
 def test_the_top_of_the_world_is_the_greatest_height():
-    wall, forest = scene("wall", seed=0), scene("forest", seed=0)
-    config = config_in_world(PlannerConfig(), wall)
-    assert config.costs.height_max == wall.bounds[1, 2] == 2.5
-    assert config_in_world(PlannerConfig.preset("paper"), wall) == PlannerConfig.preset("paper")
+    wall, forest = (FlightSource(scene(name, seed=0)).info for name in ("wall", "forest"))
+    config = config_for_flight(PlannerConfig(), wall)
+    assert wall.world is not None and config.costs.height_max == wall.world.bounds[1, 2] == 2.5
+    assert config_for_flight(PlannerConfig.preset("paper"), wall) == PlannerConfig.preset("paper")
     chosen = PlannerConfig().replace({"costs.height_max": 1.5})
-    assert config_in_world(chosen, wall) == chosen
-    moved = config_for_next_flight(config, before=(MID360, wall), after=(MID360, forest))
-    assert moved == config_in_world(PlannerConfig(), forest)
-    assert config_for_next_flight(chosen, before=(MID360, wall), after=(MID360, forest)) == chosen
+    assert config_for_flight(chosen, wall) == chosen
+    moved = config_for_next_flight(config, before=wall, after=forest)
+    assert moved == config_for_flight(PlannerConfig(), forest)
+    assert config_for_next_flight(chosen, before=wall, after=forest) == chosen

@@ -24,7 +24,6 @@ from aero_viz.dashboard.server import notify
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_next_flight
 from aero_viz.reader_process import ReadCancelled, ReaderProcess
-from aero_viz.sensors import LidarModel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Conditions, Opener, Source
@@ -256,13 +255,9 @@ class SourcePanel(Panel):
         """Let the planner know the field of view of another LiDAR and the top of another world."""
         if before is None or not (before.source.closed_loop and source.info.closed_loop):
             return
-        old, new = before.source.settings.get("lidar"), source.info.settings.get("lidar")
-        if isinstance(old, dict) and isinstance(new, dict):
-            config = self.session.config
-            flights = (LidarModel(**old), before.source.world), (LidarModel(**new), source.info.world)
-            known = config_for_next_flight(config, before=flights[0], after=flights[1])
-            if known != config:
-                self._controls.configure(known)
+        known = config_for_next_flight(self.session.config, before=before.source, after=source.info)
+        if known != self.session.config:
+            self._controls.configure(known)
 
     def _read(
         self, reader: ReaderProcess, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
