@@ -145,7 +145,8 @@ def open_source(
         # The configuration is not known yet: refuse only what no configuration can reach.
         refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
         return FlightSource(world, seed=seed, device=device, **options)
-    from aero_viz.logs.replay import FlightReplay, is_flight_log
+    from aero_viz.logs.log_contents import is_flight_log
+    from aero_viz.logs.replay import FlightReplay
     from aero_viz.recordings import RecordingSource, open_recording
     from aero_viz.recordings.index import index_recording, open_indexed
 
@@ -157,7 +158,8 @@ def open_source(
         recording = open_indexed(spec, read(index_recording, spec), **topics)
     try:
         if is_flight_log(spec):
-            return FlightReplay(recording, spec, goal_ahead=goal_ahead)
+            own = None if read is read_here else read
+            return FlightReplay(recording, spec, goal_ahead=goal_ahead, read=own)
         return RecordingSource(recording, goal_ahead=goal_ahead)
     except Exception:
         recording.close()

@@ -12,7 +12,7 @@ _MAX_WIDTH = 10_000
 
 
 def format_table(rows: Sequence[Sequence[str]], *, header: Sequence[str] = (), right: Sequence[int] = ()) -> str:
-    """Return rows of cells as text in aligned columns.
+    """Return rows of cells as text in aligned columns. A control character, as a damaged file may hold, becomes a "?".
 
     Args:
         rows: cells of each row.
@@ -28,7 +28,7 @@ def format_table(rows: Sequence[Sequence[str]], *, header: Sequence[str] = (), r
         name = Text(header[column]) if header else ""
         table.add_column(name, justify="right" if column in right else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text("".join(x if x.isprintable() else "?" for x in cell)) for cell in row))
     console = Console(file=io.StringIO(), width=_MAX_WIDTH, color_system=None)
     with console.capture() as capture:
         console.print(table)

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Sweeps, VehicleState
-from aero_planner.config.file import ConfigFile
-from aero_planner.config.yaml_entries import parse_entries
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.single import FlightRecorder
@@ -122,9 +120,8 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
     Raises:
         UserError: the file is not a flight log, or cannot be read.
     """
-    from mcap.reader import make_reader
-
-    from aero_viz.logs.replay import FlightReplay, is_flight_log
+    from aero_viz.logs.log_contents import is_flight_log, read_log
+    from aero_viz.logs.replay import FlightReplay
     from aero_viz.recordings import open_recording
     from aero_viz.session import Session
 
@@ -132,22 +129,13 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
         raise UserError(f"There is no file {path}.")
     if not is_flight_log(path):
         raise UserError(f"{path} is no flight log, which `aero-viz fly WORLD --log FILE` writes: it has no plans.")
-    trace, configs, outcome = FlightTrace(), {}, None
-    with Path(path).open("rb") as file:
-        reader = make_reader(file)
-        for attachment in reader.iter_attachments():
-            if attachment.name.startswith("config_"):
-                configs[attachment.name] = attachment.data.decode()
-        for entry in reader.iter_metadata():
-            outcome = entry.metadata.get("outcome", outcome)
+    trace, contents = FlightTrace(), read_log(path)
+    trace.missing += [contents.damage] if contents.damage else []
+    config = contents.config()
+    if config is None:
+        trace.missing.append("The log holds no configuration: the default one was planned with.")
     recording = open_recording(str(path))
     source = FlightReplay(recording, path)
-    config = None
-    if configs:
-        name, text = list(configs.items())[-1]
-        config = ConfigFile(name, parse_entries(text, name)).planner_config()
-    else:
-        trace.missing.append("The log holds no configuration: the default one was planned with.")
     session = Session(source, config=config, device=device)
     try:
         times = session.source.times
@@ -164,8 +152,8 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
         time = float(poses.times[-1])
         pose = poses.interpolate(time)
         trace.write_pose(time, VehicleState(pose.position, pose.velocity, pose.quaternion))
-    trace.outcome = outcome
-    if outcome is None:
+    trace.outcome = contents.outcome or None
+    if not contents.outcome:
         trace.missing.append("The log does not say how the flight ended: it was cut off, or a drone wrote it.")
     if source.info.world is None:
         trace.missing.append("The log holds no world: obstacles have no names, and what was hidden is not known.")

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-import json
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
-from aero_planner.config.file import ConfigFile
-from aero_planner.config.yaml_entries import parse_entries
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_figures import LABELS, FlightFigures
-from aero_viz.logs.replay import is_flight_log, log_typestore
+from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
 
 __all__ = ["LogComparison", "LoggedFlight", "compare_logs"]
+
+_logger = logging.getLogger(__name__)
 
 _SAME = 0.01
 """Distance up to which two positions are the same [m]: logs of drones hold noise."""
@@ -61,12 +60,12 @@ class LoggedFlight:
                 f"{path} is no flight log with plans; write one with `aero-viz fly .. --log FLIGHT.mcap`, or take that "
                 "of the drone."
             )
+        contents = read_log(path)
         try:
-            with Path(path).open("rb") as file:
-                return _read(Path(path), make_reader(file))
+            return _flight(Path(path), contents)
         except UserError:
             raise
-        except Exception as error:  # a damaged file can fail anywhere in the decoders
+        except Exception as error:  # damaged numbers can fail anywhere
             raise UserError(f"{path} cannot be read: {error}. It may be cut short or damaged.") from error
 
 
@@ -135,67 +134,49 @@ def compare_logs(a: str | Path, b: str | Path) -> LogComparison:
     return LogComparison(LoggedFlight.read(a), LoggedFlight.read(b))
 
 
-def _read(path: Path, reader: Any) -> LoggedFlight:
-    attachments = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
-    facts = {entry.name: entry.metadata for entry in reader.iter_metadata()}.get("flight_log", {})
-    poses, plans = [], []
-    for schema, channel, message in reader.iter_messages(topics=("/odometry", "/plan")):
-        decoded: Any = log_typestore().deserialize_cdr(message.data, schema.name)
-        if channel.topic == "/plan":
-            plans.append((message.log_time, decoded))
-        else:
-            place, speed = decoded.pose.pose.position, decoded.twist.twist.linear
-            poses.append((message.log_time, place.x, place.y, place.z, np.linalg.norm((speed.x, speed.y, speed.z))))
-    if not poses or not plans:
+def _flight(path: Path, contents: LogContents) -> LoggedFlight:
+    if not contents.poses or not contents.plans:
         raise UserError(f"{path} holds no poses or no plans, so that there is nothing to compare.")
-    world = World.from_dict(json.loads(attachments["world.json"])) if "world.json" in attachments else None
-    config = _config(path, attachments, plans[-1][1].config_version)
-    settings = json.loads(attachments["flight.json"]) if "flight.json" in attachments else {}
+    if contents.damage:
+        _logger.warning("%s: %s", path, contents.damage)
+    world, config = contents.world(), contents.config(contents.plans[-1].config_version)
+    if config is None:
+        raise UserError(f"{path} holds no configuration, so that it cannot be compared.")
+    settings = contents.settings()
     if world is not None:
-        settings["world"] = hashlib.sha256(attachments["world.json"]).hexdigest()[:12]
+        settings["world"] = hashlib.sha256(contents.attachments["world.json"]).hexdigest()[:12]
     return LoggedFlight(
         name=path.name,
-        columns=_columns(poses, [(stamp, plan) for stamp, plan in plans if len(plan.stage2_cost)], world, config),
-        outcome=facts.get("outcome", "cut short"),
+        columns=_columns(contents, world, config),
+        outcome=contents.outcome or "cut short",
         config=config,
         conditions=_flatten(settings),
     )
 
 
-def _columns(poses: list[Any], plans: list[Any], world: World | None, config: PlannerConfig) -> dict[str, Any]:
-    start = poses[0][0]
-    table = np.array([((stamp - start) * 1e-9, *values) for stamp, *values in poses])
-    time = np.array([(stamp - start) * 1e-9 for stamp, _ in plans])
+def _columns(contents: LogContents, world: World | None, config: PlannerConfig) -> dict[str, Any]:
+    stamps, plans = contents.pose_stamps, [plan for plan in contents.plans if plan.kinds]
+    start, table = stamps[0], np.array(contents.poses)
+    time = np.array([(plan.stamp - start) * 1e-9 for plan in plans])
+    pose_times = np.array([(stamp - start) * 1e-9 for stamp in stamps])
     columns = {
-        name: np.interp(time, table[:, 0], table[:, i]) for i, name in enumerate(("x", "y", "z", "speed"), start=1)
+        name: np.interp(time, pose_times, values)
+        for name, values in zip(("x", "y", "z", "speed"), table.T, strict=True)
     }
-    best = np.array([int(plan.best) for _, plan in plans])
     for name in ("stage2_cost", "goal_cost", "collision_cost"):
-        columns[name.replace("stage2_", "")] = np.array(
-            [float(getattr(plan, name)[i]) for (_, plan), i in zip(plans, best, strict=True)]
-        )
+        columns[name.replace("stage2_", "")] = np.array([float(getattr(plan, name)[plan.best]) for plan in plans])
     if world is not None:
         columns["clearance"] = world.distance(np.stack([columns[axis] for axis in "xyz"], axis=1))
     else:
-        columns["clearance"] = np.array([float(plan.clearance[i]) for (_, plan), i in zip(plans, best, strict=True)])
+        columns["clearance"] = np.array([float(plan.clearance[plan.best]) for plan in plans])
     limit = config.candidates.safe_clearance
     return columns | {
         "time": time,
         "clearance": columns["clearance"].clip(0.0, _CLEARANCE_MAX),
-        "plan_ms": np.array([float(plan.plan_ms) for _, plan in plans]),
-        "safe": np.array([float(np.count_nonzero(np.asarray(plan.clearance) >= limit)) for _, plan in plans]),
-        "best": best.astype(np.float64),
+        "plan_ms": np.array([plan.plan_ms for plan in plans]),
+        "safe": np.array([float(np.count_nonzero(plan.clearance >= limit)) for plan in plans]),
+        "best": np.array([float(plan.best) for plan in plans]),
     }
-
-
-def _config(path: Path, attachments: Mapping[str, bytes], version: int) -> PlannerConfig:
-    """Return the configuration of this version, or the last one in the log."""
-    names = sorted((name for name in attachments if name.startswith("config") and name.endswith(".yaml")), key=len)
-    if not names:
-        raise UserError(f"{path} holds no configuration, so that it cannot be compared.")
-    name = f"config_{version}.yaml" if f"config_{version}.yaml" in attachments else names[-1]
-    place = f"{path}: {name}"
-    return ConfigFile(place, parse_entries(attachments[name].decode(), place)).planner_config()
 
 
 def _flatten(value: Any, name: str = "") -> dict[str, Any]:

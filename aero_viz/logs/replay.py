@@ -4,53 +4,39 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
-import json
-import struct
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from aero_planner import PlanStatus
-from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
+from aero_viz.errors import UserError
+from aero_viz.logs.log_contents import LogContents, read_log
+from aero_viz.reader_process import ReadCancelled, Reader
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.source import RecordingSource
 from aero_viz.scenes import World
 from aero_viz.session.source import Observation, RecordedPlan
 
-__all__ = ["FlightReplay", "is_flight_log", "log_typestore"]
-
-_TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
-
-
-def is_flight_log(path: str | Path) -> bool:
-    """Return True if `path` is an MCAP file with the plans of this planner."""
-    if Path(path).suffix.lower() != ".mcap" or not Path(path).is_file():
-        return False
-    try:
-        with Path(path).open("rb") as file:
-            summary = make_reader(file).get_summary()
-    except (McapError, OSError, ValueError, struct.error):
-        return False
-    return summary is not None and {"/plan", "/plan/best"} <= {channel.topic for channel in summary.channels.values()}
+__all__ = ["FlightReplay"]
 
 
 class FlightReplay(RecordingSource):
     """Replays a flight log. The planner runs on it as on any recording, beside the recorded plans.
 
+    What is damaged of them is left out, and the notices of the source say so.
+
     Args:
         recording: the log; `close` closes it.
         path: file of the log.
         goal_ahead: distance of the goal along the recorded path [m], where no goal is recorded.
+        read: reads the log; None starts a process for it.
     """
 
-    def __init__(self, recording: Recording, path: str | Path, *, goal_ahead: float = 15.0) -> None:
+    def __init__(
+        self, recording: Recording, path: str | Path, *, goal_ahead: float = 15.0, read: Reader | None = None
+    ) -> None:
         if recording.poses is not None:
             recording.poses = recording.poses.without_offset()  # the goals, plans and world are in the recorded frame
         super().__init__(recording, goal_ahead=goal_ahead)
@@ -61,17 +47,25 @@ class FlightReplay(RecordingSource):
         self._plans: list[RecordedPlan] = []
         self._world: World | None = None
         self._ending = ""
-        self._settings: dict[str, Any] = {}
-        with Path(path).open("rb") as file:
-            self._read(make_reader(file))
+        settings: dict[str, Any] = {}
+        notices = ["Recorded flight: goal and plans are those of the log."]
+        try:
+            contents = read_log(path, read)
+            self._use(contents)
+            notices += [contents.damage] if contents.damage else []
+            self._world, settings = contents.world(), contents.settings()
+        except ReadCancelled:
+            raise
+        except UserError as error:
+            notices.append(f"{error} What can be read is shown.")
         self._plan_times = [plan.time for plan in self._plans]
-        ending = f" {self._ending}" if self._ending else ""
+        notices[0] += f" {self._ending}" if self._ending else ""
         self.info = dataclasses.replace(
             self.info,
             world=self._world,
-            settings=self._settings,
+            settings=settings,
             recorded_plan=self._plan_at if self._plans else None,
-            notices=(f"Recorded flight: goal and plans are those of the log.{ending}", *recording.problems),
+            notices=(*notices, *recording.problems),
         )
 
     def observe(self) -> Observation:
@@ -95,49 +89,26 @@ class FlightReplay(RecordingSource):
         row = bisect.bisect_right(self._plan_times, time + 1e-6) - 1
         return self._plans[row] if row >= 0 else None
 
-    def _read(self, reader: Any) -> None:
-        for attachment in reader.iter_attachments():
-            if attachment.name == "world.json":
-                self._world = World.from_dict(json.loads(attachment.data))
-            elif attachment.name == "flight.json":
-                self._settings = json.loads(attachment.data)
-        for entry in reader.iter_metadata():
-            if entry.name == "flight_log" and (outcome := entry.metadata.get("outcome")):
-                explanation = entry.metadata.get("explanation", "")
-                self._ending = f"It ended with: {outcome.replace('_', ' ')}. {explanation}".strip()
-        first: int | None = None
-        summary: Any = None
-        for schema, channel, message in reader.iter_messages(topics=_TOPICS):
-            if channel.topic == "/odometry":
-                first = message.log_time if first is None else first
-                continue
-            decoded: Any = log_typestore().deserialize_cdr(message.data, schema.name)
-            time = (message.log_time - (message.log_time if first is None else first)) * 1e-9 + self.start
-            if channel.topic == "/goal":
-                place = decoded.pose.position
-                self._goals.append((time, np.array((place.x, place.y, place.z))))
-            elif channel.topic == "/plan":
-                summary = decoded
-            elif summary is not None:
-                self._plans.append(_plan(time, summary, decoded))
+    def _use(self, contents: LogContents) -> None:
+        """Take over how the flight ended, its goals and its plans."""
+        if contents.outcome:
+            self._ending = f"It ended with: {contents.outcome.replace('_', ' ')}. {contents.explanation}".strip()
+        first = contents.pose_stamps[0] if contents.pose_stamps else None
 
+        def source_time(stamp: int) -> float:
+            return (0.0 if first is None else (stamp - first) * 1e-9) + self.start
 
-def _plan(time: float, summary: Any, path: Any) -> RecordedPlan:
-    places = [pose.pose.position for pose in path.poses]
-    return RecordedPlan(
-        time=time,
-        path=np.array([(place.x, place.y, place.z) for place in places], dtype=np.float32),
-        best=int(summary.best),
-        kinds=tuple(summary.kinds),
-        status=PlanStatus(int(summary.status)),
-        stage2_cost=np.asarray(summary.stage2_cost, dtype=np.float32),
-        clearance=np.asarray(summary.clearance, dtype=np.float32),
-    )
-
-
-@cache
-def log_typestore() -> Typestore:
-    """Return the types of the messages in a flight log."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(PLAN_DEFINITION, PLAN))
-    return store
+        self._goals = [(source_time(stamp), place) for stamp, place in contents.goals]
+        self._plans = [
+            RecordedPlan(
+                time=source_time(plan.stamp),
+                path=plan.path,
+                best=plan.best,
+                kinds=plan.kinds,
+                status=PlanStatus(plan.status),
+                stage2_cost=plan.stage2_cost,
+                clearance=plan.clearance,
+            )
+            for plan in contents.plans
+            if len(plan.path)
+        ]

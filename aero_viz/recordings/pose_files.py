@@ -121,11 +121,15 @@ def _read_ulog(path: Path) -> PoseTable:
         raise UserError(f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}") from error
     try:
         log = ULog(str(path), ["vehicle_local_position", "vehicle_attitude", "vehicle_gps_position", "sensor_gps"])
-        data = {entry.name: entry.data for entry in reversed(log.data_list)}
+        return _ulog_poses(path, {entry.name: entry.data for entry in reversed(log.data_list)})
+    except UserError:
+        raise
     except Exception as error:  # the parser fails in many ways on damaged logs
-        raise UserError(
-            f"{path} cannot be read and may be damaged or truncated: {error or type(error).__name__}."
-        ) from error
+        reason = f"a topic lacks the field {error}" if isinstance(error, KeyError) else one_line(error)
+        raise UserError(f"{path} cannot be read and may be damaged or truncated: {reason}.") from error
+
+
+def _ulog_poses(path: Path, data: dict[str, dict[str, NDArray[np.generic]]]) -> PoseTable:
     if "vehicle_local_position" not in data or "vehicle_attitude" not in data:
         raise UserError(f"{path} has no vehicle_local_position and vehicle_attitude: log the estimator's topics.")
     place, attitude = data["vehicle_local_position"], data["vehicle_attitude"]

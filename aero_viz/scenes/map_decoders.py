@@ -64,14 +64,14 @@ def _read_npy(path: Path) -> Points:
 
 
 def _read_text(path: Path) -> Points:
-    declared, skipped = None, 0
+    declared, skipped, rows = None, 0, path.stat().st_size // len("0 0 0\n") + 1
     if path.suffix.lower() == ".pts":
         with path.open("rb") as file:
             declared, skipped = int(file.readline(32)), 1
-        check_count(declared, path.stat().st_size // len("0 0 0\n"))
+        check_count(declared, rows)
     points = np.loadtxt(
-        path, skiprows=skipped, usecols=(0, 1, 2), max_rows=MAP_POINTS_MAX + 1, ndmin=2, comments=("#", "//"),
-        encoding="utf-8",
+        path, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"), encoding="utf-8",
+        max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy reserves the memory for so many
     )  # fmt: skip
     check_count(len(points) if declared is None else declared, len(points))
     _check_last_line(path)

@@ -77,8 +77,12 @@ def read_mesh(path: str | Path) -> Points:
     return _triangles(path, _decode(path, "mesh", "mesh"))
 
 
-def read_map(path: str | Path) -> Points:
+def read_map(path: str | Path, process: DecodingProcess | None = None) -> Points:
     """Return the triangles [n, 9] of `read_mesh` or, for a file of points, the points [n, 3] of `read_points`.
+
+    Args:
+        path: the file.
+        process: decodes it; None starts one for this file.
 
     Raises:
         UserError: see there.
@@ -86,8 +90,8 @@ def read_map(path: str | Path) -> Points:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (*MESH_SUFFIXES, ".ply"):
-        return read_points(path)
-    table = _decode(path, "mesh" if suffix in MESH_SUFFIXES else "map", "any")
+        return read_points(path, process)
+    table = _decode(path, "mesh" if suffix in MESH_SUFFIXES else "map", "any", process)
     return _points(path, table) if table.shape[1] == 3 else _triangles(path, table)
 
 

@@ -9,12 +9,12 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copy as copy_file
 from shutil import copytree, rmtree
 
-from fuzz.mutation import write_case
-from fuzz.seeds import SEEDS
+from fuzz.cases import INPUTS, NAMES, TARGET, write_case, write_seed
 from fuzz.worker import Outcome, Worker
 
 _GUIDED = {"mcap-plain.bagfolder": "recording", "rosbag1.bagfolder": "recording", "db3.bagfolder": "recording"}
@@ -22,6 +22,12 @@ _GUIDED |= {"binary.pcd": "decoder", "compressed.pcd": "decoder", "a.npy": "deco
 _GUIDED |= {name: "recording" for name in ("mid360.pcap", "mid360.lvx2", "foxglove.mcap", "scans.mcap")}
 _GUIDED |= {"tum.txt": "poses", "kitti.txt": "poses"}
 """Seeds of the parsers written by hand, which atheris explores by coverage."""
+
+EVERY = {
+    "control.messages": 20, "visitor.messages": 20, "flight.mcap": 2, "flight.ulg": 5, "a.world": 5, "a.png": 5,
+    "server.map": 5, "lidar.datagrams": 4, "mavlink.datagrams": 4, "mavlink.serial": 4,
+}  # fmt: skip
+"""Kinds whose cases take long, in so many rounds one."""
 
 
 def main() -> int:
@@ -34,43 +40,65 @@ def main() -> int:
     options = parser.parse_args()
     rmtree(options.folder / "seeds", ignore_errors=True)
     (options.folder / "seeds").mkdir(parents=True)
-    names = [name for name in SEEDS if options.only in name]
-    for name in names:
-        SEEDS[name][1](options.folder / "seeds" / name)
+    names = [name for name in NAMES if options.only in name]
+    seeds = {name: write_seed(name, options.folder / "seeds") for name in names}
     guided = [name for name in names if name in _GUIDED] if importlib.util.find_spec("atheris") else []
     share = 0.3 * options.seconds / max(len(guided), 1)
     failures = sum(_explore(name, share, options.folder) for name in guided)
-    failures += _run_cases(names, options.seconds * (0.7 if guided else 1.0), options.first, options.folder)
+    failures += _run_cases(seeds, options.seconds * (0.7 if guided else 1.0), options.first, options.folder)
     return int(failures > 0)
 
 
-def _run_cases(names: list[str], seconds: float, first: int, folder: Path) -> int:
-    """Run the cases of all seeds in turn, and return the number of failures."""
-    end, counts, peak, number = time.monotonic() + seconds, Counter[tuple[str, str]](), Counter[str](), first
-    slowest: dict[str, float] = {}
+def _run_cases(seeds: dict[str, Path | None], seconds: float, first: int, folder: Path) -> int:
+    """Run the cases of all kinds in turn, and return the number of failures."""
+    end, table, number = time.monotonic() + seconds, {name: _Row() for name in seeds}, first
     with contextlib.suppress(KeyboardInterrupt), Worker() as worker:  # after Ctrl-C, the table shows what was done
+        whole = {name: worker.run(TARGET[name], path) for name, path in seeds.items() if path is not None}
         while time.monotonic() < end:
-            for name in names:
-                path = write_case(folder / "seeds" / name, folder, number)
-                outcome = worker.run(SEEDS[name][0], path)
-                counts[name, outcome.kind] += 1
-                peak[name] = max(peak[name], outcome.memory)
-                slowest[name] = max(slowest.get(name, 0.0), outcome.seconds)
+            for name in seeds:
+                if number % EVERY.get(name, 1):
+                    continue
+                path = write_case(name, folder / "seeds", folder, number)
+                outcome = worker.run(TARGET[name], path)
+                table[name].add(outcome, whole.get(name))
                 if outcome.is_failure:
                     _keep(folder, name, number, outcome)
             number += 1
-    print(f"{'seed':28}{'cases':>8}{'used':>8}{'refused':>9}{'failed':>8}{'slowest':>10}{'memory':>10}")
-    failed = 0
-    for name in names:
-        kinds = {kind: count for (seed, kind), count in counts.items() if seed == name}
-        total, good = sum(kinds.values()), kinds.get("done", 0) + kinds.get("refused", 0)
-        failed += total - good
-        print(
-            f"{name:28}{total:8}{kinds.get('done', 0):8}{kinds.get('refused', 0):9}{total - good:8}"
-            f"{slowest.get(name, 0.0):8.2f} s{peak[name] >> 20:6} MiB"
-        )
-    print(f"{counts.total()} cases, {failed} failures; the next run may start with --first {number}")
+    columns = ("inputs", "refused", "same", "told", "silent", "failed")
+    print(f"{'kind':22}", *(f"{column:>8}" for column in (*columns, "seconds", "MiB")))
+    for name, row in table.items():
+        counts = [row.cases * INPUTS[name], *(row.counts[column] for column in columns[1:-1]), row.failures]
+        print(f"{name:22}", *(f"{count:8}" for count in counts), f"{row.seconds:8.2f} {row.memory >> 20:8}")
+    total = sum(row.cases * INPUTS[name] for name, row in table.items())
+    failed = sum(row.failures for row in table.values())
+    print(f"{total} inputs, {failed} failures; the next run may start with --first {number}")
     return failed
+
+
+@dataclass
+class _Row:
+    """What came of the cases of one kind."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: int = 0
+    seconds: float = 0.0
+    memory: int = 0
+
+    @property
+    def cases(self) -> int:
+        return self.counts.total() + self.failures
+
+    def add(self, outcome: Outcome, whole: Outcome | None) -> None:
+        """Count a case, compared with the whole file."""
+        self.seconds, self.memory = max(self.seconds, outcome.seconds), max(self.memory, outcome.memory)
+        if outcome.is_failure:
+            self.failures += 1
+        elif outcome.kind == "refused":
+            self.counts["refused"] += 1
+        elif whole is None or outcome.digest == whole.digest:
+            self.counts["same"] += 1
+        else:
+            self.counts["silent" if outcome.remarks == whole.remarks else "told"] += 1
 
 
 def _keep(folder: Path, name: str, number: int, outcome: Outcome) -> None:

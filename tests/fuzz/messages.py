@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
-from fuzz.mutation import mutate
+from fuzz.mutation import mutate, pack
 
-__all__ = ["message"]
+__all__ = ["COUNT", "IDENTIFIERS", "generate"]
+
+COUNT = 200
+"""Messages of a case."""
+IDENTIFIERS = tuple(f"{number:036}" for number in range(1000))
+"""Stand-ins for the identifiers of the controls, which a page draws anew; of the same length."""
 
 _VALUES: tuple[Any, ...] = (
     None, True, False, 0, 1, -1, 2.5, 1e30, -(1 << 63), (1 << 64) - 1, float("nan"), float("inf"), "", "forest", "+10",
@@ -38,25 +42,27 @@ _FIELDS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
-def message(random: np.random.Generator, identifiers: Sequence[str]) -> bytes:
-    """Return a message with random content.
+def generate(random: np.random.Generator) -> bytes:
+    """Return the messages of a case."""
+    return pack([_message(random) for _ in range(COUNT)])
 
-    Args:
-        random: source of randomness.
-        identifiers: those of the controls, and names of scene nodes.
-    """
+
+def _message(random: np.random.Generator) -> bytes:
+    def identifier() -> str:
+        if random.random() < 0.1:
+            return ("/goal_arrows", "/drone", "")[int(random.integers(3))]
+        return IDENTIFIERS[int(random.integers(len(IDENTIFIERS)))]
 
     def value() -> Any:
         if random.random() < 0.3:
-            return identifiers[int(random.integers(len(identifiers)))]
+            return identifier()
         if random.random() < 0.3:
             return [float(x) for x in random.normal(0.0, 3.0, int(random.integers(2, 5)))]
         return _VALUES[int(random.integers(len(_VALUES)))]
 
     if random.random() < 0.5:
-        identifier = identifiers[int(random.integers(len(identifiers)))]
         name = "value" if random.random() < 0.9 else str(value())
-        content: dict[str, Any] = {"type": "GuiUpdateMessage", "uuid": identifier, "updates": {name: value()}}
+        content: dict[str, Any] = {"type": "GuiUpdateMessage", "uuid": identifier(), "updates": {name: value()}}
     else:
         kind = list(_FIELDS)[int(random.integers(len(_FIELDS)))]
         content = {"type": kind} | {name: value() for name in _FIELDS[kind] if random.random() < 0.97}

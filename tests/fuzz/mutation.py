@@ -1,23 +1,24 @@
-"""Seeded damage to a file: cuts, flipped bits, impossible numbers, and blocks that are lost, repeated or exchanged."""
+"""Seeded damage to bytes: cuts, flipped bits, impossible numbers, and blocks that are lost, repeated or exchanged."""
 
 from __future__ import annotations
 
 import re
-import shutil
-import zlib
+import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from fuzz.seeds import mutable_files
 
-__all__ = ["mutate", "write_case"]
+__all__ = ["mutate", "pack", "unpack"]
+
+_LENGTH = struct.Struct("<I")
 
 _EXTREMES = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 2**40, 2**63 - 1, 2**64 - 1)
 _TEXTS = (b"0", b"-1", b"1000000000000", b"4294967296", b"1e308", b"nan", b"inf", b"1e30", b"", b"9" * 400)
 
 
 def mutate(content: bytes, random: np.random.Generator) -> bytes:
-    """Return a damaged copy of a file's content."""
+    """Return a damaged copy."""
     data = bytearray(content)
     for _ in range(int(random.integers(1, 4))):
         if not data:
@@ -50,15 +51,16 @@ def mutate(content: bytes, random: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def write_case(seed: Path, folder: Path, number: int) -> Path:
-    """Write case `number` of a seed into an empty folder, and return the path to open."""
-    random = np.random.default_rng([zlib.crc32(seed.name.encode()), number])
-    target, files = mutable_files(seed)
-    victim = files[int(random.integers(len(files)))]
-    copy = folder / seed.name
-    shutil.rmtree(copy, ignore_errors=True)
-    if seed.is_dir():
-        shutil.copytree(seed, copy)
-    place = copy / victim.relative_to(seed) if seed.is_dir() else copy
-    place.write_bytes(mutate(victim.read_bytes(), random))
-    return copy / target.relative_to(seed) if seed.is_dir() else copy
+def pack(parts: Sequence[bytes]) -> bytes:
+    """Return the content of a file with these datagrams or messages."""
+    return b"".join(_LENGTH.pack(len(part)) + part for part in parts)
+
+
+def unpack(path: Path) -> list[bytes]:
+    """Return the parts in a file that `pack` made."""
+    content, parts, at = path.read_bytes(), [], 0
+    while at < len(content):
+        (size,) = _LENGTH.unpack_from(content, at)
+        parts.append(content[at + _LENGTH.size : at + _LENGTH.size + size])
+        at += _LENGTH.size + size
+    return parts

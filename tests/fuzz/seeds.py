@@ -12,6 +12,9 @@ import captures
 import laspy
 import numpy as np
 import trimesh
+from PIL import Image
+
+from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
 __all__ = ["SEEDS", "mutable_files"]
 
@@ -21,6 +24,10 @@ _WORLD = {
     "name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], "cylinders": [[4, 3, 0, 0, 0, 1, 0.3, 4]],
     "boxes": [[5, 0, -0.5, 60, 60, 1, 0]], "spheres": [[3, 3, 3, 0.5]], "bounds": [[-20, -20, -2], [30, 20, 20]],
 }  # fmt: skip
+_MAP = "image: maze.pgm\nresolution: 0.2\norigin: [-1.0, -2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
+_SHAPE = "<geometry><cylinder><radius>0.3</radius><length>4</length></cylinder></geometry>"
+_SDF = f"""<?xml version='1.0'?><sdf version='1.6'><world name='default'><model name='tree'><pose>1 2 2 0 0 0</pose>
+<link name='link'><collision name='c'>{_SHAPE}</collision></link></model></world></sdf>"""
 _CONFIG = "preset: paper\ncosts:\n  q_track: 5.0  # comment\nonboard:\n  limits:\n    plan_age: 0.2\n"
 
 
@@ -96,6 +103,33 @@ def _scans(path: Path) -> None:
     bags.write_mcap(path, [captures.laser_scan(0.1 * k) for k in range(4)], chunked=False)
 
 
+def _flight_log(path: Path) -> None:
+    """Log half a second of a flight."""
+    from small_source import small_config, small_source
+
+    from aero_viz.logs import flight_recorder
+    from aero_viz.session import Session
+
+    session = Session(small_source(), config=small_config())
+    with flight_recorder(path) as log:
+        for _ in range(8):
+            log.write(session.tick())
+    session.close()
+
+
+def _image(path: Path) -> None:
+    pixels = np.full((40, 60), 255, np.uint8)
+    pixels[:10, 50:] = 0
+    Image.fromarray(pixels).save(path)
+
+
+def _map_server(path: Path) -> None:
+    """Write a map of ROS's map server."""
+    path.mkdir()
+    _image(path / "maze.pgm")
+    (path / "a.yaml").write_text(_MAP)
+
+
 SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     **{f"{name}.bagfolder": ("recording", _bag(name)) for name in bags.FORMATS},
     **{f"{version}.{suffix}": ("points", _las(version)) for version in ("1.2", "1.4") for suffix in ("las", "laz")},
@@ -124,6 +158,11 @@ SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "kitti.txt": ("poses", _kitti),
     "flight.ulg": ("poses", lambda path: captures.write_ulog(path, 20, utc=1.7e9)),
     "a.json": ("world", lambda path: path.write_text(json.dumps(_WORLD))),
+    "a.world": ("solids", lambda path: path.write_text(_SDF)),
+    "a.png": ("solids", _image),
+    "server.map": ("solids", _map_server),
+    "flight.mcap": ("log", _flight_log),
+    "onboard.yaml": ("config", lambda path: path.write_text(format_onboard(OnboardConfig()))),
     "a.yaml": ("config", lambda path: path.write_text(_CONFIG)),
 }
 """By file name: the target, and the function that writes the file."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from fuzz.mutation import write_case
-from fuzz.seeds import SEEDS, mutable_files
+from fuzz.cases import NAMES, TARGET, write_case, write_seed
 from fuzz.worker import Worker
 
-CASES = {"recording": 10, "points": 1, "poses": 10, "world": 40, "config": 40}
-"""Cases for each seed. Maps are decoded in a process for each case, and take the longest."""
+CASES = {
+    "recording": 10, "log": 10, "points": 10, "solids": 2, "poses": 10, "world": 40, "config": 40, "port": 10,
+    "node": 40, "page": 2,
+}  # fmt: skip
+"""Cases of each kind, by target."""
 
 
 @pytest.fixture(scope="module")
@@ -19,21 +21,15 @@ def worker():
         yield child
 
 
-@pytest.fixture
-def seed(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    path = tmp_path / "seeds" / request.param
-    path.parent.mkdir()
-    SEEDS[request.param][1](path)
-    return path
-
-
-@pytest.mark.parametrize("seed", SEEDS, indirect=True)
-def test_a_damaged_file_is_used_or_refused_within_the_limits(worker: Worker, tmp_path: Path, seed: Path) -> None:
-    target = SEEDS[seed.name][0]
-    whole = worker.run(target, mutable_files(seed)[0])
-    assert whole.kind == "done", whole.text
+@pytest.mark.parametrize("name", NAMES)
+def test_hostile_input_is_used_or_refused_within_the_limits(worker: Worker, tmp_path: Path, name: str) -> None:
+    seeds, target = tmp_path / "seeds", TARGET[name]
+    seeds.mkdir()
+    if (whole := write_seed(name, seeds)) is not None:
+        outcome = worker.run(target, whole)
+        assert outcome.kind == "done", outcome.text
     for number in range(CASES[target]):
-        outcome = worker.run(target, write_case(seed, tmp_path, number))
+        outcome = worker.run(target, write_case(name, seeds, tmp_path, number))
         assert not outcome.is_failure, f"case {number}: {outcome.kind}: {outcome.text}"
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
+import logging
 import os
 import resource
 import select
@@ -11,7 +13,7 @@ import subprocess
 import sys
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -41,6 +43,10 @@ class Outcome:
     """CPU time [s]."""
     memory: int = 0
     """Peak memory [bytes]."""
+    digest: str = ""
+    """Checksum of what was read."""
+    remarks: str = ""
+    """What the user was told."""
 
     @property
     def is_failure(self) -> bool:
@@ -149,9 +155,12 @@ def _run(target: str, path: Path) -> Outcome:
     from aero_viz.errors import UserError
 
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
-    start = _cpu_time()
+    start, reading, log = _cpu_time(), None, io.StringIO()
+    handler = logging.StreamHandler(log)
+    handler.setLevel(logging.WARNING)
+    logging.getLogger().addHandler(handler)
     try:
-        TARGETS[target](path)
+        reading = TARGETS[target](path)
         kind, text = "done", ""
     except UserError as error:
         text = str(error)
@@ -162,12 +171,15 @@ def _run(target: str, path: Path) -> Outcome:
         kind, text = "memory", traceback.format_exc()
     except Exception:
         kind, text = "traceback", traceback.format_exc()
+    finally:
+        logging.getLogger().removeHandler(handler)
     seconds, memory = _cpu_time() - start, _status("VmHWM")
     if memory > MEMORY_MAX:
         kind, text = "memory", f"{memory >> 20} MiB; {text}"
     elif seconds > SECONDS_MAX and kind in ("done", "refused"):
         kind, text = "slow", f"{seconds:.1f} s; {text}"
-    return Outcome(kind, text, round(seconds, 3), memory)
+    digest, remarks = ("", "") if reading is None else (reading.digest, reading.remarks)
+    return Outcome(kind, text, round(seconds, 3), memory, digest, log.getvalue() + remarks)
 
 
 def main() -> None:
@@ -182,7 +194,7 @@ def main() -> None:
     for line in sys.stdin:
         target, path = json.loads(line)
         outcome = _run(target, Path(path))
-        answers.write(json.dumps([outcome.kind, outcome.text, outcome.seconds, outcome.memory]) + "\n")
+        answers.write(json.dumps(astuple(outcome)) + "\n")
         answers.flush()
 
 

@@ -11,7 +11,8 @@ from small_source import small_config, small_source
 
 from aero_viz.catalog import open_source
 from aero_viz.logs import flight_recorder
-from aero_viz.logs.replay import FlightReplay, is_flight_log
+from aero_viz.logs.log_contents import is_flight_log
+from aero_viz.logs.replay import FlightReplay
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 

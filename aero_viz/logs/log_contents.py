@@ -1,0 +1,239 @@
+"""The contents of a flight log besides its clouds: plans, goals, poses, world, configurations and the outcome.
+
+A process of its own reads them, with limits on its memory and time, because the reader of the mcap package expands
+whatever a file contains.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from aero_planner import PlanStatus
+from aero_planner.config import PlannerConfig
+from aero_planner.config.file import ConfigFile
+from aero_planner.config.yaml_entries import parse_entries
+from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
+from aero_planner.user_file import open_user_file
+from aero_viz.errors import UserError
+from aero_viz.flight.rules import FlightRules
+from aero_viz.reader_process import Limits, ReadCancelled, Reader, ReaderProcess
+from aero_viz.scenes import World
+from aero_viz.sensors import LidarModel
+
+__all__ = ["LogContents", "LoggedPlan", "is_flight_log", "read_log"]
+
+_TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
+_TEXT_MAX = 1000
+_COSTS = ("stage2_cost", "goal_cost", "collision_cost", "clearance")
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedPlan:
+    """A plan in a log. M instances with N time steps; the arrays have the shape [M]."""
+
+    stamp: int
+    """Time of the log [ns]."""
+    best: int
+    status: int
+    kinds: tuple[str, ...]
+    stage2_cost: NDArray[np.float32]
+    goal_cost: NDArray[np.float32]
+    collision_cost: NDArray[np.float32]
+    clearance: NDArray[np.float32]
+    plan_ms: float
+    config_version: int
+    path: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    """Positions of the chosen rollout [m], shape [N+1, 3], world frame; empty if they were not logged."""
+
+
+@dataclass(eq=False)
+class LogContents:
+    """What a log contains, in the order of time."""
+
+    path: str
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    outcome: str = ""
+    explanation: str = ""
+    """How the flight ended, empty if the log does not say."""
+    pose_stamps: list[int] = field(default_factory=list)
+    """[ns]."""
+    poses: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """x, y, z [m] and speed [m/s] of each pose."""
+    goals: list[tuple[int, NDArray[np.float64]]] = field(default_factory=list)
+    """Time of the log [ns] and place [m] of each goal."""
+    plans: list[LoggedPlan] = field(default_factory=list)
+    damaged: int = 0
+    """Number of goals and plans that were left out because their numbers are impossible."""
+
+    @property
+    def damage(self) -> str:
+        """Sentence on what was left out, empty if nothing was."""
+        return f"{self.damaged} goals and plans of the log have impossible numbers: left out." if self.damaged else ""
+
+    def world(self) -> World | None:
+        """Return the world of the flight, None if it is not in the log.
+
+        Raises:
+            UserError: it is damaged.
+        """
+        content = self._json("world.json")
+        try:
+            return None if content is None else World.from_dict(content)
+        except ValueError as error:
+            raise UserError(f"The world in {self.path} is damaged: {error}") from error
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of the flight by name, empty if they are not in the log.
+
+        Raises:
+            UserError: they are damaged.
+        """
+        content = self._json("flight.json")
+        if content is None:
+            return {}
+        try:
+            FlightRules(**content.get("rules", {}))
+            LidarModel(**content["lidar"]) if "lidar" in content else None
+        except (AttributeError, TypeError, ValueError) as error:
+            raise UserError(f"The settings of the flight in {self.path} are damaged: {error}.") from error
+        return content
+
+    def config(self, version: int | None = None) -> PlannerConfig | None:
+        """Return the configuration of this version or, if there is none, the last one; None without any.
+
+        Raises:
+            UserError: it is damaged.
+        """
+        names = sorted((n for n in self.attachments if n.startswith("config") and n.endswith(".yaml")), key=len)
+        if not names:
+            return None
+        name = f"config_{version}.yaml" if f"config_{version}.yaml" in self.attachments else names[-1]
+        place = f"{self.path}: {name}"
+        try:
+            return ConfigFile(place, parse_entries(self.attachments[name].decode(), place)).planner_config()
+        except ValueError as error:
+            raise UserError(str(error)) from error
+
+    def _json(self, name: str) -> Any:
+        try:
+            return json.loads(self.attachments.get(name, b"null"))
+        except (ValueError, RecursionError) as error:
+            raise UserError(f"{name} in {self.path} is damaged: {error}.") from error
+
+
+def is_flight_log(path: str | Path) -> bool:
+    """Return True if `path` is an MCAP file with the plans of this planner."""
+    if Path(path).suffix.lower() != ".mcap" or not Path(path).is_file():
+        return False
+    try:
+        with open_user_file(path) as file:
+            summary = make_reader(file).get_summary()
+    except Exception:  # a damaged summary can fail anywhere in the decoders
+        return False
+    return summary is not None and {"/plan", "/plan/best"} <= {channel.topic for channel in summary.channels.values()}
+
+
+def read_log(path: str | Path, read: Reader | None = None) -> LogContents:
+    """Return the contents of a flight log.
+
+    Args:
+        path: the file.
+        read: reads it; None starts a process for it.
+
+    Raises:
+        UserError: it is damaged, or reading it takes more memory or time than its size allows.
+    """
+    path = Path(path)
+    try:
+        return (read or ReaderProcess(Limits.for_file(path.stat().st_size)))(_read, str(path))
+    except ReadCancelled:
+        raise
+    except (UserError, OSError) as error:
+        reason = str(error)
+        raise UserError(f"The flight in {path} cannot be read: {reason[:1].lower()}{reason[1:]}") from error
+
+
+def _read(path: str) -> LogContents:
+    contents = LogContents(path)
+    with open_user_file(path) as file:
+        reader = make_reader(file, validate_crcs=True)
+        contents.attachments = {entry.name: entry.data for entry in reader.iter_attachments()}
+        for entry in reader.iter_metadata():
+            if entry.name == "flight_log":
+                contents.outcome = _printable(entry.metadata.get("outcome", ""))
+                contents.explanation = _printable(entry.metadata.get("explanation", ""))
+        for schema, channel, message in reader.iter_messages(topics=_TOPICS):
+            content = _typestore().deserialize_cdr(message.data, "" if schema is None else schema.name)
+            contents.damaged += not _add(contents, channel.topic, message.log_time, content)
+    return contents
+
+
+def _add(contents: LogContents, topic: str, stamp: int, message: Any) -> bool:
+    """Add a message to the contents; return False if its numbers are impossible."""
+    if topic == "/plan":
+        plan = _plan(stamp, message)
+        contents.plans += [] if plan is None else [plan]
+        return plan is not None
+    if topic == "/plan/best":
+        path, last = _path(message), contents.plans[-1] if contents.plans else None
+        if path is not None and last is not None and last.stamp == stamp:
+            contents.plans[-1] = replace(last, path=path)
+        return path is not None
+    if topic == "/goal":
+        place = np.array([getattr(message.pose.position, axis) for axis in "xyz"])
+        contents.goals += [(stamp, place)] if np.isfinite(place).all() else []
+        return bool(np.isfinite(place).all())
+    place, speed = message.pose.pose.position, message.twist.twist.linear
+    contents.pose_stamps.append(stamp)
+    contents.poses.append((place.x, place.y, place.z, float(np.linalg.norm((speed.x, speed.y, speed.z)))))
+    return True
+
+
+def _plan(stamp: int, message: Any) -> LoggedPlan | None:
+    """Return the plan in a message, None if its numbers do not fit together."""
+    costs = {name: np.asarray(getattr(message, name), np.float32) for name in _COSTS}
+    count = len(message.kinds)
+    if any(len(values) != count for values in costs.values()) or not (
+        0 <= message.best < count or message.best == count == 0
+    ):
+        return None
+    if message.status not in list(PlanStatus) or not np.isfinite(message.plan_ms):
+        return None
+    return LoggedPlan(
+        stamp,
+        int(message.best),
+        int(message.status),
+        tuple(map(_printable, message.kinds)),
+        **costs,
+        plan_ms=float(message.plan_ms),
+        config_version=int(message.config_version),
+    )
+
+
+def _path(message: Any) -> NDArray[np.float32] | None:
+    """Return the positions in a message [m], [n, 3]; None if they are not finite."""
+    places = [pose.pose.position for pose in message.poses]
+    path = np.array([(place.x, place.y, place.z) for place in places], np.float32).reshape(-1, 3)
+    return path if np.isfinite(path).all() else None
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:_TEXT_MAX])
+
+
+@cache
+def _typestore() -> Typestore:
+    """Return the types of the messages in a flight log."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(PLAN_DEFINITION, PLAN))
+    return store
