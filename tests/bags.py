@@ -1,7 +1,5 @@
 """Small bags of every format, written by the writers of rosbags, mcap and mcap-ros2-support."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path

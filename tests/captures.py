@@ -1,7 +1,5 @@
 """Small captures of sensor packets, scans, clouds and logs of PX4, for the tests of recordings."""
 
-from __future__ import annotations
-
 import importlib
 import struct
 import zlib

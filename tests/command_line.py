@@ -1,7 +1,5 @@
 """Runs the command line of `aero-viz` in the test's own process."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A small flight for tests of the engine: a real planner, LiDAR and vehicle in a world of three poles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from aero_planner import PlannerConfig

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +8,14 @@ from aero_viz.errors import UserError
 from aero_viz.scenes import World
 
 
-def test_a_scene_opens_as_a_flight() -> None:
+def test_a_scene_opens_as_a_flight():
     source = open_source("forest", seed=3)
     assert source.info.closed_loop
     assert source.observe().points.shape[1] == 3
     source.close()
 
 
-def test_a_saved_world_loads_unchanged(tmp_path: Path) -> None:
+def test_a_saved_world_loads_unchanged(tmp_path: Path):
     world = load_world("forest", seed=4, count=7)
     path = tmp_path / "world.json"
     world.save(path)
@@ -33,7 +31,7 @@ def test_a_saved_world_loads_unchanged(tmp_path: Path) -> None:
         ("forest", {"lidar": "mid361"}, "mid360"),
     ],
 )
-def test_errors_name_the_source_or_the_alternatives(spec: str, options: dict[str, str], message: str) -> None:
+def test_errors_name_the_source_or_the_alternatives(spec: str, options: dict[str, str], message: str):
     with pytest.raises(UserError, match=message):
         open_source(spec, **options)  # type: ignore[arg-type]
 
@@ -41,14 +39,14 @@ def test_errors_name_the_source_or_the_alternatives(spec: str, options: dict[str
 @pytest.mark.parametrize(
     ("goal", "words"), [([4.0, 0.0, 2.0], r"goal \(4, 0, 2\) lies inside"), ([9e4, 0.0, 2.0], "90000 m away")]
 )
-def test_a_world_in_which_no_flight_can_arrive_is_refused(tmp_path: Path, goal: list[float], words: str) -> None:
+def test_a_world_in_which_no_flight_can_arrive_is_refused(tmp_path: Path, goal: list[float], words: str):
     path = tmp_path / "world.json"
     World("ball", np.array([0.0, 0.0, 2.0]), np.array(goal), spheres=np.array([[4.0, 0.0, 2.0, 1.0]])).save(path)
     with pytest.raises(UserError, match=words):
         open_source(str(path))
 
 
-def test_a_count_for_a_file_is_refused(tmp_path: Path) -> None:
+def test_a_count_for_a_file_is_refused(tmp_path: Path):
     path = tmp_path / "world.json"
     load_world("forest", count=3).save(path)
     with pytest.raises(UserError, match="--count"):

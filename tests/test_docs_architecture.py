@@ -1,7 +1,5 @@
 """The files that docs/architecture.md names exist."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -13,10 +11,10 @@ NAMED = sorted(set(re.findall(r"`([\w/]+(?:\.py|/))`", TEXT)))
 FOLDERS = ("", "planner", "planner/aero_planner", "aero_viz", "aero_viz/dashboard/panels")
 
 
-def test_the_page_names_files() -> None:
+def test_the_page_names_files():
     assert len(NAMED) > 15
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_named_file_exists(name: str) -> None:
+def test_a_named_file_exists(name: str):
     assert any((ROOT / folder / name).exists() for folder in FOLDERS)

@@ -1,7 +1,5 @@
 """The flags, names and figures in docs/flights.md are those of the code."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -27,7 +25,7 @@ def rows(heading: str) -> list[list[str]]:
     return [[cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in table]
 
 
-def test_every_flag_exists(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_flag_exists(capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit):
         main(["fly", "--help"])
     shown = capsys.readouterr().out
@@ -36,7 +34,7 @@ def test_every_flag_exists(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(flags) > 20 and [flag for flag in flags if flag not in shown] == []
 
 
-def test_names_are_complete() -> None:
+def test_names_are_complete():
     scenes = set(re.findall(r"`([\w-]+)`", " ".join(row[0] for row in rows("Worlds"))))
     assert scenes == set(SCENES)
     assert {row[0].strip("`") for row in rows("What ends a flight")[1:]} == set(OUTCOMES) - {None}
@@ -46,14 +44,14 @@ def test_names_are_complete() -> None:
     assert rows("Sensor")[0][1:] == list(LIDARS)
 
 
-def test_parameters_of_the_vehicle_are_complete() -> None:
+def test_parameters_of_the_vehicle_are_complete():
     text = " ".join(cell for row in rows("Vehicle") for cell in row) + TEXT
     for section in ("drone", "noise"):
         for info in KINDS[section].parameters():
             assert info.name.replace("_", "-") in text, info.path
 
 
-def test_coverage_equals_the_table() -> None:
+def test_coverage_equals_the_table():
     for cell, row in ((3.0, rows("Sensor")[-2]), (1.0, rows("Sensor")[-1])):
         assert row[0] == f"{cell:g} deg cells hit after 0.1, 0.5, 1.0 s"
         for name, text in zip(LIDARS, row[1:], strict=True):
@@ -61,7 +59,7 @@ def test_coverage_equals_the_table() -> None:
             assert documented == pytest.approx(100.0 * coverage(lidar_model(name), cell=cell), abs=0.51), (name, cell)
 
 
-def test_keys_of_a_world_file_are_complete() -> None:
+def test_keys_of_a_world_file_are_complete():
     keys = re.findall(r'"(\w+)":', TEXT.split("**A world on disk**")[1].split("```")[1])
     world = World.from_dict({"name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], "triangles": [[0] * 8 + [1]]})
     assert set(keys) == {*json.loads(json.dumps(world.to_dict())), "bounds"}

@@ -1,7 +1,5 @@
 """Reading in a process of its own: results, limits, cancellation and crashes."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """The README's Python code runs as it is, its commands exist, and its links lead somewhere."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -22,19 +20,19 @@ COMMANDS = [
 ]
 
 
-def test_the_snippets_are_few_and_short() -> None:
+def test_the_snippets_are_few_and_short():
     assert 2 <= len(SNIPPETS) <= 3
     assert all(len(snippet.splitlines()) <= 15 for snippet in SNIPPETS)
 
 
 @pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
-def test_a_snippet_runs_and_prints_its_results_only(snippet: str, tmp_path: Path) -> None:
+def test_a_snippet_runs_and_prints_its_results_only(snippet: str, tmp_path: Path):
     result = subprocess.run([sys.executable, "-c", snippet], capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert (result.returncode, result.stderr) == (0, "")
     assert result.stdout.strip() and "Warp" not in result.stdout and "Module" not in result.stdout
 
 
-def test_every_command_exists_with_its_flags(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_exists_with_its_flags(capsys: pytest.CaptureFixture[str]):
     assert {verb for verb, _ in COMMANDS} >= VERBS.keys() - {"score", "world", "doctor", "bench compare"}
     for verb, arguments in COMMANDS:
         _, text, _ = run(capsys, *verb.split(), "--help")
@@ -43,5 +41,5 @@ def test_every_command_exists_with_its_flags(capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\((?!http)([^)#]+)\)", README))))
-def test_links_lead_somewhere(link: str) -> None:
+def test_links_lead_somewhere(link: str):
     assert (ROOT / link).exists()

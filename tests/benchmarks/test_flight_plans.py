@@ -1,7 +1,5 @@
 """Processor time of the plans of a flight."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Compare the planner with the naive reference, stage by stage and as a whole."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pages of a flight through the forest, in a real Chromium."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

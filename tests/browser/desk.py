@@ -1,7 +1,5 @@
 """A session, its dashboard and the page that shows it, with the actions of a user."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

@@ -4,8 +4,6 @@ Run it by hand. Other processes on the machine lower the rates, so their load is
 time per tick and per update.
 """
 
-from __future__ import annotations
-
 import argparse
 import threading
 import time

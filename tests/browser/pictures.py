@@ -1,7 +1,5 @@
 """Analysis of pictures of the page: colours, and projection of points of the world."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

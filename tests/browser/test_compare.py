@@ -1,7 +1,5 @@
 """Two configurations on the same tick and on the same flight, through the page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files, presets and structure of the configuration, through the page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

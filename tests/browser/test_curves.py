@@ -1,7 +1,5 @@
 """Curves, events and forks of a flight, through the page."""
 
-from __future__ import annotations
-
 import csv
 
 import pytest

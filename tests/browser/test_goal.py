@@ -1,7 +1,5 @@
 """Moving the goal with the mouse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from playwright.sync_api import Locator

@@ -1,7 +1,5 @@
 """Keys of the page."""
 
-from __future__ import annotations
-
 
 def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(fresh_desk):
     desk = fresh_desk

@@ -1,7 +1,5 @@
 """Each layer draws its content at the right place, and nothing while it is hidden."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

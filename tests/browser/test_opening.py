@@ -1,7 +1,5 @@
 """Notifications while a source is being opened."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

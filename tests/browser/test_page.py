@@ -1,7 +1,5 @@
 """Playing, tuning, sources and clients, through the page."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

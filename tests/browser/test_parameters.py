@@ -1,7 +1,5 @@
 """Search, levels, resets, refusals and saved presets of the parameters, through the page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

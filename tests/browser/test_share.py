@@ -1,7 +1,5 @@
 """Flights as files: the page from disk without a network, the video, and mistakes."""
 
-from __future__ import annotations
-
 import io
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

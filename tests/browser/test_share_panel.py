@@ -1,7 +1,5 @@
 """The Share folder of the page: files of the flight so far, and a link to the present moment."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from aero_viz.dashboard.links import Link

@@ -1,7 +1,5 @@
 """The drone and its plan stay visible behind obstacles, from every camera."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

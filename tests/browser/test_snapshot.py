@@ -1,7 +1,5 @@
 """Headless pictures: their content, and that they are repeatable."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

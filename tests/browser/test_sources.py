@@ -1,7 +1,5 @@
 """Scenes, worlds and recordings opened in the page, and the display of a recording."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

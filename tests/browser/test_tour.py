@@ -1,7 +1,5 @@
 """The tour: scenes in turn, a caption, and what happens when a scene fails or the browser is closed."""
 
-from __future__ import annotations
-
 import io
 import threading
 from typing import Any

@@ -1,7 +1,5 @@
 """Two visitors with browsers of their own: one has control, the other looks on."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Explanations of a plan, through the page."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The page in a small window."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`aero-viz compare`: figures, parameters and conditions of two logs."""
 
-from __future__ import annotations
-
 import pytest
 from command_line import run, run_json, run_refused
 from small_source import small_config, small_source

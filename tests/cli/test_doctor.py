@@ -1,7 +1,5 @@
 """The checks of `aero-viz doctor`. The command itself is tested in tests/cli/test_tools.py."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 
@@ -11,21 +9,21 @@ from aero_planner.check_report import Check, CheckReport
 from aero_viz.cli.doctor import examine
 
 
-def test_only_required_checks_make_a_machine_unhealthy() -> None:
+def test_only_required_checks_make_a_machine_unhealthy():
     optional = Check("CUDA", "no GPU", ok=False, required=False, advice="Buy one.")
     missing = Check("viser", "not installed", ok=False, advice="pip install viser")
     assert CheckReport((optional,)).passed
     assert not CheckReport((optional, missing)).passed
 
 
-def test_the_table_gives_advice_below_a_failed_check() -> None:
+def test_the_table_gives_advice_below_a_failed_check():
     report = CheckReport((Check("viser", "not installed", ok=False, advice="pip install viser"),))
     lines = report.format_table().splitlines()
     assert lines[0].startswith("FAIL  viser")
     assert lines[1].strip() == "-> pip install viser"
 
 
-def test_missing_packages_and_libraries_are_reported_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_packages_and_libraries_are_reported_with_advice(monkeypatch: pytest.MonkeyPatch):
     find_version, import_module = importlib.metadata.version, importlib.import_module
 
     def version(name: str) -> str:

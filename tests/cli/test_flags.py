@@ -1,7 +1,5 @@
 """Flags that derive from parameters, and the configuration that they describe."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -40,7 +38,7 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
 
 def test_flags_of_renamed_parameters_keep_their_old_spelling(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+):
     monkeypatch.setattr(PlannerConfig, "renamed", {"costs.old_name": "costs.q_track"})
     monkeypatch.setattr(PlannerConfig, "removed", {"costs.gone": "it had no effect"})
     arguments = ["forest", "--costs.old-name", "3", "--costs.gone", "5", "--costs.gone=5", "--speed", "4"]

@@ -1,7 +1,5 @@
 """`aero-viz fly`. `aero-viz score` is tested with the evaluation package."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -30,7 +28,7 @@ DISTURBED = [
 
 def test_fly_prints_the_result_and_writes_the_trajectory(
     capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path
-) -> None:
+):
     path = tmp_path / "flight.csv"
     result = run_json(
         capsys, "fly", poles, "--speed", "4", "--seed", "3", "--sampling.samples", "16", "--trajectory", str(path)
@@ -45,14 +43,14 @@ def test_fly_prints_the_result_and_writes_the_trajectory(
     assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(result["length_m"], rel=1e-3)
 
 
-def test_fly_reads_presets_and_files(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path) -> None:
+def test_fly_reads_presets_and_files(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
     path = tmp_path / "tuned.yaml"
     path.write_text("preset: paper\nsampling:\n  samples: 16\n")
     result = run_json(capsys, "fly", short_poles, "--config", str(path), "--seed", "1")
     assert result["config"] == str(path)
 
 
-def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     path = tmp_path / "inside.json"
     path.write_text(json.dumps({"name": "inside", "start": [0, 0, 2], "goal": [9, 0, 2], "spheres": [[0, 0, 2, 1.0]]}))
     result = run_json(capsys, "fly", str(path))
@@ -60,9 +58,7 @@ def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str]
     assert result["explanation"] == "The start is inside an obstacle, 1.000 m deep in sphere 0, at (0, 0, 2)."
 
 
-def test_disturbances_reach_the_flight_and_its_log(
-    capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path
-) -> None:
+def test_disturbances_reach_the_flight_and_its_log(capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path):
     """The same flags give the same disturbed flight with and without a log, and the log contains each flag."""
     files = [str(tmp_path / name) for name in ("a.csv", "b.csv", "c.csv")]
     calm = run_json(capsys, "fly", poles, "--sampling.samples", "16", "--trajectory", files[0])
@@ -82,7 +78,7 @@ def test_disturbances_reach_the_flight_and_its_log(
     assert (settings["seed"], settings["device"]) == (0, "cpu")
 
 
-def test_start_and_goal_of_any_world_are_flags(capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path) -> None:
+def test_start_and_goal_of_any_world_are_flags(capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path):
     path = tmp_path / "flight.csv"
     endpoints = ["--start", "0", "-1", "2", "--goal", "8", "1.5", "2"]
     result = run_json(capsys, "fly", poles, *endpoints, "--sampling.samples", "16", "--trajectory", str(path))
@@ -91,7 +87,7 @@ def test_start_and_goal_of_any_world_are_flags(capsys: pytest.CaptureFixture[str
     assert np.linalg.norm(np.array(rows[-1]) - [8.0, 1.5, 2.0]) <= 1.0
 
 
-def test_the_voxel_size_of_a_map_is_a_flag(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_voxel_size_of_a_map_is_a_flag(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     path = str(tmp_path / "hall.npy")
     floor = np.stack(np.meshgrid(np.arange(-3, 15, 0.2), np.arange(-4, 4, 0.2), [0.0]), axis=-1).reshape(-1, 3)
     pole = np.stack(np.meshgrid([5.0, 5.2], [0.6, 0.8], np.arange(0, 5, 0.2)), axis=-1).reshape(-1, 3)
@@ -106,7 +102,7 @@ def test_the_voxel_size_of_a_map_is_a_flag(capsys: pytest.CaptureFixture[str], t
         assert min(box[5] for box in world["boxes"]) == pytest.approx(float(voxel))
 
 
-def test_progress_is_shown_on_a_terminal_but_not_with_json(short_poles: str) -> None:
+def test_progress_is_shown_on_a_terminal_but_not_with_json(short_poles: str):
     code, printed, shown = run_in_terminal("fly", short_poles, "--sampling.samples", "16")
     assert code == 0 and "reason           arrived" in printed
     assert "poles" in shown and "% of the distance" in shown
@@ -115,7 +111,7 @@ def test_progress_is_shown_on_a_terminal_but_not_with_json(short_poles: str) -> 
 
 
 @pytest.mark.parametrize(("is_logged", "number"), [(False, signal.SIGTERM), (True, signal.SIGINT)])
-def test_ctrl_c_and_sigterm_print_the_result_so_far(tmp_path: Path, is_logged: bool, number: signal.Signals) -> None:
+def test_ctrl_c_and_sigterm_print_the_result_so_far(tmp_path: Path, is_logged: bool, number: signal.Signals):
     log = tmp_path / "flight.mcap"
     options = ["--trajectory", str(tmp_path / "t.csv"), *(["--log", str(log)] if is_logged else [])]
     code, printed, _ = run_in_terminal(
@@ -133,13 +129,13 @@ def test_ctrl_c_and_sigterm_print_the_result_so_far(tmp_path: Path, is_logged: b
         assert info.problems == () and info.poses == len(rows)
 
 
-def test_the_default_forest_is_flown_without_a_collision(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_default_forest_is_flown_without_a_collision(capsys: pytest.CaptureFixture[str]):
     result = run_json(capsys, "fly", "forest")
     assert result["reason"] == "arrived"
     assert result["min_clearance"] > 0.25
 
 
-def test_a_malformed_world_is_reported_with_file_and_key(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_malformed_world_is_reported_with_file_and_key(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     path = tmp_path / "bad.json"
     path.write_text(json.dumps({"name": "bad", "start": [0, 0, 2], "goal": [9, 0, 2], "spheres": [[0, 0, 2]]}))
     error = run_refused(capsys, "fly", str(path))

@@ -1,7 +1,5 @@
 """The command line as a whole: mistakes, help, start-up and how it ends."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess
@@ -56,9 +54,7 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "forest", "--no-headless", "--json"], "leave out --no-headless"),
     ],
 )
-def test_a_mistake_is_reported_in_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
+def test_a_mistake_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str):
     error = run_refused(capsys, *arguments)
     assert message in error and error.count("\n") == 1 and error.startswith("aero-viz: ")
 
@@ -74,12 +70,12 @@ def test_a_mistake_is_reported_in_one_line(
 )
 def test_a_mistake_in_a_flag_is_reported_by_tyro(
     capsys: pytest.CaptureFixture[str], arguments: list[str], messages: list[str]
-) -> None:
+):
     error = terminal_text(run_refused(capsys, *arguments))
     assert all(message in error for message in messages), error
 
 
-def test_the_list_of_verbs_quotes_their_docstrings(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_of_verbs_quotes_their_docstrings(capsys: pytest.CaptureFixture[str]):
     code, text, _ = run(capsys, "--help")
     assert code == 0
     for name, verb in VERBS.items():
@@ -90,13 +86,13 @@ def test_the_list_of_verbs_quotes_their_docstrings(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_has_help_for_every_flag(capsys: pytest.CaptureFixture[str], verb: str) -> None:
+def test_every_verb_has_help_for_every_flag(capsys: pytest.CaptureFixture[str], verb: str):
     code, text, error = run(capsys, *verb.split(), "--help")
     assert (code, error) == (0, "") and f"usage: aero-viz {verb} " in text
     assert VERBS[verb].summary in " ".join(text.split())
 
 
-def test_a_reader_that_closes_the_pipe_early_causes_no_error() -> None:
+def test_a_reader_that_closes_the_pipe_early_causes_no_error():
     reading, writing = os.pipe()
     os.close(reading)
     with open(writing, "w") as broken:
@@ -106,7 +102,7 @@ def test_a_reader_that_closes_the_pipe_early_causes_no_error() -> None:
     assert result.stderr == ""
 
 
-def test_help_imports_no_heavy_library() -> None:
+def test_help_imports_no_heavy_library():
     code = "import sys; from aero_viz.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
     code += "heavy = ('viser', 'open3d', 'playwright', 'trimesh', 'warp', 'numpy', 'tyro', 'rich')\n"
     code += "print([m for m in heavy if m in sys.modules])"
@@ -114,7 +110,7 @@ def test_help_imports_no_heavy_library() -> None:
     assert result.stdout.splitlines()[-1] == "[]"
 
 
-def test_completion_scripts_contain_the_flags(capsys: pytest.CaptureFixture[str]) -> None:
+def test_completion_scripts_contain_the_flags(capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as end:
         main(["--tyro-print-completion", "bash"])
     assert not end.value.code and "--points-topic" in capsys.readouterr().out
@@ -128,7 +124,7 @@ START = {
 
 @pytest.mark.parametrize("start", START.values(), ids=START)
 @pytest.mark.parametrize("module", ["warp", "tyro", "aero_viz.cli.page", "viser"])
-def test_ctrl_c_during_start_up_ends_quietly(start: str, module: str) -> None:
+def test_ctrl_c_during_start_up_ends_quietly(start: str, module: str):
     done = interrupted_at_import(module, start, "aero-viz", "demo", "--port", "0")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
@@ -139,13 +135,13 @@ def run_with_stdout(target: str, *arguments: str) -> subprocess.CompletedProcess
     return subprocess.run(["sh", "-c", f"{command} {target}"], stderr=subprocess.PIPE, text=True, timeout=120)
 
 
-def test_a_closed_stdout_is_no_error() -> None:
+def test_a_closed_stdout_is_no_error():
     done = run_with_stdout(">&-", "parameters")
     assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full needs Linux")
-def test_a_full_disk_behind_stdout_is_reported_in_one_line() -> None:
+def test_a_full_disk_behind_stdout_is_reported_in_one_line():
     done = run_with_stdout("> /dev/full", "parameters")
     assert done.returncode == 2
     assert done.stderr == "aero-viz: the output cannot be written or read: No space left on device\n"

@@ -1,7 +1,5 @@
 """The verbs that serve the page, as processes. `aero-viz connect` is tested with the telemetry client."""
 
-from __future__ import annotations
-
 import signal
 import socket
 import subprocess
@@ -51,9 +49,7 @@ def interrupt(process: subprocess.Popen[str]) -> None:
 
 
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
-def test_a_second_ctrl_c_ends_a_program_that_takes_long_to_close(
-    start_python: StartPython, first: signal.Signals
-) -> None:
+def test_a_second_ctrl_c_ends_a_program_that_takes_long_to_close(start_python: StartPython, first: signal.Signals):
     process = start_python(
         "-c",
         "import time; from aero_viz.cli.serving import shutdown_event, wait_for; event = shutdown_event()\n"
@@ -68,7 +64,7 @@ def test_a_second_ctrl_c_ends_a_program_that_takes_long_to_close(
 
 def test_ctrl_c_does_not_wait_for_a_source_that_is_being_opened(
     start_python: StartPython, browser: Browser, poles: str, tmp_path: Path
-) -> None:
+):
     slow = tmp_path / "slow.json"
     slow.write_text("[" + "[0, 0, 0]," * 5_000_000 + "0]")  # 50 MB
     process = start_python("-m", "aero_viz", "demo", poles, "--port", "0", "--paused", "--folder", str(tmp_path))
@@ -82,7 +78,7 @@ def test_ctrl_c_does_not_wait_for_a_source_that_is_being_opened(
         interrupt(process)
 
 
-def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str) -> None:
+def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -101,13 +97,11 @@ def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str
         (["--folder", "."], "opens no files; leave out --paused and --folder"),
     ],
 )
-def test_a_tour_refuses_what_it_does_not_obey(
-    capsys: pytest.CaptureFixture[str], flags: list[str], message: str
-) -> None:
+def test_a_tour_refuses_what_it_does_not_obey(capsys: pytest.CaptureFixture[str], flags: list[str], message: str):
     assert message in run_refused(capsys, "demo", "--tour", *flags)
 
 
-def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: str, browser: Browser) -> None:
+def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: str, browser: Browser):
     """Playback starts when the page is open in a real Chromium, and the drone arrives."""
     options = ["--no-headless", "--port", "0", "--speed", "5", "--sampling.samples", "16"]
     process = start_python("-m", "aero_viz", "fly", short_poles, *options)
@@ -118,7 +112,7 @@ def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: s
     interrupt(process)
 
 
-def test_a_busy_port_is_reported(start_python: StartPython, poles: str) -> None:
+def test_a_busy_port_is_reported(start_python: StartPython, poles: str):
     with socket.socket() as occupant:
         occupant.bind(("127.0.0.1", 0))
         occupant.listen()
@@ -129,7 +123,7 @@ def test_a_busy_port_is_reported(start_python: StartPython, poles: str) -> None:
     assert str(port) in error and "--port" in error and "Traceback" not in error
 
 
-def test_play_without_arguments_opens_the_flight_that_ships(start_python: StartPython) -> None:
+def test_play_without_arguments_opens_the_flight_that_ships(start_python: StartPython):
     process = start_python("-m", "aero_viz", "play", "--port", "0", "--paused")
     assert "forest_mid360.mcap" in read_line(process)
     interrupt(process)

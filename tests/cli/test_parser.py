@@ -1,7 +1,5 @@
 """Parsing of arguments, and how tyro reports what is wrong with them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -55,7 +53,7 @@ def call(*arguments: str):
     return parse(VERBS, arguments, prog="house", description="A house.")
 
 
-def test_parsing_does_not_call_the_verb() -> None:
+def test_parsing_does_not_call_the_verb():
     CALLS.clear()
     verb = call("paint", "north", "--coats", "2", "--place", "1", "-2", "3e1")
     assert CALLS == []
@@ -79,9 +77,7 @@ def test_parsing_does_not_call_the_verb() -> None:
         ("wash --sope hard", ["--soap STR", "--sope hard", "house wash --help"]),
     ],
 )
-def test_tyro_reports_a_mistake_on_stderr(
-    capsys: pytest.CaptureFixture[str], arguments: str, messages: list[str]
-) -> None:
+def test_tyro_reports_a_mistake_on_stderr(capsys: pytest.CaptureFixture[str], arguments: str, messages: list[str]):
     with pytest.raises(SystemExit) as end:
         call(*arguments.split())
     captured = capsys.readouterr()
@@ -98,7 +94,7 @@ def test_tyro_reports_a_mistake_on_stderr(
         ("--coats 2", "there is no verb '--coats'; give one of paint, wash, or --help."),
     ],
 )
-def test_a_wrong_verb_is_reported_in_one_sentence(arguments: str, message: str) -> None:
+def test_a_wrong_verb_is_reported_in_one_sentence(arguments: str, message: str):
     with pytest.raises(UserError) as caught:
         call(*arguments.split())
     assert str(caught.value) == message
@@ -107,14 +103,14 @@ def test_a_wrong_verb_is_reported_in_one_sentence(arguments: str, message: str) 
 @pytest.mark.parametrize(
     "environment", [{"COLUMNS": "40"}, {"LC_ALL": "C", "PYTHONIOENCODING": "ascii"}, {"FORCE_COLOR": "1"}]
 )
-def test_mistakes_are_reported_on_any_terminal(environment: dict[str, str]) -> None:
+def test_mistakes_are_reported_on_any_terminal(environment: dict[str, str]):
     command = [sys.executable, "-m", "aero_viz", "score", "a.csv", "--world", "b.json", "--plannr", "x"]
     result = subprocess.run(command, capture_output=True, text=True, env=os.environ | environment, timeout=60)
     assert (result.returncode, result.stdout) == (2, "")
     assert "--plannr" in result.stderr and "--planner STR" in result.stderr and "Traceback" not in result.stderr
 
 
-def test_help_is_complete(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_is_complete(capsys: pytest.CaptureFixture[str]):
     for arguments, shown in ((["--help"], "Paint a wall."), (["paint", "--help"], "--coats INT")):
         with pytest.raises(SystemExit) as end:
             call(*arguments)

@@ -1,7 +1,5 @@
 """`aero-viz share` and `explain`: the flight that `fly` and `demo` fly, and what is refused."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from aero_viz.catalog import shipped_recordings
 
 def test_the_page_names_the_command_without_the_flags_of_the_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, poles: str, tmp_path: Path
-) -> None:
+):
     monkeypatch.chdir(tmp_path)
     arguments = ["share", poles, "./out.html", "--duration=0.1", "--layers", "drone", "--seed", "3"]
     monkeypatch.setattr("sys.argv", ["aero-viz", *arguments])
@@ -22,7 +20,7 @@ def test_the_page_names_the_command_without_the_flags_of_the_file(
     assert command is not None and command[1] == f"aero-viz demo {poles} --seed 3"
 
 
-def test_a_shared_flight_is_the_one_that_fly_flies(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_shared_flight_is_the_one_that_fly_flies(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     flown, shared = tmp_path / "flown.mcap", tmp_path / "shared.mcap"
     scene = ("double_wall_trap", "--rules.time-limit", "0.6")  # in which the top of the world matters at once
     run_json(capsys, "fly", *scene, "--log", str(flown), "--json")
@@ -30,7 +28,7 @@ def test_a_shared_flight_is_the_one_that_fly_flies(capsys: pytest.CaptureFixture
     assert run_json(capsys, "compare", str(flown), str(shared), "--json")["parameters"] == {}
 
 
-def test_flags_of_a_flight_are_refused_for_a_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_flags_of_a_flight_are_refused_for_a_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     recording = str(next(iter(shipped_recordings().values()))[0])
     message = run_refused(capsys, "share", recording, str(tmp_path / "out.mcap"), "--count", "3")
     assert "is a recording" in message and not list(tmp_path.iterdir())
@@ -38,6 +36,6 @@ def test_flags_of_a_flight_are_refused_for_a_recording(capsys: pytest.CaptureFix
 
 def test_a_report_is_printed_also_if_there_is_no_picture(
     capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path
-) -> None:
+):
     code, out, error = run(capsys, "explain", short_poles, "--picture", str(tmp_path / "map.svg"))
     assert code == 2 and "there is nothing to explain" in out and "--picture" in error

@@ -1,7 +1,5 @@
 """`aero-viz tune`."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
@@ -20,7 +18,7 @@ FEW = ["--flights", "2", "--rungs", "1", "--trials", "3", "--check", "1", "--sto
 
 def test_the_result_is_printed_written_and_can_be_flown(
     capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path
-) -> None:
+):
     path = tmp_path / "tuned.yaml"
     code, text, error = run(capsys, "tune", short_poles, *CRIPPLED, *FEW, "--seed", "1", "--output", str(path))
     assert (code, error) == (0, "")
@@ -37,7 +35,7 @@ def test_the_result_is_printed_written_and_can_be_flown(
 
 def test_json_is_complete_and_flags_reach_the_flights(
     capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path
-) -> None:
+):
     path = tmp_path / "tuned.yaml"
     path.write_text("old\n")
     arguments = ["--over", "costs.q-track", *SMALL, *FEW, "--rules.time-limit", "0.1", "--drone.drag", "0.3"]
@@ -55,7 +53,7 @@ def test_json_is_complete_and_flags_reach_the_flights(
     assert load_config(path).to_dict() == content["config"]
 
 
-def test_each_flight_of_a_scene_has_its_own_world(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_flight_of_a_scene_has_its_own_world(capsys: pytest.CaptureFixture[str]):
     """The goal lies in an obstacle of the third world only, in which the check is flown."""
     goal = scene("verticals", seed=2, count=100).cylinders[0, :3] + (0.0, 0.0, 2.0)
     assert all(scene("verticals", seed=seed, count=100).distance(goal[None])[0] > 0.0 for seed in (0, 1))
@@ -63,9 +61,7 @@ def test_each_flight_of_a_scene_has_its_own_world(capsys: pytest.CaptureFixture[
     assert "inside an obstacle" in run_refused(capsys, "tune", "verticals", *place, *SMALL, *FEW)
 
 
-def test_the_same_command_continues_a_study(
-    capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path
-) -> None:
+def test_the_same_command_continues_a_study(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
     storage = f"sqlite:///{tmp_path}/studies/tune.db"
     arguments = ["tune", short_poles, "--over", "costs.q-track", *SMALL, *FEW, "--rules.time-limit", "0.1"]
     first, second = (run_json(capsys, *arguments, "--storage", storage, "--trials", trials) for trials in ("3", "5"))
@@ -74,7 +70,7 @@ def test_the_same_command_continues_a_study(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Path, number: signal.Signals) -> None:
+def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Path, number: signal.Signals):
     """A signal during the check, when the search is complete."""
     path = tmp_path / "tuned.yaml"
     few = ["--flights", "1", "--rungs", "1", "--trials", "3", "--check", "50", "--storage", "memory"]
@@ -103,14 +99,12 @@ def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Pa
         (["tune", "forest", "--over", "costs.q_track", "--lidar.dropout", "2"], "lidar.dropout is 2.0"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
+def test_mistakes_are_reported_in_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str):
     error = run_refused(capsys, *arguments)
     assert message in error and error.count("\n") == 1 and error.startswith("aero-viz: ")
 
 
-def test_help_explains_the_comparison_and_lists_every_documented_flag(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_explains_the_comparison_and_lists_every_documented_flag(capsys: pytest.CaptureFixture[str]):
     code, text, _ = run(capsys, "tune", "--help")
     assert code == 0
     assert "by the share of flights that arrive and, where that is equal, by the objective" in " ".join(text.split())

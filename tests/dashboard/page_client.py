@@ -1,7 +1,5 @@
 """A client that speaks to the server as the page does, and as a hostile one would."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any

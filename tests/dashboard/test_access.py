@@ -1,7 +1,5 @@
 """Which requests are answered, by their headers and with real browsers' requests."""
 
-from __future__ import annotations
-
 import http.client
 
 import pytest

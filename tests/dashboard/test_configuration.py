@@ -1,7 +1,5 @@
 """What the page says of a configuration, without a browser."""
 
-from __future__ import annotations
-
 import re
 import threading
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What a client may send, with real websockets: values of controls, uploads, and garbage."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 

@@ -1,7 +1,5 @@
 """Handling of frames, without a browser."""
 
-from __future__ import annotations
-
 from small_source import small_config, small_source
 
 from aero_viz.dashboard import Dashboard

@@ -1,7 +1,5 @@
 """Thousands of clicks while the session is busy."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Rows, events and forks of a flight's history."""
 
-from __future__ import annotations
-
 import csv
 import io
 

@@ -1,7 +1,5 @@
 """Changes that layers send, without a browser but with a real server and a real plan."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

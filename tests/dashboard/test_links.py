@@ -1,7 +1,5 @@
 """Links to a moment: there and back, and what is refused."""
 
-from __future__ import annotations
-
 import pytest
 
 from aero_planner import PlannerConfig

@@ -1,7 +1,5 @@
 """Opening of sources from the page, with real files and a real websocket."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """Colormaps, and colours after the film curve of the page."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

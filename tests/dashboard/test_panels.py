@@ -1,7 +1,5 @@
 """Controls and texts of the panels, without a browser."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Presets of the user on disk."""
 
-from __future__ import annotations
-
 import os
 import stat
 

@@ -1,7 +1,5 @@
 """Addresses of the server and the requests that it refuses, without a browser."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import socket

@@ -1,7 +1,5 @@
 """Figures, charts and legend of the status panel, without a browser."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

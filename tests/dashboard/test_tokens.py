@@ -1,7 +1,5 @@
 """Links with tokens, with real requests."""
 
-from __future__ import annotations
-
 import http.client
 from collections.abc import Iterator
 

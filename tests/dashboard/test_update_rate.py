@@ -1,7 +1,5 @@
 """Rate of page updates, without a clock."""
 
-from __future__ import annotations
-
 import pytest
 
 from aero_viz.dashboard.update_rate import MAX_RATE, MIN_RATE, UpdateRateLimiter

@@ -1,7 +1,5 @@
 """Several visitors: one holds control, the others look on."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from typing import Any

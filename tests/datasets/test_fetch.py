@@ -1,7 +1,5 @@
 """The downloads of datasets/fetch.py, from a server on this machine."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import http.server
@@ -42,7 +40,7 @@ def fetch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleTyp
     server.server_close()
 
 
-def test_a_file_is_downloaded_once_and_checked(fetch: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_is_downloaded_once_and_checked(fetch: ModuleType, capsys: pytest.CaptureFixture[str]):
     path = fetch.FOLDER / "points.pcd"
     assert fetch.main(["points"]) == 0
     assert path.read_bytes() == CONTENT
@@ -62,14 +60,14 @@ def test_a_file_is_downloaded_once_and_checked(fetch: ModuleType, capsys: pytest
 )
 def test_a_wrong_file_or_no_network_leaves_nothing_behind(
     fetch: ModuleType, capsys: pytest.CaptureFixture[str], change: dict[str, object], message: str
-) -> None:
+):
     fetch.FILES["points"] = fetch.FILES["points"]._replace(**change)
     assert fetch.main(["points"]) == 2
     assert message in capsys.readouterr().err
     assert not list(fetch.FOLDER.iterdir())
 
 
-def test_a_file_saved_by_hand_is_checked_and_kept(fetch: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_saved_by_hand_is_checked_and_kept(fetch: ModuleType, capsys: pytest.CaptureFixture[str]):
     fetch.FOLDER.mkdir()
     path = fetch.FOLDER / "points.pcd"
     path.write_bytes(b"cut")
@@ -78,7 +76,7 @@ def test_a_file_saved_by_hand_is_checked_and_kept(fetch: ModuleType, capsys: pyt
     assert path.read_bytes() == b"cut"
 
 
-def test_the_list_names_every_file_with_size_and_licence(fetch: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_names_every_file_with_size_and_licence(fetch: ModuleType, capsys: pytest.CaptureFixture[str]):
     assert fetch.main([]) == 0
     assert capsys.readouterr().out.split() == ["points", "0.3", "MB", "BSD", "points"]
     assert fetch.main(["nothing"]) == 2

@@ -1,7 +1,5 @@
 """The recordings that ship in datasets/."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from aero_viz.scenes import scene
 from aero_viz.session import Session
 
 
-def test_shipped_recordings_play_with_poses_and_are_small() -> None:
+def test_shipped_recordings_play_with_poses_and_are_small():
     shipped = shipped_recordings()
     assert list(shipped) == ["forest_mid360", "room_mid360"]
     assert sum(path.stat().st_size for path, _ in shipped.values()) < 300_000
@@ -26,7 +24,7 @@ def test_shipped_recordings_play_with_poses_and_are_small() -> None:
         session.close()
 
 
-def test_the_forest_flight_arrives_and_holds_plan_and_goal() -> None:
+def test_the_forest_flight_arrives_and_holds_plan_and_goal():
     path, _ = shipped_recordings()["forest_mid360"]
     with path.open("rb") as file:
         reader = make_reader(file)
@@ -38,7 +36,7 @@ def test_the_forest_flight_arrives_and_holds_plan_and_goal() -> None:
     assert {"/sweep", "/odometry", "/plan", "/plan/best", "/goal"} <= topics
 
 
-def test_a_sensor_log_is_reproducible_and_its_sweeps_fit_its_poses(tmp_path: Path) -> None:
+def test_a_sensor_log_is_reproducible_and_its_sweeps_fit_its_poses(tmp_path: Path):
     options = SensorLogOptions(every=7, imu=True, duration=0.5)
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
     for path in (first, second):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -15,7 +13,7 @@ def world(*boxes: tuple[float, ...]) -> World:
     return World("test", START, GOAL, boxes=np.reshape(boxes, (-1, 7)))
 
 
-def test_free_space_is_the_easiest() -> None:
+def test_free_space_is_the_easiest():
     found = measure_difficulty(world())
     assert found is not None
     assert found.to_dict() == {
@@ -24,7 +22,7 @@ def test_free_space_is_the_easiest() -> None:
     }  # fmt: skip
 
 
-def test_the_obstruction_of_a_tunnel_follows_from_its_width() -> None:
+def test_the_obstruction_of_a_tunnel_follows_from_its_width():
     walls = [(5.0, side * 1.5, 0.0, 20.0, 1.0, 4.0, 0.0) for side in (-1.0, 1.0)]
     walls += [(5.0, 0.0, side * 1.5, 20.0, 4.0, 1.0, 0.0) for side in (-1.0, 1.0)]
     found = measure_difficulty(world(*walls))
@@ -35,7 +33,7 @@ def test_the_obstruction_of_a_tunnel_follows_from_its_width() -> None:
     assert found.angle_over_length == 0.0
 
 
-def test_a_wall_behind_the_goal_occludes_the_view_by_its_distance() -> None:
+def test_a_wall_behind_the_goal_occludes_the_view_by_its_distance():
     found = measure_difficulty(world((12.5, 0.0, 0.0, 1.0, 20.0, 20.0, 0.0)))
     assert found is not None
     expected = []
@@ -46,7 +44,7 @@ def test_a_wall_behind_the_goal_occludes_the_view_by_its_distance() -> None:
     assert found.view_occlusion == pytest.approx(np.mean(expected), rel=0.05)
 
 
-def test_a_detour_turns_the_guide() -> None:
+def test_a_detour_turns_the_guide():
     found = measure_difficulty(world((5.0, 0.0, 0.0, 0.2, 6.0, 30.0, 0.0)))
     assert found is not None
     # Two pieces around the edge of a wall that reaches 3 m to the side, at least 0.25 m from it.
@@ -56,13 +54,13 @@ def test_a_detour_turns_the_guide() -> None:
     assert 0.6 * one_corner < found.angle_over_length < 1.2 * one_corner
 
 
-def test_no_guide_leads_out_of_a_closed_room() -> None:
+def test_no_guide_leads_out_of_a_closed_room():
     sides = [(0.0, y, 0.0, 8.0, 0.5, 20.0, 0.0) for y in (-4.0, 4.0)]
     sides += [(x, 0.0, 0.0, 0.5, 8.0, 20.0, 0.0) for x in (-4.0, 4.0)]
     assert measure_difficulty(world(*sides)) is None
 
 
-def test_more_trees_are_harder_and_the_result_repeats() -> None:
+def test_more_trees_are_harder_and_the_result_repeats():
     sparse, dense = (measure_difficulty(scene("forest", count=count, seed=3)) for count in (30, 300))
     assert sparse is not None
     assert dense is not None

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from aero_viz.evaluation.statistics import METRICS, mean_interval, sign_test, summarise, wilson_interval
@@ -66,7 +64,7 @@ def test_summary_without_arrivals_and_of_recorded_flights():
     assert line.passable is None and line.flights_per_minute is None and line.plan_ms_median is None
 
 
-def test_the_mean_difference_of_times_has_its_interval() -> None:
+def test_the_mean_difference_of_times_has_its_interval():
     # Student's t with 3 degrees of freedom: 3.182 times 1.2910 / 2.
     assert mean_interval([1.0, 2.0, 3.0, 4.0]) == pytest.approx((2.5, 0.4457, 4.5543), abs=1e-3)
     assert mean_interval([1.0]) is None

@@ -1,7 +1,5 @@
 """The examples run as they are, in processes of their own, and the README lists all of them."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -24,12 +22,12 @@ OUTPUT = {
 }
 
 
-def test_each_example_has_an_expected_output() -> None:
+def test_each_example_has_an_expected_output():
     assert sorted(EXAMPLES) == sorted(OUTPUT)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_prints_its_results_only(name: str, tmp_path: Path) -> None:
+def test_an_example_prints_its_results_only(name: str, tmp_path: Path):
     command = [sys.executable, str(EXAMPLES[name])]
     result = subprocess.run(command, input="\n", capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert (result.returncode, result.stderr) == (0, "")
@@ -37,13 +35,13 @@ def test_an_example_prints_its_results_only(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_is_short_and_explains_itself(name: str) -> None:
+def test_an_example_is_short_and_explains_itself(name: str):
     text = EXAMPLES[name].read_text(encoding="utf-8")
     assert len(text.splitlines()) < 60
     assert text.startswith('"""')
 
 
-def test_the_page_of_an_example_is_served_until_enter(tmp_path: Path) -> None:
+def test_the_page_of_an_example_is_served_until_enter(tmp_path: Path):
     command = [sys.executable, "-u", str(EXAMPLES["own_layer"])]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         assert process.stdout is not None
@@ -54,6 +52,6 @@ def test_the_page_of_an_example_is_served_until_enter(tmp_path: Path) -> None:
     assert process.returncode == 0
 
 
-def test_the_readme_lists_every_example() -> None:
+def test_the_readme_lists_every_example():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert all(f"(examples/{name}.py)" in readme for name in EXAMPLES)

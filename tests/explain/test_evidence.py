@@ -1,7 +1,5 @@
 """Costs by term add up to those of the planner, and the safe instances are those that it chooses from."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

@@ -1,7 +1,5 @@
 """What a click in the scene means."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

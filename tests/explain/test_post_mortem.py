@@ -1,7 +1,5 @@
 """Reports on flights whose cause is known."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """What a trace keeps of a flight."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -11,7 +9,7 @@ from aero_viz.explain.trace import KEPT, FlightTrace
 from tests.explain.conftest import evidence_of
 
 
-def test_a_trace_keeps_the_end_without_samples_and_joined_clouds(replan: Replanner) -> None:
+def test_a_trace_keeps_the_end_without_samples_and_joined_clouds(replan: Replanner):
     trace, frame = FlightTrace(), evidence_of("double_wall_trap", 36, 12)[0].frame
     cloud = frame.observation.points
     sampled = dataclasses.replace(frame, plan=dataclasses.replace(frame.plan, samples=np.zeros((17, 128, 26, 3))))

@@ -1,7 +1,5 @@
 """Closed-loop flights with the planner."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

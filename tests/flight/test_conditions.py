@@ -1,7 +1,5 @@
 """Conditions of a flight that a user chooses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

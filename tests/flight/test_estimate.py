@@ -1,7 +1,5 @@
 """Errors of the state estimate: their statistics, and their independence from the true state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

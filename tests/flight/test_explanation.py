@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -31,7 +29,7 @@ def world(**tables) -> World:
          'The start is 0.200 m from sphere 0, closer than the radius of 0.25 m, at (0, 0, 2).'),
     ],
 )  # fmt: skip
-def test_a_start_in_an_obstacle_is_reported_as_a_collision(tables, sentence) -> None:
+def test_a_start_in_an_obstacle_is_reported_as_a_collision(tables, sentence):
     result = fly(world(**tables), lidar=LidarModel("small", points_per_sweep=100))
     assert (result.reason, result.flight_time_s, result.explanation) == ("collision", 0.0, sentence)
 
@@ -50,13 +48,13 @@ def test_a_start_in_an_obstacle_is_reported_as_a_collision(tables, sentence) -> 
         (None, 1.0, "The flight was not over after 3.00 s, at (3, 0, 0.2), 6.3 m from the goal."),
     ],
 )  # fmt: skip
-def test_every_outcome_has_its_sentence(reason, clearance, sentence) -> None:
+def test_every_outcome_has_its_sentence(reason, clearance, sentence):
     place, goal = np.array([3.0, 0.0, 0.2]), np.array([9.0, 0.0, 2.0])
     explanation = explain(reason, world(boxes=[GROUND]), place, time=3.0, clearance=clearance, goal=goal, rules=RULES)
     assert explanation == sentence
 
 
-def test_a_collision_names_the_obstacle() -> None:
+def test_a_collision_names_the_obstacle():
     wall = world(boxes=[GROUND, [1.0, 0.0, 2.0, 0.2, 40.0, 12.0, 0.0]])
     config = PlannerConfig.preset("fast-cpu").replace({"costs.penalty": 0.0, "costs.soft_weight": 0.0})
     config = config.replace({"candidates.prefer_safe": False, "candidates.safe_clearance": 0.0})
@@ -77,7 +75,7 @@ def test_a_collision_names_the_obstacle() -> None:
         ),
     ],
 )
-def test_impossible_flights_are_refused(tables, message) -> None:
+def test_impossible_flights_are_refused(tables, message):
     for refuse in (
         lambda: refuse_impossible(world(**tables), rules=RULES, speed_limit=7.0),
         lambda: fly(world(**tables)),
@@ -86,7 +84,7 @@ def test_impossible_flights_are_refused(tables, message) -> None:
             refuse()
 
 
-def test_a_far_goal_is_refused_depending_on_speed_and_time() -> None:
+def test_a_far_goal_is_refused_depending_on_speed_and_time():
     far = world(goal=(500, 0, 2))
     refuse_impossible(far, rules=RULES, speed_limit=8.4)
     refuse_impossible(far, rules=FlightRules(time_limit=100.0), speed_limit=7.0)
@@ -95,7 +93,7 @@ def test_a_far_goal_is_refused_depending_on_speed_and_time() -> None:
         refuse_impossible(far, rules=RULES, speed_limit=8.2)
 
 
-def test_nearest_names_kind_and_row() -> None:
+def test_nearest_names_kind_and_row():
     mixed = world(boxes=[GROUND, [3, 3, 1, 1, 1, 2, 0]], cylinders=[[6, 0, 0, 0, 0, 1, 0.5, 4]], spheres=[[0, 9, 2, 1]])
     assert mixed.nearest([6.0, 1.0, 3.0]) == (pytest.approx(0.5), "cylinder 0")
     assert mixed.nearest([3.0, 3.0, 2.5]) == (pytest.approx(0.5), "box 1")

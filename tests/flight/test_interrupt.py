@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import signal
 import threading
 
@@ -33,7 +31,7 @@ def press_at(time: float):
     return progress
 
 
-def test_the_first_ctrl_c_waits_and_the_second_does_not() -> None:
+def test_the_first_ctrl_c_waits_and_the_second_does_not():
     before = signal.getsignal(signal.SIGINT)
     with deferred_interrupt() as pressed:
         assert not pressed()
@@ -44,7 +42,7 @@ def test_the_first_ctrl_c_waits_and_the_second_does_not() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_other_threads_are_never_interrupted() -> None:
+def test_other_threads_are_never_interrupted():
     answers = []
 
     def ask() -> None:
@@ -57,7 +55,7 @@ def test_other_threads_are_never_interrupted() -> None:
     assert answers == [False]
 
 
-def test_exception_and_file_hold_the_flight_so_far(tmp_path) -> None:
+def test_exception_and_file_hold_the_flight_so_far(tmp_path):
     world = scene("wall", seed=1)
     with pytest.raises(FlightInterrupted) as caught:
         fly(world, trajectory=tmp_path / "a.csv", progress=press_at(0.3), **OPTIONS)
@@ -71,7 +69,7 @@ def test_exception_and_file_hold_the_flight_so_far(tmp_path) -> None:
     )
 
 
-def test_an_interrupted_log_is_complete(tmp_path) -> None:
+def test_an_interrupted_log_is_complete(tmp_path):
     with pytest.raises(FlightInterrupted) as caught:
         fly(scene("wall", seed=1), recorder=flight_recorder(tmp_path / "a.mcap"), progress=press_at(0.3), **OPTIONS)
     assert caught.value.result.flight_time_s == pytest.approx(0.3)
@@ -79,7 +77,7 @@ def test_an_interrupted_log_is_complete(tmp_path) -> None:
     assert info.problems == () and info.poses == 16
 
 
-def test_progress_goes_from_start_to_goal(tmp_path) -> None:
+def test_progress_goes_from_start_to_goal(tmp_path):
     world = scene("wall", seed=1)
     for recorder in (None, flight_recorder(tmp_path / "a.mcap")):
         calls: list[tuple[float, float]] = []

@@ -1,7 +1,5 @@
 """What the planner of a simulated flight knows about its drone."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

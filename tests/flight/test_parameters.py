@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import dataclasses
 
 import pytest
@@ -17,7 +15,7 @@ def fields() -> list[tuple[type, dict, str, str]]:
     return [(kind, base, section, info.name) for kind, base, section in KINDS for info in kind.parameters()]
 
 
-def test_every_field_of_the_simulator_is_a_parameter() -> None:
+def test_every_field_of_the_simulator_is_a_parameter():
     for kind, _, _ in KINDS:
         known = {info.name for info in kind.parameters()}
         assert known == {f.name for f in dataclasses.fields(kind)} - {"name", "mount_position", "mount_angles"}
@@ -27,7 +25,7 @@ def test_every_field_of_the_simulator_is_a_parameter() -> None:
 
 
 @pytest.mark.parametrize(("kind", "base", "section", "name"), fields())
-def test_bounds_are_checked_and_named(kind: type, base: dict, section: str, name: str) -> None:
+def test_bounds_are_checked_and_named(kind: type, base: dict, section: str, name: str):
     info = next(info for info in kind.parameters() if info.name == name)
     expected = f"one of {', '.join(info.choices)}" if info.choices else r"a .*number in \["
     for value in (info.low - 1.0, info.high * 1.5 + 1.0, float("nan"), "3", None):
@@ -35,7 +33,7 @@ def test_bounds_are_checked_and_named(kind: type, base: dict, section: str, name
             kind(**base, **KEEP.get(name, {}), **{name: value})
 
 
-def test_numbers_are_converted_to_the_type_of_the_parameter() -> None:
+def test_numbers_are_converted_to_the_type_of_the_parameter():
     rules = FlightRules(time_limit=3, ticks_per_plan=5.0)  # type: ignore[arg-type]
     assert (type(rules.time_limit), type(rules.ticks_per_plan)) == (float, int)
     with pytest.raises(ValueError, match=r"rules\.ticks_per_plan is 2\.5; it must be a whole number"):

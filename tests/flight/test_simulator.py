@@ -1,7 +1,5 @@
 """Outcomes and metrics of scripted flights with known answers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

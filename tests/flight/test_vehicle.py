@@ -1,7 +1,5 @@
 """The vehicle compared with closed forms and a float64 reference written from the equations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

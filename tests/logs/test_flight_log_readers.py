@@ -1,7 +1,5 @@
 """Flight logs read by other libraries, complete and truncated."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -65,7 +63,7 @@ def raw(path: Path) -> list[tuple[Any, Any, Any]]:
         return list(make_reader(file, validate_crcs=True).iter_messages())
 
 
-def test_channels_are_named_as_foxglove_and_rviz_expect(flown: tuple[Path, FlightResult]) -> None:
+def test_channels_are_named_as_foxglove_and_rviz_expect(flown: tuple[Path, FlightResult]):
     with flown[0].open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -76,7 +74,7 @@ def test_channels_are_named_as_foxglove_and_rviz_expect(flown: tuple[Path, Fligh
 
 
 @pytest.mark.parametrize("release", [Stores.ROS2_FOXY, Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY])
-def test_embedded_definitions_are_those_of_ros(flown: tuple[Path, FlightResult], release: Stores) -> None:
+def test_embedded_definitions_are_those_of_ros(flown: tuple[Path, FlightResult], release: Stores):
     """A ROS 2 machine ignores the embedded definitions and decodes with its own types: they must be equal."""
     ros = get_typestore(release)
     ros.register(get_types_from_msg(PLAN_DEFINITION, PLAN))
@@ -88,7 +86,7 @@ def test_embedded_definitions_are_those_of_ros(flown: tuple[Path, FlightResult],
                 assert ros.fielddefs[name][1] == fields, name
 
 
-def test_rosbags_decodes_every_message_by_the_definitions_in_the_file(flown: tuple[Path, FlightResult]) -> None:
+def test_rosbags_decodes_every_message_by_the_definitions_in_the_file(flown: tuple[Path, FlightResult]):
     store = get_typestore(Stores.EMPTY)
     counts: Counter[str] = Counter()
     for schema, channel, message in raw(flown[0]):
@@ -116,7 +114,7 @@ def stamped(message: Any) -> list[Any]:
     return [item.header for item in items]
 
 
-def test_mcap_ros2_decodes_every_message(flown: tuple[Path, FlightResult]) -> None:
+def test_mcap_ros2_decodes_every_message(flown: tuple[Path, FlightResult]):
     with flown[0].open("rb") as file:
         decoded = list(make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
     assert len(decoded) == len(raw(flown[0]))
@@ -132,7 +130,7 @@ def test_mcap_ros2_decodes_every_message(flown: tuple[Path, FlightResult]) -> No
         np.testing.assert_allclose(turned, [after.w, after.x, after.y, after.z], atol=1e-6)
 
 
-def test_attachments_repeat_the_flight(flown: tuple[Path, FlightResult], world: World, tmp_path: Path) -> None:
+def test_attachments_repeat_the_flight(flown: tuple[Path, FlightResult], world: World, tmp_path: Path):
     path, result = flown
     with path.open("rb") as file:
         attached = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}
@@ -156,7 +154,7 @@ def test_attachments_repeat_the_flight(flown: tuple[Path, FlightResult], world: 
     )
 
 
-def test_score_reads_the_log_as_it_was_flown(flown: tuple[Path, FlightResult], world: World) -> None:
+def test_score_reads_the_log_as_it_was_flown(flown: tuple[Path, FlightResult], world: World):
     path, result = flown
     scored = score(load_trajectory(path), world, rules=FlightRules(arrival_radius=0.5))
     assert scored.reason == result.reason
@@ -164,7 +162,7 @@ def test_score_reads_the_log_as_it_was_flown(flown: tuple[Path, FlightResult], w
         assert getattr(scored, name) == pytest.approx(getattr(result, name), rel=1e-4), name
 
 
-def test_killed_while_flying_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_killed_while_flying_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """After kill -9 of the real program, the flight up to the last chunk and all attachments are there."""
     path, csv_path = tmp_path / "flight.mcap", tmp_path / "flight.csv"
     command = [sys.executable, "-m", "aero_viz", "fly", "forest", "--count", "20", "--seed", "2", "--speed", "2"]

@@ -1,7 +1,5 @@
 """The live server for Foxglove, read by a WebSocket client as in Foxglove's protocol."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket
@@ -73,7 +71,7 @@ def read(connection: Connection, channels: dict[str, Any], topics: set[str]) -> 
     return found
 
 
-def test_a_client_reads_the_topics_of_the_flight_log_and_what_came_before(session: Session) -> None:
+def test_a_client_reads_the_topics_of_the_flight_log_and_what_came_before(session: Session):
     frame = session.tick()
     with serve_foxglove(session, "127.0.0.1", 0) as server, client(server.url) as (connection, channels):
         found = read(connection, channels, TOPICS)  # nothing is flown: these are the last messages
@@ -88,7 +86,7 @@ def test_a_client_reads_the_topics_of_the_flight_log_and_what_came_before(sessio
         assert read(connection, channels, {"/odometry", "/plan"})["/odometry"][0] > stamp
 
 
-def test_a_port_in_use_is_refused_with_its_number() -> None:
+def test_a_port_in_use_is_refused_with_its_number():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -97,7 +95,7 @@ def test_a_port_in_use_is_refused_with_its_number() -> None:
             FoxgloveServer("127.0.0.1", port)
 
 
-def test_a_recorder_serves_and_logs_the_same_flight(session: Session, tmp_path: Path) -> None:
+def test_a_recorder_serves_and_logs_the_same_flight(session: Session, tmp_path: Path):
     path, urls = tmp_path / "flight.mcap", []
     with foxglove_recorder("127.0.0.1", 0, log=flight_recorder(path), announce=urls.append) as recorder:
         for _ in range(2):
@@ -111,7 +109,7 @@ def test_a_recorder_serves_and_logs_the_same_flight(session: Session, tmp_path: 
 
 
 @pytest.mark.parametrize("verb", [("play",), ("demo", "pillars")])
-def test_the_verbs_serve_while_the_page_waits_and_end_with_ctrl_c(verb: tuple[str, ...]) -> None:
+def test_the_verbs_serve_while_the_page_waits_and_end_with_ctrl_c(verb: tuple[str, ...]):
     command = [sys.executable, "-m", "aero_viz", *verb, "--port", "0", "--foxglove", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:

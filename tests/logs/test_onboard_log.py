@@ -1,7 +1,5 @@
 """The workbench reads the drone's own flight log."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Replays of flight logs: goal, plans, outcome and world as they were."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Random situations for the planner, and the goal as the planner completes it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

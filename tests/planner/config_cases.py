@@ -1,7 +1,5 @@
 """Random configurations, and files and ports for them."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 from typing import TypeVar

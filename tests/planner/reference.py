@@ -1,7 +1,5 @@
 """The equations of the paper in float64 NumPy, independent of the kernels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Ctrl-C during the start of `aero-planner`."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.planner.interruption import interrupted_at_import

@@ -1,7 +1,5 @@
 """Clouds that the caller writes to `Planner.points`."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike

@@ -1,7 +1,5 @@
 """The tested planner: the source, or under scripts/lowest.py the installed wheel with its lowest dependencies."""
 
-from __future__ import annotations
-
 import os
 import sys
 from importlib import metadata

@@ -1,7 +1,5 @@
 """Public names of the package, and the cost of importing it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

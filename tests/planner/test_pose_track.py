@@ -1,7 +1,5 @@
 """Poses over time: interpolation and deskewing against a float64 reference, and the bounds of the track."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quaternions and rigid transforms against rotation matrices built from the definition q v q*."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -101,7 +99,7 @@ def test_composed_transforms_apply_one_after_the_other():
     np.testing.assert_allclose(quaternion, [1.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_the_rotation_vector_inverts_the_integration_of_rates() -> None:
+def test_the_rotation_vector_inverts_the_integration_of_rates():
     rates = np.array([0.3, -1.2, 0.5])
     turned = integrate_rates([1.0, 0.0, 0.0, 0.0], rates, 1.0)
     np.testing.assert_allclose(rotation_vector(turned), rates, atol=1e-12)

@@ -1,7 +1,5 @@
 """Sweeps that the planner remembers give the same plans as the joined cloud, bit for bit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

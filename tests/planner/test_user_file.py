@@ -1,7 +1,5 @@
 """Files that a user names: only regular ones are opened, by every reader."""
 
-from __future__ import annotations
-
 import os
 import socket
 from pathlib import Path
@@ -25,7 +23,7 @@ def special(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
     return path, request.param
 
 
-def test_a_special_file_is_refused_at_once(special: tuple[Path, str]) -> None:
+def test_a_special_file_is_refused_at_once(special: tuple[Path, str]):
     path, kind = special
     with pytest.raises(OSError, match=f"it is a {kind}, not a regular file"):
         open_user_file(path)
@@ -33,14 +31,14 @@ def test_a_special_file_is_refused_at_once(special: tuple[Path, str]) -> None:
         load_config(path)
 
 
-def test_a_folder_and_a_missing_file_are_refused(tmp_path: Path) -> None:
+def test_a_folder_and_a_missing_file_are_refused(tmp_path: Path):
     with pytest.raises(IsADirectoryError):
         open_user_file(tmp_path)
     with pytest.raises(FileNotFoundError):
         open_user_file(tmp_path / "missing")
 
 
-def test_a_text_is_read_up_to_its_limit(tmp_path: Path) -> None:
+def test_a_text_is_read_up_to_its_limit(tmp_path: Path):
     path = tmp_path / "a.txt"
     path.write_text("\ufeffabc", encoding="utf-8")
     assert read_user_text(path, limit=6) == "abc"

@@ -1,7 +1,5 @@
 """A companion computer that flies straight to the goal or hovers, for tests of the rig that need no planner."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

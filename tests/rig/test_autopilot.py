@@ -1,7 +1,5 @@
 """The simulated autopilot: PX4's rules for offboard control, its messages, and its vehicle."""
 
-from __future__ import annotations
-
 import math
 import socket
 import struct

@@ -1,7 +1,5 @@
 """The drift of an estimate in the clouds of a simulated Mid-360."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verb `aero-planner rig`: its arguments and its output."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

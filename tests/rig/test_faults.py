@@ -1,7 +1,5 @@
 """Faults as text, and their effects on a channel."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

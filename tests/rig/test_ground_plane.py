@@ -1,7 +1,5 @@
 """The ground in the cloud of a simulated Mid-360, which looks only 7 degrees down."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

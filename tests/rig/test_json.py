@@ -1,7 +1,5 @@
 """With --json, stdout contains JSON only, for programs such as `jq`."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Blind braking on the rig in simulated time: the node is killed, paused or loses its state at full speed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

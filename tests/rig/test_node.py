@@ -3,8 +3,6 @@
 The speed of a flight depends on the machine. Its end, and what the node must never do, do not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container
 from typing import Any
 

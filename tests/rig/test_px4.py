@@ -1,7 +1,5 @@
 """What of the rig with PX4 can be tested without PX4: its folder, its process, its true pose and its log."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Whole flights on the rig, in real time, with a companion that needs no planner."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The simulated Mid-360: its packets on a real socket contain points of the world."""
 
-from __future__ import annotations
-
 import socket
 from typing import Any
 

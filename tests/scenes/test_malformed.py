@@ -1,7 +1,5 @@
 """Malformed world files either load as a valid world, or are refused in one sentence that names the file."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -72,7 +70,7 @@ def check_loading(path: Path) -> None:
 
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(mutants())
-def test_mutants(tmp_path: Path, content: Any) -> None:
+def test_mutants(tmp_path: Path, content: Any):
     path = tmp_path / "w.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     check_loading(path)
@@ -80,7 +78,7 @@ def test_mutants(tmp_path: Path, content: Any) -> None:
 
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_damaged_text(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_text(tmp_path: Path, data: st.DataObject):
     text = bytearray(json.dumps(VALID).encode())
     for _ in range(data.draw(st.integers(1, 4))):
         text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
@@ -100,7 +98,7 @@ def test_damaged_text(tmp_path: Path, data: st.DataObject) -> None:
         ({"goals": [0, 0, 0]}, "unknown key 'goals' (did you mean 'goal'?)"),
     ],
 )
-def test_errors_are_precise_and_short(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+def test_errors_are_precise_and_short(tmp_path: Path, changes: dict[str, Any], message: str):
     path = tmp_path / "w.json"
     path.write_text(json.dumps(VALID | changes), encoding="utf-8")
     with pytest.raises(UserError) as caught:
@@ -108,12 +106,12 @@ def test_errors_are_precise_and_short(tmp_path: Path, changes: dict[str, Any], m
     assert message in str(caught.value)
 
 
-def test_a_folder_is_refused(tmp_path: Path) -> None:
+def test_a_folder_is_refused(tmp_path: Path):
     with pytest.raises(UserError, match="Is a directory"):
         World.load(tmp_path)
 
 
-def test_a_pipe_and_a_file_of_gigabytes_are_refused(tmp_path: Path) -> None:
+def test_a_pipe_and_a_file_of_gigabytes_are_refused(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe.json")
     with pytest.raises(UserError, match=r"pipe\.json: it is a pipe, not a regular file"):
         World.load(tmp_path / "pipe.json")

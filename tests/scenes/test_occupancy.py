@@ -1,7 +1,5 @@
 """Occupancy images in the layout of kr_param_map's mazes and of ROS's map server."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +29,14 @@ def walls(world: World) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "L"])
-def test_dark_pixels_are_walls_between_floor_and_ceiling(tmp_path: Path, mode: str) -> None:
+def test_dark_pixels_are_walls_between_floor_and_ceiling(tmp_path: Path, mode: str):
     world = load_map(maze(tmp_path / "maze.png", mode=mode), **ENDS)
     np.testing.assert_allclose(walls(world)[:, :6], [[0.1, 2.0, 1.5, 0.2, 4.0, 3.0], [5.5, 3.5, 1.5, 1.0, 1.0, 3.0]])
     assert world.ground_height == 0.0
     np.testing.assert_allclose(world.distance([[2.0, 2.0, 1.4], [2.0, 2.0, 1.7]]), [1.4, 1.3])
 
 
-def test_the_file_of_the_map_server_places_and_scales_the_image(tmp_path: Path) -> None:
+def test_the_file_of_the_map_server_places_and_scales_the_image(tmp_path: Path):
     maze(tmp_path / "maze.pgm", mode="L")
     text = "image: maze.pgm\nresolution: 0.2\norigin: [-1.0, -2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
     (tmp_path / "maze.yaml").write_text(text, encoding="utf-8")
@@ -48,7 +46,7 @@ def test_the_file_of_the_map_server_places_and_scales_the_image(tmp_path: Path) 
     np.testing.assert_array_equal(by_yaml.boxes, by_image.boxes)
 
 
-def test_a_negated_image_has_white_walls(tmp_path: Path) -> None:
+def test_a_negated_image_has_white_walls(tmp_path: Path):
     maze(tmp_path / "maze.png")
     (tmp_path / "maze.yaml").write_text("image: maze.png\nnegate: 1\n", encoding="utf-8")
     world = load_map(tmp_path / "maze.yaml", start=(5.5, 3.5, 1.5), goal=(5.2, 3.2, 1.5))
@@ -56,12 +54,12 @@ def test_a_negated_image_has_white_walls(tmp_path: Path) -> None:
     assert world.distance([[2.0, 2.0, 1.5]])[0] < 0.0
 
 
-def test_the_pixel_size_can_be_given(tmp_path: Path) -> None:
+def test_the_pixel_size_can_be_given(tmp_path: Path):
     world = load_map(maze(tmp_path / "maze.png"), voxel=0.5, start=(5.0, 5.0, 1.5), goal=(20.0, 5.0, 1.5))
     np.testing.assert_allclose(walls(world)[0, :6], [0.5, 10.0, 1.5, 1.0, 20.0, 3.0])
 
 
-def test_start_and_goal_are_found(tmp_path: Path) -> None:
+def test_start_and_goal_are_found(tmp_path: Path):
     world = load_map(maze(tmp_path / "maze.png"), across=True)
     assert world.start[0] < 2.0
     assert world.goal[0] > 4.0
@@ -79,14 +77,14 @@ def test_start_and_goal_are_found(tmp_path: Path) -> None:
         ("image: none.png\n", "no such file"),
     ],
 )
-def test_a_damaged_file_of_the_map_server_is_explained(tmp_path: Path, yaml: str, message: str) -> None:
+def test_a_damaged_file_of_the_map_server_is_explained(tmp_path: Path, yaml: str, message: str):
     maze(tmp_path / "maze.png")
     (tmp_path / "map.yaml").write_text(yaml, encoding="utf-8")
     with pytest.raises(UserError, match=message):
         load_map(tmp_path / "map.yaml", **ENDS)
 
 
-def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_image_is_refused(tmp_path: Path):
     (tmp_path / "x.png").write_bytes(b"not an image")
     with pytest.raises(UserError, match=r"Cannot read the world .*x\.png"):
         load_map(tmp_path / "x.png")

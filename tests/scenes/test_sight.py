@@ -1,7 +1,5 @@
 """Obstacles that block a line of sight."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from aero_viz.scenes import SightLines, World, scene

@@ -1,7 +1,5 @@
 """Triangulated surfaces: rays, distances, paths, files and flights."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

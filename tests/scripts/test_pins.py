@@ -23,19 +23,19 @@ def pins_of(*sections: str) -> str:
 
 
 @pytest.mark.parametrize("section", ["Product", "Tests", "Release"])
-def test_every_pin_has_a_version_and_hashes(section: str) -> None:
+def test_every_pin_has_a_version_and_hashes(section: str):
     blocks = re.split(r"\n(?=\S)", pins_of(section).strip())[1:]
     assert len(blocks) > 10
     for block in blocks:
         assert re.fullmatch(r"[\w.-]+==\S+( ; [^\\]+)?( \\\n    --hash=sha256:[0-9a-f]{64})+", block), block
 
 
-def test_the_pins_of_the_product_hold_the_versions_that_the_tests_run_with() -> None:
+def test_the_pins_of_the_product_hold_the_versions_that_the_tests_run_with():
     for name, version in re.findall(r"^([\w.-]+)==([^\s;]+)", pins_of("Product", "Tests"), re.MULTILINE):
         assert metadata.version(name) == version, f"{name}: run scripts/setup dev"
 
 
-def test_pip_refuses_a_file_whose_hash_is_not_pinned(tmp_path: Path) -> None:
+def test_pip_refuses_a_file_whose_hash_is_not_pinned(tmp_path: Path):
     wheel = tmp_path / "aero_hash_probe-1.0-py3-none-any.whl"
     wheel.write_bytes(b"not what was pinned")
     pins = tmp_path / "pins.txt"
@@ -46,7 +46,7 @@ def test_pip_refuses_a_file_whose_hash_is_not_pinned(tmp_path: Path) -> None:
     assert done.returncode and "DO NOT MATCH THE HASHES" in done.stderr
 
 
-def test_pinning_strips_only_hashes(scripts: None) -> None:
+def test_pinning_strips_only_hashes(scripts: None):
     import pin  # type: ignore[import-not-found]
 
     text = "## Product\na.b==1 ; python_version >= '3.12' \\\n    --hash=sha256:00 \\\n    --hash=sha256:11\nc==2\n"
@@ -56,7 +56,7 @@ def test_pinning_strips_only_hashes(scripts: None) -> None:
 
 def test_the_audit_fails_on_a_vulnerability_and_says_when_it_could_not_run(
     scripts: None, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     import audit  # type: ignore[import-not-found]
 
     sound = {"name": "a", "version": "1", "vulns": []}

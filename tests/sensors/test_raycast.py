@@ -1,7 +1,5 @@
 """Rays compared with closed forms, and with sphere tracing in float64."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

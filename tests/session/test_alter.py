@@ -1,7 +1,5 @@
 """Changes of the world during a flight: what the planner sees, time travel, and refusals."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import time
 
 import pytest
@@ -15,7 +13,7 @@ def wall(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return now
 
 
-def test_source_time_follows_wall_time_at_the_speed(wall: list[float]) -> None:
+def test_source_time_follows_wall_time_at_the_speed(wall: list[float]):
     clock = Clock(2.0)
     clock.restart(5.0)
     wall[0] += 3.0
@@ -24,7 +22,7 @@ def test_source_time_follows_wall_time_at_the_speed(wall: list[float]) -> None:
     assert clock.delay_until(1.0) == 0.0
 
 
-def test_a_change_of_speed_does_not_jump(wall: list[float]) -> None:
+def test_a_change_of_speed_does_not_jump(wall: list[float]):
     clock = Clock()
     wall[0] += 4.0
     clock.speed = 0.25

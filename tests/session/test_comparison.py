@@ -1,7 +1,5 @@
 """A pinned configuration, A, beside the session's own, B: the same tick, the same flight, and no cost while playing."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from typing import Any

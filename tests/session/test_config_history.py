@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import time
 
 import pytest
@@ -8,7 +6,7 @@ from aero_planner import PlannerConfig
 from aero_viz.session.config_history import ConfigHistory
 
 
-def test_changes_are_undone_and_redone() -> None:
+def test_changes_are_undone_and_redone():
     history = ConfigHistory(PlannerConfig())
     history.change({"costs.q_track": 1.0})
     history.change({"costs.q_track": 2.0, "costs.q_position": 4.0})
@@ -19,7 +17,7 @@ def test_changes_are_undone_and_redone() -> None:
     assert history.go(+1).costs.q_position == 4.0
 
 
-def test_a_change_after_undo_discards_what_was_undone() -> None:
+def test_a_change_after_undo_discards_what_was_undone():
     history = ConfigHistory(PlannerConfig())
     history.change({"costs.q_track": 1.0})
     history.go(-1)
@@ -27,14 +25,14 @@ def test_a_change_after_undo_discards_what_was_undone() -> None:
     assert history.go(+1).costs.q_track == 3.0
 
 
-def test_a_refused_change_leaves_the_configuration() -> None:
+def test_a_refused_change_leaves_the_configuration():
     history = ConfigHistory(PlannerConfig())
     with pytest.raises(ValueError, match=r"costs\.q_track is -1"):
         history.change({"costs.q_track": -1.0})
     assert history.current == (PlannerConfig(), 0)
 
 
-def test_dragging_a_slider_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dragging_a_slider_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch):
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     history = ConfigHistory(PlannerConfig())
@@ -51,7 +49,7 @@ def test_dragging_a_slider_is_one_step_of_undo(monkeypatch: pytest.MonkeyPatch) 
 FAILED = {"sampling.samples": 2000}
 
 
-def test_a_failed_configuration_is_dropped_and_undo_skips_it() -> None:
+def test_a_failed_configuration_is_dropped_and_undo_skips_it():
     history = ConfigHistory(PlannerConfig())
     good = history.change({"costs.q_track": 1.0})
     version = history.current[1]
@@ -61,7 +59,7 @@ def test_a_failed_configuration_is_dropped_and_undo_skips_it() -> None:
     assert history.go(-1) == PlannerConfig()
 
 
-def test_a_configuration_that_fails_on_undo_is_dropped_too() -> None:
+def test_a_configuration_that_fails_on_undo_is_dropped_too():
     history = ConfigHistory(PlannerConfig())
     history.change(FAILED)
     good = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
@@ -70,7 +68,7 @@ def test_a_configuration_that_fails_on_undo_is_dropped_too() -> None:
     assert history.go(-1) == PlannerConfig()
 
 
-def test_a_slider_dragged_to_a_failing_value_returns_to_the_last_good_one() -> None:
+def test_a_slider_dragged_to_a_failing_value_returns_to_the_last_good_one():
     history = ConfigHistory(PlannerConfig())
     good = history.change({"sampling.samples": 8})
     history.drop(history.change(FAILED), good)  # within the same second: one step of undo
@@ -78,7 +76,7 @@ def test_a_slider_dragged_to_a_failing_value_returns_to_the_last_good_one() -> N
     assert history.go(-1) == PlannerConfig()
 
 
-def test_a_change_made_while_another_fails_stays() -> None:
+def test_a_change_made_while_another_fails_stays():
     history = ConfigHistory(PlannerConfig())
     failed = history.change(FAILED)
     newer = history.change({"sampling.samples": 8, "costs.q_track": 1.0})
@@ -87,13 +85,13 @@ def test_a_change_made_while_another_fails_stays() -> None:
     assert history.go(-1) == PlannerConfig()
 
 
-def test_an_equal_configuration_does_not_count_as_a_change() -> None:
+def test_an_equal_configuration_does_not_count_as_a_change():
     history = ConfigHistory(PlannerConfig())
     history.change(PlannerConfig())
     assert history.current[1] == 0
 
 
-def test_the_oldest_of_many_configurations_are_forgotten() -> None:
+def test_the_oldest_of_many_configurations_are_forgotten():
     history = ConfigHistory(PlannerConfig())
     for k in range(1200):
         history.change({("costs.q_track", "costs.q_position")[k % 2]: 1.0 + 0.001 * k})

@@ -1,7 +1,5 @@
 """The height of the ground on its way from the source to the planner."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_source import small_config, small_source
@@ -31,7 +29,7 @@ def source_above(
     return kind(world, lidar=LidarModel("sparse", points_per_sweep=2000))
 
 
-def test_frames_carry_the_ground_height_of_their_source() -> None:
+def test_frames_carry_the_ground_height_of_their_source():
     session = Session(small_source(), config=small_config())
     config = session.config
     assert session.tick().observation.ground_height == 0.0
@@ -44,7 +42,7 @@ def test_frames_carry_the_ground_height_of_their_source() -> None:
 
 
 @pytest.mark.parametrize("use_ground", [True, False])
-def test_the_engine_passes_the_ground_height_to_the_planner(use_ground: bool) -> None:
+def test_the_engine_passes_the_ground_height_to_the_planner(use_ground: bool):
     changes = {"costs.use_ground": use_ground, "candidates.prefer_safe": False}
     session = Session(source_above(-10.0, altitude=0.4), config=small_config().replace(changes))
     plan = session.tick().plan
@@ -53,7 +51,7 @@ def test_the_engine_passes_the_ground_height_to_the_planner(use_ground: bool) ->
     session.close()
 
 
-def test_a_source_that_fails_leaves_the_configuration() -> None:
+def test_a_source_that_fails_leaves_the_configuration():
     session = Session(small_source(), config=small_config())
     session.tick()
     before = session.configure({"costs.q_track": 7.0})

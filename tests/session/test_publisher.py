@@ -1,11 +1,9 @@
-from __future__ import annotations
-
 import threading
 
 from aero_viz.session.base import Publisher
 
 
-def test_unsubscribe_can_wait_for_the_items_published_so_far() -> None:
+def test_unsubscribe_can_wait_for_the_items_published_so_far():
     publisher, gate, seen = Publisher(), threading.Event(), []
 
     def slow(item: int) -> None:
@@ -21,7 +19,7 @@ def test_unsubscribe_can_wait_for_the_items_published_so_far() -> None:
     assert (seen, sink.dropped) == ([0, 1, 2], 0)
 
 
-def test_items_reach_every_sink_until_it_unsubscribes() -> None:
+def test_items_reach_every_sink_until_it_unsubscribes():
     publisher, a, b = Publisher(), [], []
     sink_a = publisher.subscribe(a.append, capacity=10, name="a")
     sink_b = publisher.subscribe(b.append, capacity=10, name="b")

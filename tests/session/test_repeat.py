@@ -1,7 +1,5 @@
 """Ticks of a session once more, on a source of their own."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from aero_viz.flight import FlightSource

@@ -1,7 +1,5 @@
 """The engine on a real flight: time, jumps, parameters, sinks, and failures."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -63,7 +61,7 @@ def run(session: Session, count: int) -> list[Frame]:
     return [session.tick() for _ in range(count)]
 
 
-def test_a_flight_arrives_and_further_ticks_return_its_last_frame(session: Session) -> None:
+def test_a_flight_arrives_and_further_ticks_return_its_last_frame(session: Session):
     frame = session.tick()
     while frame.outcome is None:
         frame = session.tick()
@@ -73,7 +71,7 @@ def test_a_flight_arrives_and_further_ticks_return_its_last_frame(session: Sessi
     assert len(frame.trail) == frame.index + 1
 
 
-def test_frames_do_not_change_after_they_are_published(session: Session) -> None:
+def test_frames_do_not_change_after_they_are_published(session: Session):
     first = session.tick()
     controls, points = first.plan.controls.copy(), first.observation.points.copy()
     run(session, 5)
@@ -82,7 +80,7 @@ def test_frames_do_not_change_after_they_are_published(session: Session) -> None
     assert len(first.trail) == 1
 
 
-def test_going_back_repeats_the_flight_bit_for_bit(session: Session) -> None:
+def test_going_back_repeats_the_flight_bit_for_bit(session: Session):
     frames = run(session, 12)
     session.seek(frames[4].time).result()
     assert session.frame is not None
@@ -92,7 +90,7 @@ def test_going_back_repeats_the_flight_bit_for_bit(session: Session) -> None:
         assert same_plan(session.tick(), frame)
 
 
-def test_changed_weights_change_the_flight_after_a_step_back(session: Session) -> None:
+def test_changed_weights_change_the_flight_after_a_step_back(session: Session):
     frames = run(session, 12)
     session.step(-8).result()
     session.configure({"costs.q_position": 30.0})
@@ -102,7 +100,7 @@ def test_changed_weights_change_the_flight_after_a_step_back(session: Session) -
     assert again[-1].epoch != frames[-1].epoch
 
 
-def test_a_weight_changes_the_plan_while_paused_and_undo_restores_it(live: Session) -> None:
+def test_a_weight_changes_the_plan_while_paused_and_undo_restores_it(live: Session):
     live.step(3).result()
     before = live.frame
     assert before is not None
@@ -119,12 +117,12 @@ def test_a_weight_changes_the_plan_while_paused_and_undo_restores_it(live: Sessi
     assert same_plan(live.frame, before)
 
 
-def test_a_structural_change_takes_effect_while_paused(live: Session) -> None:
+def test_a_structural_change_takes_effect_while_paused(live: Session):
     live.configure({"sampling.samples": 8, "anchors.columns": 3})
     wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 2, 8))
 
 
-def test_undoing_a_structural_change_restores_the_plan(session: Session) -> None:
+def test_undoing_a_structural_change_restores_the_plan(session: Session):
     before = run(session, 4)[-1]
     session.configure({"sampling.steps": 20})
     assert session.frame is not None and session.frame.plan.controls.shape[1] == 20
@@ -132,13 +130,13 @@ def test_undoing_a_structural_change_restores_the_plan(session: Session) -> None
     assert same_plan(session.frame, before)
 
 
-def test_a_refused_parameter_changes_nothing(live: Session) -> None:
+def test_a_refused_parameter_changes_nothing(live: Session):
     with pytest.raises(ValueError, match=r"costs\.q_track"):
         live.configure({"costs.q_track": -5.0})
     assert live.config == small_config()
 
 
-def test_play_pause_and_step(live: Session) -> None:
+def test_play_pause_and_step(live: Session):
     live.play()
     wait_for(lambda: live.frame is not None and live.frame.index >= 5)
     live.pause()
@@ -153,7 +151,7 @@ def test_play_pause_and_step(live: Session) -> None:
     assert live.frame.index == index - 1
 
 
-def test_time_follows_the_clock(live: Session) -> None:
+def test_time_follows_the_clock(live: Session):
     live.set_speed(0.5)
     started = time.monotonic()
     live.play()
@@ -164,7 +162,7 @@ def test_time_follows_the_clock(live: Session) -> None:
 
 def test_a_flight_catches_up_with_a_short_delay_and_slows_down_after_a_long_one(
     live: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     wall = [time.monotonic()]
     monkeypatch.setattr("aero_viz.session.clock.time", SimpleNamespace(monotonic=lambda: wall[0]))
     monkeypatch.setattr("aero_viz.session.session._CATCH_UP", 60.0)
@@ -190,12 +188,12 @@ def test_a_flight_catches_up_with_a_short_delay_and_slows_down_after_a_long_one(
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e9, float("nan")])
-def test_a_speed_out_of_bounds_is_refused(session: Session, speed: float) -> None:
+def test_a_speed_out_of_bounds_is_refused(session: Session, speed: float):
     with pytest.raises(ValueError, match="speed is"):
         session.set_speed(speed)
 
 
-def test_a_moved_goal_changes_the_plan(live: Session) -> None:
+def test_a_moved_goal_changes_the_plan(live: Session):
     before = live.frame
     live.set_goal([0.0, 12.0, 2.0]).result()
     assert live.frame is not None and before is not None
@@ -203,7 +201,7 @@ def test_a_moved_goal_changes_the_plan(live: Session) -> None:
     np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_moved_goal_is_kept_when_stepping_back_to_its_tick(session: Session) -> None:
+def test_a_moved_goal_is_kept_when_stepping_back_to_its_tick(session: Session):
     run(session, 5)
     session.set_goal([0.0, 12.0, 2.0])
     run(session, 1)
@@ -213,7 +211,7 @@ def test_a_moved_goal_is_kept_when_stepping_back_to_its_tick(session: Session) -
     np.testing.assert_array_equal(session.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, monkeypatch: pytest.MonkeyPatch):
     run(session, 3)
     session.configure({"costs.q_track": 9.0})
     good = session.config
@@ -231,12 +229,12 @@ def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, m
 
 
 @pytest.mark.parametrize("goal", [[1.0, 2.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0]])
-def test_an_impossible_goal_is_refused(session: Session, goal: list[float]) -> None:
+def test_an_impossible_goal_is_refused(session: Session, goal: list[float]):
     with pytest.raises(ValueError, match="three finite numbers"):
         session.set_goal(goal)
 
 
-def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_previous_one_stays(live: Session) -> None:
+def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_previous_one_stays(live: Session):
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     inside = [4.0, 0.3, 2.0]
@@ -250,7 +248,7 @@ def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_previous_one_sta
     np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
 
 
-def test_a_goal_whose_plan_fails_leaves_the_previous_one() -> None:
+def test_a_goal_whose_plan_fails_leaves_the_previous_one():
     session = Session(small_source(goal=20.0, kind=Shortsighted), config=small_config())
     before = run(session, 3)[-1]
     with pytest.raises(ValueError, match=r"goal\.position"):
@@ -262,7 +260,7 @@ def test_a_goal_whose_plan_fails_leaves_the_previous_one() -> None:
     session.close()
 
 
-def test_subscribers_hear_of_every_pause_and_resumption(live: Session) -> None:
+def test_subscribers_hear_of_every_pause_and_resumption(live: Session):
     states: list[bool] = []
     sink = live.subscribe_playing(states.append)
     live.play()
@@ -276,14 +274,14 @@ def test_subscribers_hear_of_every_pause_and_resumption(live: Session) -> None:
     live.unsubscribe(sink)
 
 
-def test_frames_include_samples_on_request(live: Session) -> None:
+def test_frames_include_samples_on_request(live: Session):
     assert live.frame is not None and live.frame.plan.samples is None
     live.set_samples(True).result()
     assert live.frame.plan.samples is not None
     assert live.frame.plan.samples.shape == (17, 16, 26, 3)
 
 
-def test_a_new_source_starts_from_its_beginning(live: Session) -> None:
+def test_a_new_source_starts_from_its_beginning(live: Session):
     live.step(4).result()
     live.set_source(small_source(goal=20.0)).result()
     assert live.frame is not None
@@ -292,7 +290,7 @@ def test_a_new_source_starts_from_its_beginning(live: Session) -> None:
     assert live.source.world.goal[0] == 20.0
 
 
-def test_a_source_whose_first_tick_fails_leaves_the_old_one(live: Session) -> None:
+def test_a_source_whose_first_tick_fails_leaves_the_old_one(live: Session):
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     live.step(2).result()
@@ -307,7 +305,7 @@ def test_a_source_whose_first_tick_fails_leaves_the_old_one(live: Session) -> No
     wait_for(lambda: any(n.level == "error" and "goal" in n.text for n in notices))
 
 
-def test_a_sink_that_hangs_or_raises_affects_neither_the_engine_nor_other_sinks(live: Session) -> None:
+def test_a_sink_that_hangs_or_raises_affects_neither_the_engine_nor_other_sinks(live: Session):
     seen: list[int] = []
 
     def raises(frame: Frame) -> None:
@@ -323,7 +321,7 @@ def test_a_sink_that_hangs_or_raises_affects_neither_the_engine_nor_other_sinks(
     assert hanging.dropped >= 1
 
 
-def test_the_outcome_is_announced_once(live: Session) -> None:
+def test_the_outcome_is_announced_once(live: Session):
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     live.set_speed(100.0)
@@ -333,7 +331,7 @@ def test_the_outcome_is_announced_once(live: Session) -> None:
     assert [n.text for n in notices] == ["poles: arrived at the goal."]
 
 
-def test_a_flight_that_continues_to_another_goal_announces_its_second_outcome_too(session: Session) -> None:
+def test_a_flight_that_continues_to_another_goal_announces_its_second_outcome_too(session: Session):
     notices: list[Notice] = []
     sink = session.subscribe_notices(notices.append)
     for goal in ([12.0, 0.0, 2.0], [12.0, 8.0, 2.0], [12.0, 8.0, 2.0]):
@@ -345,7 +343,7 @@ def test_a_flight_that_continues_to_another_goal_announces_its_second_outcome_to
     assert [n.text for n in notices] == 3 * ["poles: arrived at the goal."]
 
 
-def test_a_flight_that_cannot_start_explains_why(live: Session) -> None:
+def test_a_flight_that_cannot_start_explains_why(live: Session):
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     pole = World("pole", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]]))
@@ -358,7 +356,7 @@ def test_a_flight_that_cannot_start_explains_why(live: Session) -> None:
     wait_for(lambda: any(n.text == f"pole: collided with an obstacle. {explanation}" for n in notices))
 
 
-def test_playing_after_the_end_starts_again(live: Session) -> None:
+def test_playing_after_the_end_starts_again(live: Session):
     live.set_speed(100.0)
     live.play()
     wait_for(lambda: live.frame is not None and live.frame.outcome == "arrived" and not live.playing)
@@ -367,14 +365,14 @@ def test_playing_after_the_end_starts_again(live: Session) -> None:
     assert live.playing
 
 
-def test_a_new_speed_shortens_the_wait_for_the_next_tick(live: Session) -> None:
+def test_a_new_speed_shortens_the_wait_for_the_next_tick(live: Session):
     live.set_speed(0.01)
     live.play()
     live.set_speed(100.0)
     wait_for(lambda: live.frame is not None and live.frame.index >= 20)
 
 
-def test_two_sessions_with_equal_seeds_fly_equally() -> None:
+def test_two_sessions_with_equal_seeds_fly_equally():
     trails = []
     for _ in range(2):
         session = Session(small_source(), config=small_config(), seed=5)
@@ -383,7 +381,7 @@ def test_two_sessions_with_equal_seeds_fly_equally() -> None:
     np.testing.assert_array_equal(*trails)
 
 
-def test_the_default_configuration_is_used_when_none_is_given() -> None:
+def test_the_default_configuration_is_used_when_none_is_given():
     session = Session(small_source())
     assert session.config == PlannerConfig()
     session.close()

@@ -1,7 +1,5 @@
 """Commands from one thread while another ticks, and while a session is started or closed."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator
@@ -56,7 +54,7 @@ def goal_of(frame: Frame | None) -> list[float]:
     return np.asarray(frame.observation.goal.position).tolist()
 
 
-def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Session, source: Gated) -> None:
+def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Session, source: Gated):
     first = session.tick()
     ticked: list[Frame] = []
     ticker = threading.Thread(target=lambda: ticked.append(session.tick()))
@@ -72,7 +70,7 @@ def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Se
     assert session.frame is not None and session.frame.index == 1 and goal_of(session.frame) == GOAL
 
 
-def test_a_tick_runs_after_the_commands_given_before_it(session: Session, source: Gated) -> None:
+def test_a_tick_runs_after_the_commands_given_before_it(session: Session, source: Gated):
     session.tick()
     stepper = threading.Thread(target=session.step)
     stepper.start()
@@ -83,7 +81,7 @@ def test_a_tick_runs_after_the_commands_given_before_it(session: Session, source
     stepper.join()
 
 
-def test_commands_from_a_page_do_not_disturb_a_loop_of_ticks() -> None:
+def test_commands_from_a_page_do_not_disturb_a_loop_of_ticks():
     """Each command sets a value that is already set, so that none may change the flight."""
     trails = []
     for disturbed in (False, True):
@@ -107,7 +105,7 @@ def test_commands_from_a_page_do_not_disturb_a_loop_of_ticks() -> None:
     np.testing.assert_array_equal(*trails)
 
 
-def test_a_started_session_refuses_to_be_ticked_or_started_again(session: Session) -> None:
+def test_a_started_session_refuses_to_be_ticked_or_started_again(session: Session):
     session.start(play=False)
     with pytest.raises(RuntimeError, match=r"ticks by itself; use step\(\)"):
         session.tick()
@@ -116,7 +114,7 @@ def test_a_started_session_refuses_to_be_ticked_or_started_again(session: Sessio
 
 
 @pytest.mark.parametrize("started", [False, True])
-def test_a_closed_session_cancels_commands_and_closes_the_source_it_is_given(session: Session, started: bool) -> None:
+def test_a_closed_session_cancels_commands_and_closes_the_source_it_is_given(session: Session, started: bool):
     if started:
         session.start(play=False)
         session.pause()
@@ -130,7 +128,7 @@ def test_a_closed_session_cancels_commands_and_closes_the_source_it_is_given(ses
             use()
 
 
-def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated) -> None:
+def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated):
     session.tick()
     ticker = threading.Thread(target=session.tick)
     ticker.start()
@@ -145,7 +143,7 @@ def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated) 
     assert source.closed.is_set()
 
 
-def test_commands_given_while_a_started_session_closes_are_cancelled(session: Session, source: Gated) -> None:
+def test_commands_given_while_a_started_session_closes_are_cancelled(session: Session, source: Gated):
     session.start(play=False)
     session.step()
     assert source.inside.wait(20.0)  # the session's thread is busy

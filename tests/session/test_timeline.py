@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -30,20 +28,20 @@ def flown(count: int) -> Timeline:
     return timeline
 
 
-def test_an_empty_timeline_is_false() -> None:
+def test_an_empty_timeline_is_false():
     assert not Timeline()
     assert Timeline().time_range == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("time", "index"), [(-1.0, 0), (0.0, 0), (0.25, 2), (0.3, 3), (99.0, 9)])
-def test_going_to_a_time_finds_the_tick_at_or_before_it(time: float, index: int) -> None:
+def test_going_to_a_time_finds_the_tick_at_or_before_it(time: float, index: int):
     timeline = flown(10)
     assert timeline.go_to_time(time).source == index
     assert timeline.index == index
     np.testing.assert_array_equal(timeline.trail()[:, 0], np.arange(index + 1))
 
 
-def test_continuing_from_an_earlier_tick_discards_later_ones_but_changes_no_published_trail() -> None:
+def test_continuing_from_an_earlier_tick_discards_later_ones_but_changes_no_published_trail():
     timeline = flown(10)
     before = timeline.trail()
     timeline.go_by(-5)
@@ -53,7 +51,7 @@ def test_continuing_from_an_earlier_tick_discards_later_ones_but_changes_no_publ
     assert timeline.time_range == (0.0, 0.5)
 
 
-def test_trails_are_read_only_and_survive_growth() -> None:
+def test_trails_are_read_only_and_survive_growth():
     timeline = flown(3000)
     trail = timeline.trail()
     with pytest.raises(ValueError, match="read-only"):
@@ -61,7 +59,7 @@ def test_trails_are_read_only_and_survive_growth() -> None:
     np.testing.assert_array_equal(trail[:, 0], np.arange(3000))
 
 
-def test_the_oldest_ticks_are_discarded_beyond_the_capacity(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_ticks_are_discarded_beyond_the_capacity(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("aero_viz.session.timeline._CAPACITY", 10)
     timeline = flown(25)
     assert timeline.index == 24

@@ -1,7 +1,5 @@
 """Fly for two hours before two browsers, one of them slow: `make soak`, or `make soak ARGS="--minutes 10"`."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

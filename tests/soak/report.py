@@ -1,7 +1,5 @@
 """Samples of a soak, what is judged of them, and their table, file and curve."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields

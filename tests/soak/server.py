@@ -1,7 +1,5 @@
 """The server of a soak: flies scene after scene, shows them on the page, and answers how it is doing."""
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The judgement of a soak, and the figures that its server gives."""
 
-from __future__ import annotations
-
 import dataclasses
 import xml.etree.ElementTree as ElementTree
 

@@ -1,7 +1,5 @@
 """A small benchmark with flights of 0.2 s, which tests the runner rather than the planner."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Causes of the failures of a benchmark."""
 
-from __future__ import annotations
-
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.bench.causes import cause_of, cause_rows
 from aero_viz.evaluation.bench.report import format_causes, write_report

@@ -1,7 +1,5 @@
 """The comparison of two runs of a benchmark."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +32,7 @@ def write_run(folder: Path, times: list[float | None], **changes: object) -> Pat
 
 def test_two_configurations_are_compared_world_by_world(
     fly: Callable[..., Run], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     fly("a")
     fly("b", config=SLOWER)
     content = run_json(capsys, "bench", "compare", str(tmp_path / "a"), str(tmp_path / "b"))
@@ -45,7 +43,7 @@ def test_two_configurations_are_compared_world_by_world(
     assert code == 0 and text.startswith("A and B do not differ.")
 
 
-def test_the_sign_test_decides_by_arrivals_and_then_by_time(tmp_path: Path) -> None:
+def test_the_sign_test_decides_by_arrivals_and_then_by_time(tmp_path: Path):
     a = write_run(tmp_path / "a", [None] * 6 + [5.0] * 6)
     arrives_more = write_run(tmp_path / "b", [9.0] * 12, config={"costs": {"q": 2.0}})
     faster = write_run(tmp_path / "c", [None] * 6 + [4.0] * 6)
@@ -56,16 +54,14 @@ def test_the_sign_test_decides_by_arrivals_and_then_by_time(tmp_path: Path) -> N
     assert compare_runs(a, faster).rows["r"].verdict == "B" and compare_runs(faster, a).rows["r"].verdict == "A"
 
 
-def test_only_flights_that_both_runs_have_are_compared(tmp_path: Path) -> None:
+def test_only_flights_that_both_runs_have_are_compared(tmp_path: Path):
     a, b = write_run(tmp_path / "a", [5.0] * 4), write_run(tmp_path / "b", [5.0] * 6)
     comparison = compare_runs(a, b)
     assert comparison.rows["r"].pairs == 4 and comparison.unpaired == 2
     assert "2 flights were left out" in comparison.format_table()
 
 
-def test_runs_that_do_not_fit_are_refused(
-    fly: Callable[..., Run], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_runs_that_do_not_fit_are_refused(fly: Callable[..., Run], tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     fly("a", flights=1)
     fly("b", flights=1, rules=FlightRules(time_limit=0.1))
     with pytest.raises(UserError, match="cannot be compared: simulation is"):

@@ -1,7 +1,5 @@
 """A benchmark on a real Ray cluster of two nodes on this machine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -41,7 +39,7 @@ def _add_node(cluster: Any, attempts: int = 3) -> None:
         _add_node(cluster, attempts - 1)
 
 
-def test_a_cluster_that_loses_a_node_returns_the_same_flights(fly: Callable[..., Run], cluster: Any) -> None:
+def test_a_cluster_that_loses_a_node_returns_the_same_flights(fly: Callable[..., Run], cluster: Any):
     alone = fly("alone", flights=4, batch=1)
     (node,) = cluster.worker_nodes
     executor = RayExecutor(cluster.address)
@@ -59,7 +57,7 @@ def test_a_cluster_that_loses_a_node_returns_the_same_flights(fly: Callable[...,
         executor.close()
 
 
-def test_ray_addresses_are_checked() -> None:
+def test_ray_addresses_are_checked():
     with pytest.raises(UserError, match="takes one address, but was given 2"):
         open_executor(("a", "b"), device="cpu")
     with pytest.raises(UserError, match="each worker sees one GPU, as cuda:0"):

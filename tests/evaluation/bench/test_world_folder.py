@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
     return worlds
 
 
-def test_every_world_of_a_folder_is_a_row(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_every_world_of_a_folder_is_a_row(folder: Path, caplog: pytest.LogCaptureFixture):
     benchmark = folder_benchmark(folder, speed=5.0)
     assert [row.label for row in benchmark.rows] == [
         *sorted(f"forest-{n}.json" for n in (0, 20, 40, 60, 80, 100)),
@@ -43,13 +41,13 @@ def test_every_world_of_a_folder_is_a_row(folder: Path, caplog: pytest.LogCaptur
     assert "notes.json is not a world" in caplog.text
 
 
-def test_given_ends_hold_for_all_worlds(folder: Path) -> None:
+def test_given_ends_hold_for_all_worlds(folder: Path):
     benchmark = folder_benchmark(folder, speed=5.0, start=(1.0, 2.0, 2.0), goal=(9.0, 2.0, 2.0))
     for world in benchmark.worlds.values():
         np.testing.assert_array_equal([world.start, world.goal], [[1.0, 2.0, 2.0], [9.0, 2.0, 2.0]])
 
 
-def test_worlds_are_reported_by_difficulty(folder: Path, fly: Callable[..., Run], tmp_path: Path) -> None:
+def test_worlds_are_reported_by_difficulty(folder: Path, fly: Callable[..., Run], tmp_path: Path):
     run = fly("report", folder_benchmark(folder, speed=5.0), flights=1)
     assert len(run.flights) == 7
     records = world_records(run)
@@ -64,7 +62,7 @@ def test_worlds_are_reported_by_difficulty(folder: Path, fly: Callable[..., Run]
     assert "## Success over difficulty" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
 
 
-def test_a_run_is_not_resumed_with_changed_worlds(folder: Path, fly: Callable[..., Run]) -> None:
+def test_a_run_is_not_resumed_with_changed_worlds(folder: Path, fly: Callable[..., Run]):
     fly("again", folder_benchmark(folder, speed=5.0), flights=1)
     content = json.loads((folder / "forest-20.json").read_text(encoding="utf-8"))
     (folder / "forest-20.json").write_text(json.dumps({**content, "goal": [40.0, 0.0, 2.0]}), encoding="utf-8")
@@ -72,7 +70,7 @@ def test_a_run_is_not_resumed_with_changed_worlds(folder: Path, fly: Callable[..
         fly("again", folder_benchmark(folder, speed=5.0), flights=1, resume=True)
 
 
-def test_a_folder_without_worlds_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_worlds_is_refused(tmp_path: Path):
     with pytest.raises(UserError, match="has no worlds"):
         folder_benchmark(tmp_path, speed=5.0)
     with pytest.raises(UserError, match="Cannot read the folder"):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from aero_planner.config.field_of_view import mounted_view

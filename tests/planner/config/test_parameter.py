@@ -1,7 +1,5 @@
 """Base classes of configurations, tested with a configuration that has renamed and removed parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from collections.abc import Mapping

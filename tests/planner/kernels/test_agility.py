@@ -1,7 +1,5 @@
 """Continued surfaces, proven stops, places without progress, and the prediction of the start."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Proof of stops: on a CPU only those that the selection needs are evaluated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

@@ -1,7 +1,5 @@
 """Braking paths: where on them a drone is, and that the stop controller follows them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

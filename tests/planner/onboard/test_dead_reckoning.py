@@ -1,7 +1,5 @@
 """Dead reckoning against RK4, and the stop controller on the propagated model."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

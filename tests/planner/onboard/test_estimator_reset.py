@@ -1,7 +1,5 @@
 """Estimator resets: what counts as one, and how the node reacts."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The failsafe process: its shared memory, and the process itself with a real socket or serial line."""
 
-from __future__ import annotations
-
 import logging
 import math
 import mmap

@@ -1,7 +1,5 @@
 """Conversions between MAVLink's frames and the planner's, against hand-worked cases and rotation matrices."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

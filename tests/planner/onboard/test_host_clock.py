@@ -1,7 +1,5 @@
 """Time stamps of a device in host time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

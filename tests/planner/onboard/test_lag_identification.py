@@ -1,7 +1,5 @@
 """Identification of lags from flights of the simulated vehicle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

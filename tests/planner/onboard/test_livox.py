@@ -1,7 +1,5 @@
 """Livox packets over a real socket: hand-written headers, both data types, refusals, sequence and time."""
 
-from __future__ import annotations
-
 import socket
 import struct
 import zlib

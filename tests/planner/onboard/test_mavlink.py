@@ -1,7 +1,5 @@
 """The MAVLink connection over real sockets, with an autopilot that sends pymavlink's own messages."""
 
-from __future__ import annotations
-
 import math
 import os
 import socket

@@ -1,7 +1,5 @@
 """Signatures, with pymavlink at the other end of the connection."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import socket

@@ -1,7 +1,5 @@
 """The watchdog in flight: a control loop that is late or hangs."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import math

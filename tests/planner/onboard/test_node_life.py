@@ -1,7 +1,5 @@
 """The end of a node, faulty observers, and a node with real threads."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

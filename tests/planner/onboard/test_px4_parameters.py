@@ -1,7 +1,5 @@
 """PX4's parameters, with a pymavlink peer that answers as PX4 does."""
 
-from __future__ import annotations
-
 import math
 import socket
 import struct

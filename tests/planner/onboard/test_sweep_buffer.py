@@ -1,7 +1,5 @@
 """Deskewing against a float64 reference, ages, waiting and dropped points, and bounded memory."""
 
-from __future__ import annotations
-
 import math
 import threading
 

@@ -1,7 +1,5 @@
 """The thrust curve against PX4's formula, and its calibration."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

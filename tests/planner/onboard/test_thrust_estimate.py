@@ -1,7 +1,5 @@
 """The hover thrust is corrected from what the commands cause."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Decisions of the watchdog. `test_node` flies with it; `test_failsafe_process` runs it in a second process."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
