@@ -10,7 +10,7 @@ import bags
 import dpkt
 import laspy
 import numpy as np
-from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct
+from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
 
 from aero_planner.onboard.livox import encode_packet
 
@@ -123,10 +123,12 @@ def write_vlp16(path: Path) -> Path:
     return write_pcap(path, datagrams)
 
 
-def write_las(path: Path, points: np.ndarray, *, unit: int | None = None) -> None:
-    """Write a LAS or LAZ file, with a GeoTIFF code of the unit."""
+def write_las(path: Path, points: np.ndarray, *, unit: int | None = None, wkt: str | None = None) -> None:
+    """Write a LAS or LAZ file, with a GeoTIFF code of the unit or the WKT of the coordinate system."""
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales, header.offsets = np.full(3, 1e-4), points.min(axis=0)
+    if wkt is not None:
+        header.vlrs.append(WktCoordinateSystemVlr(wkt))
     if unit is not None:
         keys = GeoKeyDirectoryVlr()
         keys.geo_keys = [GeoKeyEntryStruct(3076, 0, 1, unit)]

@@ -20,6 +20,7 @@ from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from aero_viz.scenes.decoding_process import DecodingProcess
+from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_points
 
 __all__ = ["CLOUD_SUFFIXES", "STAMP_END", "CloudFiles", "CloudSequence", "PacketClouds", "StampedCloud", "read_kitti"]
@@ -107,7 +108,7 @@ class CloudFiles(CloudSequence):
         try:
             file, points = self._first_cloud()
             is_las = file.suffix.lower() in (".las", ".laz")
-            unit = self._process.las_unit(file) if is_las else 1.0
+            units = self._process.las_units(file) if is_las else LasUnits()
         except BaseException:
             self._process.close()
             raise
@@ -116,8 +117,9 @@ class CloudFiles(CloudSequence):
         if self._offset.any():
             x, y, z = self._offset
             self.notices.append(f"the cloud is in map coordinates: ({x:.0f}, {y:.0f}, {z:.0f}) m are subtracted")
-        if unit != 1.0:
-            self.notices.append(f"coordinates in feet are converted to metres, x {unit:.7f}")
+        if units != LasUnits():
+            heights = f", heights x {units.vertical:.7f}" if units.vertical != units.horizontal else ""
+            self.notices.append(f"coordinates in feet are converted to metres, x {units.horizontal:.7f}{heights}")
         # The number of points only has to be more than zero before a file is read; most headers are not comparable.
         self._count = max(len(points), 1)
 

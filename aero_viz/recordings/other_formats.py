@@ -31,7 +31,15 @@ __all__ = ["CloudFolder", "open_cloud_folder", "open_other_file"]
 _PERIOD = 100_000_000
 _FIRST_STAMP = 1_000_000_000
 """Stamp of the first cloud where none is known [ns]; zero would mean that it is unset."""
-_MAGICS = {b"# .PCD": ".pcd", b"VERSION": ".pcd", b"ply": ".ply", b"LASF": ".las", b"\x93NUMPY": ".npy"}
+_MAGICS = {
+    b"# .PCD": ".pcd",
+    b"#.PCD": ".pcd",
+    b"VERSION": ".pcd",
+    b"FIELDS": ".pcd",
+    b"ply": ".ply",
+    b"LASF": ".las",
+    b"\x93NUMPY": ".npy",
+}
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ULOG = b"ULog"
 _OSF = b"OSF"

@@ -24,6 +24,9 @@ __all__ = ["ChosenPoses", "PoseSource", "choose_cloud_topic", "choose_poses", "r
 _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
 """Types of messages that fit each role of a topic, and what to say about another type."""
 
+_PACKETS = ("/PacketMsg", "/VelodyneScan", "/VelodynePacket", "/RslidarScan", "/PandarScan", "/RslidarPacket")
+"""Ends of the types of messages that drivers of Ouster, Velodyne, RoboSense and Hesai record packets in."""
+
 _SHOWN, _SHOWN_LENGTH = 8, 80
 """Number of names that a message lists, and their length."""
 
@@ -79,7 +82,16 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
         topics = [_find_topic(contents, name, "points")]
     if not topics:
         held = _join([f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics], ", ") or "no topics"
-        raise UserError(f"{contents.path} has no PointCloud2 topic with messages; it holds {held}")
+        is_raw = any(topic.type.endswith(_PACKETS) and topic.count for topic in contents.topics)
+        raise UserError(
+            f"{contents.path} has no PointCloud2 topic with messages, and none of Livox's CustomMsg or LaserScan; it "
+            f"holds {held}: "
+            + (
+                "record the clouds that the sensor's driver makes while it replays the packets"
+                if is_raw
+                else "record the topic of the LiDAR, too"
+            )
+        )
     if not topics[0].clouds:
         reason = topics[0].reason or "there are no messages"
         raise UserError(f"no cloud on {topics[0].name} of {contents.path} can be read: {reason}")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
+from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.solids import Solids
 
 __all__ = ["DecodingProcess"]
@@ -34,13 +35,13 @@ class DecodingProcess:
         """
         return self._run(path, _decode, content)
 
-    def las_unit(self, path: Path) -> float:
-        """Return the length of the unit of a LAS or LAZ file [m], 1 where the file does not say.
+    def las_units(self, path: Path) -> LasUnits:
+        """Return the units of a LAS or LAZ file.
 
         Raises:
             OSError, ValueError: as for `decode`.
         """
-        return self._run(path, _las_unit)
+        return self._run(path, _las_units)
 
     def solids(self, path: Path, pixel: float | None) -> Solids:
         """Return the solids of a Gazebo world or of an occupancy image with pixels of this edge [m].
@@ -75,11 +76,11 @@ def _decode(path: Path, content: str) -> NDArray[np.float64]:
         return np.ascontiguousarray(decode(path, content), dtype=np.float64)
 
 
-def _las_unit(path: Path) -> float:
-    from aero_viz.scenes.las import read_las_unit
+def _las_units(path: Path) -> LasUnits:
+    from aero_viz.scenes.las import read_las_units
 
     with _one_sentence():
-        return read_las_unit(path)
+        return read_las_units(path)
 
 
 def _solids(path: Path, pixel: float | None) -> Solids:

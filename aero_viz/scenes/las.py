@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.scenes.decoder_checks import check_count
 
-__all__ = ["read_las", "read_las_unit"]
+__all__ = ["LasUnits", "read_las", "read_las_units"]
 
 _CHUNK = 1_000_000  # points decoded at once
 _HEADER_MAX = 375  # [bytes]
 _FEET = {9002: 0.3048, 9003: 1200 / 3937}
 """GeoTIFF codes of linear units: the international foot and the US survey foot [m]."""
-_UNIT_KEYS = (3076, 4099)  # ProjLinearUnitsGeoKey, VerticalUnitsGeoKey
-_GEO_KEYS, _WKT = 34735, 2112
+_HORIZONTAL_KEY, _VERTICAL_KEY = 3076, 4099
+"""ProjLinearUnitsGeoKey and VerticalUnitsGeoKey."""
+_GEO_KEYS, _GEO_TEXTS, _WKT = 34735, 34737, 2112
+_NOISE = (7, 18)
+"""Classes of low and high noise."""
+
+
+class LasUnits(NamedTuple):
+    """Lengths of the units of a LAS or LAZ file [m], 1 where it does not say."""
+
+    horizontal: float = 1.0
+    vertical: float = 1.0
 
 
 def read_las(path: Path) -> NDArray[np.float64]:
-    """Return the points of a LAS or LAZ file [n, 3] [m]; coordinates in feet are converted.
+    """Return the points of a LAS or LAZ file [n, 3] [m], without those that are withheld or classified as noise.
+
+    Coordinates in feet are converted.
 
     Raises:
         Exception: the file is damaged or truncated; a ValueError has a text for the user.
@@ -31,15 +44,17 @@ def read_las(path: Path) -> NDArray[np.float64]:
 
     _check_header(path)
     with laspy.open(path) as reader:
-        declared, unit = reader.header.point_count, _unit(reader.header)
-        chunks = [np.array([c.x, c.y, c.z], dtype=np.float64).T for c in reader.chunk_iterator(_CHUNK)]
-    points = np.vstack(chunks) if chunks else np.zeros((0, 3))
-    check_count(declared, len(points))
-    return points * unit
+        declared, units, present, parts = reader.header.point_count, _units(reader.header), 0, [np.zeros((0, 3))]
+        for chunk in reader.chunk_iterator(_CHUNK):
+            present += len(chunk)
+            is_left_out = np.asarray(chunk.withheld, np.bool_) | np.isin(np.asarray(chunk.classification), _NOISE)
+            parts.append(np.array([chunk.x, chunk.y, chunk.z], dtype=np.float64).T[~is_left_out])
+    check_count(declared, present)
+    return np.vstack(parts) * (units.horizontal, units.horizontal, units.vertical)
 
 
-def read_las_unit(path: Path) -> float:
-    """Return the length of the unit of a LAS or LAZ file [m], 1 where the file does not say.
+def read_las_units(path: Path) -> LasUnits:
+    """Return the units of a LAS or LAZ file.
 
     Raises:
         Exception: as for `read_las`.
@@ -48,7 +63,7 @@ def read_las_unit(path: Path) -> float:
 
     _check_header(path)
     with laspy.open(path) as reader:
-        return _unit(reader.header)
+        return _units(reader.header)
 
 
 def _check_header(path: Path) -> None:
@@ -85,18 +100,37 @@ def _check_laz_chunks(path: Path, first_point: int, size: int) -> None:
             raise ValueError("its compressed data are damaged")
 
 
-def _unit(header: Any) -> float:
+def _units(header: Any) -> LasUnits:
+    keys, texts = {}, ""
     for record in header.vlrs:
         if record.record_id == _GEO_KEYS:  # rows of key, location, count, value
             content = record.record_data_bytes()[8:]
             rows = np.frombuffer(content[: len(content) // 8 * 8], "<u2").reshape(-1, 4)
-            for key, location, _, value in rows.tolist():
-                if key in _UNIT_KEYS and location == 0 and value in _FEET:
-                    return _FEET[value]
+            keys = {key: value for key, location, _, value in rows.tolist() if location == 0}
+        elif record.record_id == _GEO_TEXTS:
+            texts = record.record_data_bytes().decode(errors="replace").lower()
         elif record.record_id == _WKT:
-            text = record.record_data_bytes().decode(errors="replace").lower()
-            if "us survey foot" in text or "foot_us" in text:
-                return _FEET[9003]
-            if '"foot"' in text or "international foot" in text:
-                return _FEET[9002]
-    return 1.0
+            return _units_of_wkt(record.record_data_bytes().decode(errors="replace"))
+    if _HORIZONTAL_KEY in keys:
+        horizontal = _FEET.get(keys[_HORIZONTAL_KEY], 1.0)
+    elif "ftus" in texts or "us survey f" in texts or "foot_us" in texts:
+        horizontal = _FEET[9003]
+    elif _VERTICAL_KEY in keys and not texts:
+        horizontal = _FEET.get(keys[_VERTICAL_KEY], 1.0)
+    else:
+        horizontal = 1.0
+    return LasUnits(horizontal, _FEET.get(keys[_VERTICAL_KEY], 1.0) if _VERTICAL_KEY in keys else horizontal)
+
+
+def _units_of_wkt(text: str) -> LasUnits:
+    """Return the last unit of length of the horizontal and of the vertical coordinate system."""
+    parts = re.split(r"VERT_?(?:CS|CRS)\b", text, maxsplit=1, flags=re.IGNORECASE)
+    found: list[float] = []
+    for part in parts:
+        units = re.findall(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]{1,40})', part, re.IGNORECASE)
+        lengths = [factor for name, factor in units if not re.search("degree|radian|grad|unity", name, re.IGNORECASE)]
+        found.append(float(lengths[-1]) if lengths else 1.0)
+    units = LasUnits(found[0], found[-1])
+    if not all(0.01 < unit < 100.0 for unit in units):
+        raise ValueError("the units in its coordinate system are damaged")
+    return units

@@ -6,8 +6,10 @@ files.
 
 from __future__ import annotations
 
+import re
 import struct
-from itertools import islice
+from collections.abc import Iterator
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +30,16 @@ def read_pcd(path: Path) -> Points:
     header, size = read_header(
         path, rb"(?s)^.*?(?:^|\n)DATA[ \t]+\w+[ \t]*\r?\n", "it has no PCD header that ends in DATA"
     )
-    rows = [line.split("#")[0].split() for line in header.decode("ascii", "replace").splitlines()]
-    entries = {row[0]: row[1:] for row in rows if row}
-    fields, sizes, types, data = entries["FIELDS"], entries["SIZE"], entries["TYPE"], entries["DATA"][0]
-    counts = [int(n) for n in entries.get("COUNT", ["1"] * len(fields))]
-    points = int(entries["POINTS"][0]) if "POINTS" in entries else int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0])
+    entries = _entries(header)
+    fields, data = [name.lower() for name in entries["FIELDS"]], entries["DATA"][0].lower()
     missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise ValueError(f"it has no field {missing[0]} among {', '.join(fields)[:100]}")
-    if not len(fields) == len(sizes) == len(types) == len(counts) or min(counts) < 1:
-        raise ValueError("its header is damaged: FIELDS, SIZE, TYPE and COUNT do not fit together")
+    present = None
+    if data == "ascii":
+        present = sum(1 for line in _lines(path, header.count(b"\n")) if line.strip())
+    record, points = _layout(entries, fields, size, present)
+    counts = [record[i].shape[0] for i in range(len(record.names or ()))]
     axes = [fields.index(axis) for axis in "xyz"]
     if points == 0:
         return np.zeros((0, 3))
@@ -46,14 +48,11 @@ def read_pcd(path: Path) -> Points:
         check_count(points, (size + 1) // (2 * sum(counts)))  # a digit and a space for each value
         table: NDArray[Any] = np.loadtxt(path, skiprows=header.count(b"\n"), usecols=columns, max_rows=points, ndmin=2)
         check_count(points, len(table))
-        last = _line(path, header.count(b"\n") + points)
+        last = next(islice(_lines(path, header.count(b"\n")), points - 1, None), b"")
         if len(last.split()) < sum(counts):
             raise ValueError(f"it is truncated: its last point has {len(last.split())} of {sum(counts)} values")
         return table
-    # Names may repeat, such as the padding "_"; positions do not.
-    names = [f"f{i}" for i in range(len(fields))]
-    kinds = [f"<{'f' if t == 'F' else t.lower()}{n}" for t, n in zip(types, sizes, strict=True)]
-    record = np.dtype([(name, kind, (n,)) for name, kind, n in zip(names, kinds, counts, strict=True)])
+    names = record.names or ()
     if data == "binary":
         check_count(points, size // record.itemsize)
     content = path.read_bytes()[len(header) :]
@@ -71,14 +70,73 @@ def read_pcd(path: Path) -> Points:
     columns = []
     for i in axes:
         first = points * sum(record[name].itemsize for name in names[:i])
-        columns.append(np.frombuffer(plain, kinds[i], points * counts[i], first)[:: counts[i]])
+        columns.append(np.frombuffer(plain, record[i].base, points * counts[i], first)[:: counts[i]])
     return np.column_stack(columns)
 
 
-def _line(path: Path, number: int) -> bytes:
-    """Return a line of a file, counted from 1."""
+def _entries(header: bytes) -> dict[str, list[str]]:
+    """Return the entries of a header by their keywords."""
+    text = "\n".join(line.split("#")[0] for line in header.decode("ascii", "replace").splitlines())
+    for keyword in ("SIZE", "WIDTH"):  # a tool of Livox's omits the line breaks before these
+        if not re.search(rf"(?m)^[ \t]*{keyword}\s", text):
+            text = text.replace(f"{keyword} ", f"\n{keyword} ", 1)
+    entries = {row[0]: row[1:] for row in (line.split() for line in text.splitlines()) if row}
+    for keyword in ("FIELDS", "DATA"):
+        if not entries.get(keyword):
+            raise ValueError(f"its header has no {keyword}")
+    return entries
+
+
+def _layout(
+    entries: dict[str, list[str]], fields: list[str], size: int, present: int | None
+) -> tuple[np.dtype[Any], int]:
+    """Return the type of a point, and the number of points.
+
+    Where a header contradicts itself, that is chosen which fits the data.
+
+    Args:
+        entries: the header.
+        fields: names of the fields.
+        size: length of the data [bytes].
+        present: number of points that the data hold; None where their size says it.
+    """
+    declared = [int(entries["POINTS"][0])] if entries.get("POINTS") else []
+    if entries.get("WIDTH"):
+        declared.append(int(entries["WIDTH"][0]) * int((entries.get("HEIGHT") or ["1"])[0]))
+    sizes, types = entries.get("SIZE", []), entries.get("TYPE", [])
+    counts = entries.get("COUNT") or ["1"] * len(fields)
+    lengths = {len(fields), len(sizes), len(types), len(counts)}
+    if present is not None:
+        # Only the columns matter. A number that is declared twice and fits nowhere means a truncated file.
+        points = present if not declared or present in declared else declared[0]
+        return _record(len(fields), [], [], counts), points
+    records = [_record(length, sizes, types, counts) for length in sorted(lengths, reverse=True) if length > 2]
+    for record in records:
+        for points in declared or [size // record.itemsize]:
+            if points * record.itemsize == size:
+                return record, points
+    if len(lengths) > 1 or not declared:
+        raise ValueError("its header is damaged: FIELDS, SIZE, TYPE and COUNT do not fit together")
+    return records[0], declared[0]
+
+
+def _record(length: int, sizes: list[str], types: list[str], counts: list[str]) -> np.dtype[Any]:
+    """Return the type of a point with so many fields. Those that are not described are single float32."""
+    rows = [
+        (name or "F", width or "4", int(count or "1"))
+        for _, name, width, count in zip_longest(range(length), types[:length], sizes[:length], counts[:length])
+    ]
+    if not rows or min(count for _, _, count in rows) < 1:
+        raise ValueError("its header is damaged: COUNT must be positive")
+    # Names may repeat, such as the padding "_"; positions do not.
+    kinds = [f"<{'f' if name == 'F' else name.lower()}{width}" for name, width, _ in rows]
+    return np.dtype([(f"f{i}", kind, (row[2],)) for i, (kind, row) in enumerate(zip(kinds, rows, strict=True))])
+
+
+def _lines(path: Path, skipped: int) -> Iterator[bytes]:
+    """Yield the lines of a file after the first ones."""
     with path.open("rb") as file:
-        return next(islice(file, number - 1, None), b"")
+        yield from islice(file, skipped, None)
 
 
 def _decompress_lzf(packed: bytes, size: int) -> bytes:

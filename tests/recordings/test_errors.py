@@ -5,6 +5,7 @@ from __future__ import annotations
 import bags
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import inspect, open_recording
@@ -57,6 +58,18 @@ def test_no_clouds(mcap_of):
         open_recording(path)
     info = inspect(path)
     assert info.sweeps == 0 and "no PointCloud2 topic" in info.problems[0]
+
+
+def test_raw_packets_in_a_bag_are_no_clouds(tmp_path):
+    with (tmp_path / "os.mcap").open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        schema = writer.register_schema("ouster_ros/msg/PacketMsg", "ros2msg", b"uint8[] buf")
+        channel = writer.register_channel("/os_node/lidar_packets", "cdr", schema)
+        writer.add_message(channel, bags.START, bytes(64), bags.START)
+        writer.finish()
+    with pytest.raises(UserError, match=r"os.mcap has no PointCloud2 .* driver makes while it replays the packets"):
+        open_recording(tmp_path / "os.mcap")
 
 
 def test_named_topics(mcap_of):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import bags
+import laspy
 import numpy as np
 import pytest
 from captures import laser_scan, livox_packets, write_las, write_lvx2, write_mid360, write_ulog, write_vlp16
@@ -96,6 +97,35 @@ def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path:
         assert any("map coordinates" in problem for problem in recording.problems)
     assert np.abs(points).max() < 10.0
     np.testing.assert_allclose(points - points.mean(axis=0), WALL - WALL.mean(axis=0), atol=2e-3)
+
+
+@pytest.mark.parametrize(("heights", "factor"), [("US survey foot", 1200 / 3937), ("metre", 1.0)])
+def test_units_of_a_well_known_text_are_those_of_the_plane_and_of_the_heights(
+    tmp_path: Path, heights: str, factor: float
+) -> None:
+    foot = 1200 / 3937
+    wkt = (
+        'COMPD_CS["Washington North",PROJCS["NAD83 (ftUS)",GEOGCS["NAD83",UNIT["degree",0.0174532925199433]],'
+        f'PARAMETER["false_easting",1640416.667],UNIT["US survey foot",{foot}]],'
+        f'VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["{heights}",{factor}]]]'
+    )
+    path = tmp_path / "plot.laz"
+    write_las(path, WALL / [foot, foot, factor] + [1_500_000.0, 600_000.0, 300.0], wkt=wkt)
+    with open_recording(path) as recording:
+        points = recording.sweep(0).points
+        assert any("feet" in problem for problem in recording.problems)
+    np.testing.assert_allclose(points - points.mean(axis=0), WALL - WALL.mean(axis=0), atol=2e-3)
+
+
+def test_withheld_points_and_noise_of_las_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "plot.laz"
+    write_las(path, np.vstack([WALL, [[0.0, 0.0, 9000.0], [0.0, 0.0, -9000.0], [9000.0, 0.0, 0.0]]]))
+    content = laspy.read(path)
+    content.classification[-3:] = [18, 7, 2]
+    content.withheld[-1:] = 1
+    content.write(path)
+    with open_recording(path) as recording:
+        np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-3)
 
 
 def check_livox(path: Path, name: str) -> None:

@@ -108,6 +108,50 @@ def test_pcd(tmp_path, form, size):
     np.testing.assert_array_equal(read_points(path), POINTS)
 
 
+PLAIN = (
+    "# .PCD v.7 - Point Cloud Data file format\nVERSION .7\nFIELDS x y z intensity class\nSIZE 4 4 4 4 4\n"
+    "TYPE F F F F F\nCOUNT 1 1 1 1 1\nWIDTH 500\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 500\nDATA binary\n"
+)
+MALFORMED = {
+    "no line break before SIZE and WIDTH, as in livox_lane_detection": (
+        "class\nSIZE",
+        "classSIZE",
+        "1\nWIDTH",
+        "1WIDTH",
+    ),
+    "five fields of which four are described, as there": (
+        "4 4 4 4 4",
+        "4 4 4 4",
+        "F F F F F",
+        "F F F F",
+        "1 1 1 1 1",
+        "1 1 1 1",
+    ),
+    "Windows": ("\n", "\r\n"),
+    "only POINTS is right": ("WIDTH 500", "WIDTH 1"),
+    "only WIDTH is right": ("POINTS 500", "POINTS 0"),
+    "no number of points": ("WIDTH 500\nHEIGHT 1\n", "", "POINTS 500\n", ""),
+    "neither COUNT nor VIEWPOINT": ("COUNT 1 1 1 1 1\n", "", "VIEWPOINT 0 0 0 1 0 0 0\n", ""),
+    "one size too many": ("4 4 4 4 4", "4 4 4 4 4 4"),
+    "upper case": ("x y z", "X Y Z"),
+    "no comment": ("# .PCD v.7 - Point Cloud Data file format\n", ""),
+}
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary"])
+@pytest.mark.parametrize("changes", MALFORMED.values(), ids=MALFORMED)
+def test_a_malformed_header_of_pcd_is_read_by_what_fits_the_data(tmp_path, changes, form):
+    header = PLAIN.replace("binary", form)
+    for old, new in zip(changes[::2], changes[1::2], strict=True):
+        assert old in header
+        header = header.replace(old, new)
+    rows = np.column_stack([POINTS, np.ones((500, 2))]).astype("<f4")
+    text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.astype(float).tolist())
+    path = tmp_path / "m.pcd"
+    path.write_bytes(header.encode() + (text.encode() if form == "ascii" else rows.tobytes()))
+    np.testing.assert_array_equal(read_points(path), POINTS)
+
+
 @pytest.mark.parametrize("options", [{"write_ascii": True}, {}, {"compressed": True}])
 @pytest.mark.parametrize("suffix", ["pcd", "ply"])
 def test_files_of_open3d(tmp_path, cloud, suffix, options):
@@ -190,7 +234,7 @@ DAMAGED = [
     ("m.pcd", pcd("binary")[:-2000], "truncated: its header declares 500 points, and it holds 40"),
     ("m.pcd", pcd("ascii")[:-300], "at row 496 with 3 columns"),
     ("m.pcd", pcd("ascii").rsplit(b"\n", 9)[0], "truncated: its header declares 500 points, and it holds 492"),
-    ("m.pcd", pcd("binary").replace(b"POINTS 500", b"POINTS 1000000000000"), "truncated"),
+    ("m.pcd", pcd("binary").replace(b" 500", b" 1000000000000"), "truncated"),
     ("m.pcd", pcd("binary_compressed").replace(b"POINTS 500", b"POINTS 1000000000000"), "compressed data"),
     ("m.pcd", pcd("binary").replace(b"DATA binary", b"DATA zipped"), "zipped"),
     ("m.pcd", pcd("binary").replace(b"FIELDS a x y _ z _", b"FIELDS a x y _ w _"), "no field z"),
