@@ -123,7 +123,7 @@ def test_withheld_points_and_noise_of_las_are_left_out(tmp_path: Path) -> None:
     content = laspy.read(path)
     content.classification[-3:] = [18, 7, 2]
     content.withheld[-1:] = 1
-    content.write(path)
+    content.write(str(path))
     with open_recording(path) as recording:
         np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-3)
 
