@@ -17,6 +17,7 @@ import viser
 from aero_viz.catalog import open_source
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.links import Link
+from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.scripts import run_script
@@ -133,10 +134,12 @@ class SharePanel(Panel):
             self._offer(client, link)
 
     def _offer(self, client: viser.ClientHandle, link: Link) -> None:
-        changes = "".join(f"\n- `{path}` = {value}" for path, value in link.config.items())
+        moment = f"{link.opening.spec}, seed {link.opening.seed}, at {link.time:.2f} s"
+        changes = (f"{path} = {value}" for path, value in link.config.items())
         modal = client.gui.add_modal("Open this link?")
         with modal:
-            client.gui.add_markdown(f"**{link.opening.spec}**, seed {link.opening.seed}, at {link.time:.2f} s{changes}")
+            # Not as Markdown, which may hold pictures of other servers.
+            client.gui.add_html(markup.block(f"<b>{markup.text(moment)}</b>", *map(markup.text, changes)))
             answer = client.gui.add_button_group("", ("Open", "Keep what is shown"))
 
             @answer.on_click

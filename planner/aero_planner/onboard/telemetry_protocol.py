@@ -133,6 +133,6 @@ def _unpack(kind: int, packed: bytes, size: int) -> Message:
             count = math.prod(shape)
             arrays[str(name)] = np.frombuffer(content, dtype, count, start).reshape(shape)
             start += count * np.dtype(dtype).itemsize
-    except (zlib.error, struct.error, KeyError, TypeError, ValueError, RecursionError) as error:
+    except (zlib.error, struct.error, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"a telemetry message is damaged: {error}.") from error
     return Message(kind, values, arrays)

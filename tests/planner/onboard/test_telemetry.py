@@ -268,6 +268,7 @@ def packed(content: bytes, size: int | None = None) -> bytes:
         packed(struct.pack("<I", 40) + b'{"values":{},"arrays":[["a","|O8",[1]]]}' + bytes(8)),
         packed(struct.pack("<I", 41) + b'{"values":{},"arrays":[["a","<f4",[-1]]]}'),
         packed(struct.pack("<I", 47) + b'{"values":{},"arrays":[["a","<f4",[1000000000]]]}'),
+        packed(struct.pack("<I", 61) + b'{"values":{},"arrays":[["a","<f4",[1180591620717411303424]]]}'),
         packed(bytes(100), size=200),
         packed(bytes(10_000_000), size=100),  # expands beyond its announced size
         header(length=4, size=100, checksum=zlib.crc32(b"nope")) + b"nope",
