@@ -8,8 +8,6 @@ from pathlib import Path
 
 from aero_viz.errors import UserError
 
-__all__ = ["CHROMIUM_FLAGS", "find_chromium"]
-
 CHROMIUM_FLAGS = (
     "--no-sandbox",
     "--use-angle=swiftshader",

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from aero_viz.scenes import World
 
-__all__ = ["is_map", "load_world", "open_source", "refuse_irregular", "shipped_recordings"]
-
 _SHIPPED = {
     "forest_mid360": "recorded flight through the forest, Mid-360",
     "room_mid360": "one recorded second in a room, Mid-360",

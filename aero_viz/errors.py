@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["UserError"]
-
 
 class UserError(Exception):
     """A user's mistake or unreadable input. The message is one sentence: what is wrong, where, and what to do next.

@@ -8,28 +8,6 @@ from __future__ import annotations
 
 import time
 
-__all__ = [
-    "BLOCK_MAX",
-    "CHECKSUM_MAX",
-    "DECODER_MEMORY_BASE",
-    "DECODER_MEMORY_RATIO",
-    "IMAGE_PIXELS_MAX",
-    "MAP_CELLS_MAX",
-    "MAP_POINTS_MAX",
-    "MAP_SPAN_MAX",
-    "MAP_VOXELS_MAX",
-    "METADATA_MAX",
-    "NAME_MAX",
-    "SDF_DEPTH_MAX",
-    "SDF_SOLIDS_MAX",
-    "SWEEP_POINTS_MAX",
-    "TEXT_MAX",
-    "TOPICS_MAX",
-    "LimitExceeded",
-    "ReadingBudget",
-    "expansion_limit",
-]
-
 _MIB = 2**20
 
 BLOCK_MAX = 256 * _MIB

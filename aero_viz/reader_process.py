@@ -22,8 +22,6 @@ from typing import Any, Protocol, TypeVar
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 
-__all__ = ["Limits", "ReadCancelled", "Reader", "ReaderProcess", "read_here"]
-
 T = TypeVar("T")
 
 _COUNT_BYTES = 8

@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
-__all__ = ["format_table"]
-
 _MAX_WIDTH = 10_000
 """Lines are never wrapped, so that a table reads the same in a terminal and in a pipe."""
 

@@ -12,8 +12,6 @@ from typing import Any
 from aero_planner.cli_util import run_command
 from benchmarks.common import machine, make_parser, run_program
 
-__all__ = ["first_plan", "main"]
-
 _PROGRAM = """
 import json, sys, time
 started = time.perf_counter()

@@ -15,8 +15,6 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import config_from_name
 from aero_planner.warp_init import find_device
 
-__all__ = ["config_of", "machine", "make_parser", "positive", "run_program"]
-
 
 def make_parser(name: str, description: str | None, *, points: int = 200_000) -> argparse.ArgumentParser:
     """Return the parser of `python -m benchmarks.NAME` with the options that all benchmarks have.

@@ -21,8 +21,6 @@ from aero_planner.forest_cloud import forest_flight
 from benchmarks.common import machine, make_parser, positive
 from benchmarks.comparison.problem import Problem, make_problem, problem_config
 
-__all__ = ["LIBRARIES", "compare", "main", "planner_runner"]
-
 LIBRARIES = {"pytorch-mppi": "benchmarks.comparison.with_torch", "jax-mppi": "benchmarks.comparison.with_jax"}
 """Module of each distribution; both are in the extra `bench`."""
 

@@ -12,8 +12,6 @@ import numpy as np
 from aero_planner.cli_util import run_command
 from benchmarks.common import positive, run_program
 
-__all__ = ["main", "plan_times"]
-
 _PROGRAM = """
 import json, sys, time
 import aero_planner.planner

@@ -24,8 +24,6 @@ from aero_planner.kernels.mppi import PROBES
 from benchmarks.common import config_of, machine, make_parser, positive
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
 
-__all__ = ["MACHINES", "Floor", "Machine", "floors", "main"]
-
 
 @dataclass(frozen=True)
 class Machine:

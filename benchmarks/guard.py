@@ -16,8 +16,6 @@ from aero_planner.forest_cloud import forest_flight
 from benchmarks.common import config_of, machine, make_parser, positive
 from benchmarks.naive import NEUTRAL, NaivePlanner
 
-__all__ = ["BOUNDS", "PlansDifferError", "compare_with_naive", "main"]
-
 BOUNDS = {"cpu": {"plan": 40.0, "partition": 1.6, "rollouts": 4.0}, "cuda": {"plan": 1.2}}
 """Minimum ratios of the whole plan and of stages, by kind of device: about half of the measured values. The clearance,
 which the naive reference finds by brute force, dominates the whole plan, hence the bounds on other stages."""

@@ -26,8 +26,6 @@ from aero_planner.cli_util import run_command
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages, sweep
 from benchmarks.common import machine, run_program
 
-__all__ = ["SWEEP_POINTS", "main", "measure", "write"]
-
 SWEEP_POINTS = 65_536
 START = 1_700_000_000_000_000_000
 _PERIOD, _POSES = 100_000_000, 5

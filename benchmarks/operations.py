@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-__all__ = ["Count", "Latency", "nominal_controls", "partition_point", "rollout"]
-
 
 @dataclass(frozen=True)
 class Latency:

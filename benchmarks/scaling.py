@@ -21,8 +21,6 @@ from aero_planner.cli_util import run_command
 from aero_planner.forest_cloud import forest_flight
 from benchmarks.common import machine, make_parser, positive
 
-__all__ = ["Row", "main", "superlinear", "sweep", "time_plan"]
-
 _TOLERANCE = 1.1
 """Factor by which the time per state may exceed that of the smallest size before growth counts as superlinear."""
 

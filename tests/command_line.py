@@ -12,8 +12,6 @@ import pytest
 
 from aero_viz.cli import main
 
-__all__ = ["run", "run_in_terminal", "run_json", "run_refused", "terminal_text"]
-
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     """Return exit code, stdout and stderr of the command line with these arguments."""

@@ -7,8 +7,6 @@ from aero_viz.flight import FlightRules, FlightSource
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 
-__all__ = ["small_config", "small_source"]
-
 
 def small_config() -> PlannerConfig:
     """Return the default configuration with few samples, which plans in a few milliseconds."""

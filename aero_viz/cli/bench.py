@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from aero_viz.evaluation.bench.external_results import ExternalResults
     from aero_viz.evaluation.bench.suites import Benchmark
 
-__all__ = ["bench", "bench_compare", "bench_worlds"]
-
 
 @dataclasses.dataclass(frozen=True)
 class RunFlags:

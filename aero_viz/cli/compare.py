@@ -11,8 +11,6 @@ from aero_viz.cli.flags import Inline
 from aero_viz.cli.output import print_report
 from aero_viz.cli.serving import PageFlags, announce, shutdown_event, wait_for
 
-__all__ = ["compare"]
-
 _PAGE = PageFlags()
 _Log = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="A.mcap")]]
 _OtherLog = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="B.mcap")]]

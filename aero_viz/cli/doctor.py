@@ -12,8 +12,6 @@ from aero_planner.check_report import Check, CheckReport
 from aero_viz.browser import find_chromium
 from aero_viz.errors import UserError
 
-__all__ = ["examine"]
-
 _PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "open3d", "rosbags", "mcap", "trimesh", "tyro")
 
 

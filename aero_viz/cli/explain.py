@@ -10,8 +10,6 @@ from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalFloat, 
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
 
-__all__ = ["explain"]
-
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
 _WORLD = WorldFlags()

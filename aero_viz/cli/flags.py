@@ -21,27 +21,6 @@ from aero_viz.scenes import World
 from aero_viz.scenes.map_files import has_voxels
 from aero_viz.sensors import LidarModel, lidar_model
 
-__all__ = [
-    "ConfigFlags",
-    "FileName",
-    "FlightFlags",
-    "FoxgloveFlag",
-    "Inline",
-    "OptionalFileName",
-    "OptionalFloat",
-    "OptionalInt",
-    "OptionalPath",
-    "OptionalPoint",
-    "OptionalText",
-    "OutputPath",
-    "RayFlag",
-    "RecordingFlags",
-    "RulesFlags",
-    "WorldFlags",
-    "WorldName",
-    "flight_rules",
-]
-
 T = TypeVar("T")
 Inline = Annotated[T, tyro.conf.arg(name="")]
 """A group of flags whose names have no prefix."""

@@ -22,8 +22,6 @@ from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, announce_foxglove
 from aero_viz.errors import UserError
 
-__all__ = ["fly", "score"]
-
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
 _PAGE = PageFlags()

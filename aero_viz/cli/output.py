@@ -7,8 +7,6 @@ import json
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
-__all__ = ["print_json", "print_report", "progress_bar"]
-
 
 class Report(Protocol):
     """Anything that a verb reports."""

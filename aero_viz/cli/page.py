@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from aero_viz.reader_process import Reader
     from aero_viz.session.source import Conditions, Opener, Source
 
-__all__ = ["connect", "demo", "flight_opener", "play", "serve_flight"]
-
 _PAGE = PageFlags()
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()

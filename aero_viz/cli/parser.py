@@ -10,8 +10,6 @@ from typing import Any
 from aero_planner.config.parameter import did_you_mean
 from aero_viz.errors import UserError
 
-__all__ = ["Verb", "parse"]
-
 
 @dataclass(frozen=True)
 class Verb:

@@ -10,8 +10,6 @@ import tyro
 from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
 
-__all__ = ["convert", "inspect"]
-
 _RECORDING = RecordingFlags()
 
 

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from aero_planner.config import PlannerConfig
 
-__all__ = ["replace_renamed_flags"]
-
 
 def replace_renamed_flags(arguments: Sequence[str]) -> list[str]:
     """Return command-line arguments in which flags of renamed planner parameters have their current names.

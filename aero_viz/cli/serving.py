@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from aero_viz.session import Session
     from aero_viz.session.base import BaseSession
 
-__all__ = [
-    "PageFlags", "announce", "announce_foxglove", "play_when_first_client_connects", "serve_foxglove", "shutdown_event",
-    "wait_for",
-]  # fmt: skip
-
 _FOXGLOVE_PORT = 8765
 """Foxglove's own default."""
 

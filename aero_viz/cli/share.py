@@ -10,8 +10,6 @@ from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalText, O
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
 
-__all__ = ["share"]
-
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
 _WORLD = WorldFlags()

@@ -10,8 +10,6 @@ from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, Wo
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
 
-__all__ = ["doctor", "export", "parameters", "snapshot", "world", "world_info"]
-
 _CONFIG = ConfigFlags()
 _WORLD = WorldFlags()
 

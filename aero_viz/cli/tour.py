@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from aero_planner import PlannerConfig
     from aero_viz.session.source import Opener
 
-__all__ = ["serve_tour"]
-
 
 def serve_tour(opener: Opener, config: PlannerConfig, page_flags: PageFlags, *, seed: int, device: str) -> None:
     """Show the scenes of the tour until Ctrl-C or SIGTERM.

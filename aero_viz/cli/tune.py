@@ -23,8 +23,6 @@ from aero_viz.cli.flags import (
 from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.errors import UserError
 
-__all__ = ["tune"]
-
 ObjectiveName = Literal["time", "clearance", "smoothness"]
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()

@@ -6,8 +6,6 @@ import importlib
 
 from aero_viz.cli.parser import Verb
 
-__all__ = ["VERBS"]
-
 
 def _verb(module: str, function: str, summary: str) -> Verb:
     return Verb(lambda: getattr(importlib.import_module(f"aero_viz.cli.{module}"), function), summary)

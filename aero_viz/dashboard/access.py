@@ -11,8 +11,6 @@ from websockets import Headers
 
 from aero_viz.errors import UserError
 
-__all__ = ["ANY_ADDRESS", "SECURITY_HEADERS", "Access"]
-
 SECURITY_HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
     "X-Frame-Options": "DENY",

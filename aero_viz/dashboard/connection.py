@@ -24,8 +24,6 @@ from aero_viz.dashboard.page_messages import (
 from aero_viz.dashboard.tokens import Role
 from aero_viz.dashboard.visitors import Visitors
 
-__all__ = ["PageConnection"]
-
 _log = logging.getLogger(__name__)
 _PARTS_MAX = 10_000
 """Largest number of parts of a file; the page sends parts of 512 kB."""

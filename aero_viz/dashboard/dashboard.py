@@ -29,8 +29,6 @@ from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Conditions, Opener, SourceInfo
 
-__all__ = ["Dashboard"]
-
 _PANEL_PERIOD = 0.2
 """Shortest time between two updates of the panels [s]."""
 

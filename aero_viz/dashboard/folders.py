@@ -7,8 +7,6 @@ from pathlib import Path
 
 from aero_viz.errors import UserError
 
-__all__ = ["Folders"]
-
 
 class Folders:
     """Folders that the server was told of. A page opens files in them, at any depth, and learns of no others.

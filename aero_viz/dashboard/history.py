@@ -13,17 +13,6 @@ from aero_planner import Plan, PlannerConfig, PlanStatus
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
-__all__ = [
-    "CLEARANCE_MAX",
-    "COLUMNS",
-    "Event",
-    "FlightHistory",
-    "Past",
-    "effective_samples",
-    "first_difference",
-    "true_clearance",
-]
-
 CLEARANCE_MAX = 5.0
 """Largest clearance that is told apart [m]."""
 COLUMNS = (

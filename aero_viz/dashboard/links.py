@@ -14,8 +14,6 @@ from aero_planner.config import ParameterInfo
 from aero_viz.flight.conditions import OFFERED
 from aero_viz.session.source import Conditions
 
-__all__ = ["Link", "Opening"]
-
 
 @dataclass(frozen=True)
 class Opening:

@@ -10,8 +10,6 @@ from aero_viz.dashboard.history import COLUMNS, FlightHistory, Past, Rows
 from aero_viz.logs.comparison import LogComparison, LoggedFlight
 from aero_viz.session.frame import Frame
 
-__all__ = ["LoggedHistory"]
-
 
 class LoggedHistory(FlightHistory):
     """Shows the ticks of log B and, as the ghost, those of log A. What the session plans is left out.

@@ -9,18 +9,6 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import viser
 
-__all__ = [
-    "CameraMessage",
-    "FormMessage",
-    "PageMessage",
-    "UploadPart",
-    "UploadStart",
-    "ValueMessage",
-    "decode",
-    "fit",
-    "is_own",
-]
-
 Name = Annotated[str, msgspec.Meta(max_length=200)]
 Text = Annotated[str, msgspec.Meta(max_length=5000)]
 Pair: TypeAlias = tuple[float, float]

@@ -12,8 +12,6 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import ConfigFile, format_config, format_goal, write_text
 from aero_viz.errors import UserError
 
-__all__ = ["PresetStore", "SavedPreset"]
-
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}(?<![ .])")
 _FILES_MAX = 200
 """Largest number of saved presets: visitors of the page may not fill the disk."""

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from aero_viz.dashboard import palette
 from aero_viz.scenes.mesh import Mesh, box_mesh, joined_mesh
 
-__all__ = ["quadrotor"]
-
 _ARM = 0.155
 _ROTOR = 0.095
 

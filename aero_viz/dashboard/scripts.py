@@ -5,8 +5,6 @@ from __future__ import annotations
 import viser
 from viser import _messages
 
-__all__ = ["run_script"]
-
 
 def run_script(client: viser.ClientHandle, source: str) -> None:
     """Run JavaScript on a visitor's page. Texts in it must go through `json.dumps`."""

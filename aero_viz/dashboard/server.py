@@ -29,8 +29,6 @@ from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
 
-__all__ = ["UPLOAD_LIMIT", "LocalServer", "notify", "sky"]
-
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter has 8 kB."""
 _QUEUED_FRAMES = 2

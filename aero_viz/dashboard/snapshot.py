@@ -26,8 +26,6 @@ from aero_viz.session.source import Source
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-__all__ = ["launch_chromium", "snapshot"]
-
 
 @contextlib.contextmanager
 def launch_chromium() -> Iterator[Browser]:

@@ -8,8 +8,6 @@ from urllib.parse import parse_qs, urlsplit
 
 from websockets import Headers
 
-__all__ = ["Role", "Tokens"]
-
 
 class Role(enum.Enum):
     """What a link allows."""

@@ -22,8 +22,6 @@ from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Conditions, Opener
 
-__all__ = ["STOPS", "Director", "Stop", "Tour"]
-
 _log = logging.getLogger(__name__)
 _PERIOD = 0.25
 """Time between two looks at the flight [s]."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["MAX_RATE", "MIN_RATE", "UpdateRateLimiter"]
-
 MAX_RATE = 30.0
 """Updates per second while the engine is on time [Hz]."""
 MIN_RATE = 20.0

@@ -5,8 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-__all__ = ["Visitors"]
-
 
 class Visitors:
     """One visitor holds control; the others look on until they take it. Safe to use from any thread.

@@ -9,8 +9,6 @@ import warp as wp
 from aero_planner.warp_init import init_warp
 from aero_viz.errors import UserError
 
-__all__ = ["Progress", "batch_status", "default_batch"]
-
 Progress = Callable[[int, int, str], None]
 """Called with the number of finished flights, the total number, and a description of the current work."""
 

@@ -24,8 +24,6 @@ from aero_viz.scenes.primitives import primitive_bounds
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
-__all__ = ["Difficulty", "describe_world", "measure_difficulty"]
-
 Points = NDArray[np.float64]
 
 _RANGE = 4.0  # s [m]

@@ -15,8 +15,6 @@ from aero_viz.errors import UserError
 from aero_viz.evaluation.machine import versions
 from aero_viz.flight.batch import BatchProgress
 
-__all__ = ["Executor", "LocalExecutor", "RayExecutor", "open_executor"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _SHARDS_PER_WORKER = 2

@@ -8,8 +8,6 @@ import platform
 from pathlib import Path
 from typing import Any
 
-__all__ = ["hardware", "versions"]
-
 _PACKAGES = ("aero-viz", "aero-planner", "warp-lang", "numpy")
 
 

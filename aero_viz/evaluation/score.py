@@ -19,8 +19,6 @@ from aero_viz.flight.metrics import flight_results, judge_trajectory
 from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes import World
 
-__all__ = ["Trajectory", "load_trajectory", "score"]
-
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 _MAX_MEDIAN_STEP = 0.25  # [s] between samples; too little is known about the motion between sparser ones
 _MAX_STEP = 1.0  # [s] between any two samples

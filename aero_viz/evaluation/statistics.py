@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol
 
-__all__ = ["METRICS", "PairedComparison", "Summary", "mean_interval", "sign_test", "summarise", "wilson_interval"]
-
 METRICS = (
     "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance", "min_clearance", "flight_time_s",
 )  # fmt: skip

@@ -12,8 +12,6 @@ from aero_viz.errors import UserError
 from aero_viz.scenes import World
 from aero_viz.scenes.primitives import primitive_bounds
 
-__all__ = ["FORMATS", "export_world", "surface_points"]
-
 FORMATS = (".pcd", ".npy", ".ply", ".json")
 _BURIED_DEPTH = 1e-6
 """Points that lie deeper than this in another primitive [m] are left out."""

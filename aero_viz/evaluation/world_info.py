@@ -11,8 +11,6 @@ from aero_viz.evaluation.difficulty import describe_world
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
 
-__all__ = ["WorldInfo", "examine_world"]
-
 
 @dataclass(frozen=True)
 class WorldInfo:

@@ -28,8 +28,6 @@ from aero_viz.explain.terms import (
 )
 from aero_viz.session.frame import Frame
 
-__all__ = ["Evidence", "Replanner", "Stage1"]
-
 Array = NDArray[np.float64]
 
 

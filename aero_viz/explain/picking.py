@@ -11,8 +11,6 @@ from aero_planner.quaternions import rotation_matrix
 from aero_viz.explain.verdict import obstacle_name
 from aero_viz.session.frame import Frame
 
-__all__ = ["Picked", "describe_point", "pick"]
-
 Array = NDArray[np.float64]
 
 _INSTANCE_ANGLE, _POINT_ANGLE = 0.02, 0.01

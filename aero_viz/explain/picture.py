@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.explain.evidence import Evidence
 
-__all__ = ["draw_map"]
-
 _HALF = 5.0
 """Half the width of the map [m]."""
 _PIXELS = 60.0

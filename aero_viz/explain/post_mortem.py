@@ -19,8 +19,6 @@ from aero_viz.explain.visibility import Seen, find_seen
 from aero_viz.scenes import World
 from aero_viz.session.frame import Frame
 
-__all__ = ["FAILURES", "BrakingTick", "PostMortem", "explain_flight"]
-
 Array = NDArray[np.float64]
 FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""

@@ -12,8 +12,6 @@ from aero_planner import PlannerConfig
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.quaternions import conjugate, multiply, rotate
 
-__all__ = ["STAGE1", "STAGE2", "Obstacles", "Problem", "Rollouts", "roll_out", "stage1_terms", "stage2_terms"]
-
 Array = NDArray[np.float64]
 
 STAGE2 = (

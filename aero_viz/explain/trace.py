@@ -17,8 +17,6 @@ from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.single import FlightRecorder
 from aero_viz.session.frame import Frame
 
-__all__ = ["FlightTrace", "recorder", "trace_of_log"]
-
 KEPT = 6.0
 """Time before the end of which frames are kept [s]: longer than a stall takes; a frame is 0.1 MB."""
 

@@ -10,8 +10,6 @@ from aero_viz.explain.evidence import Evidence
 from aero_viz.explain.terms import STAGE2
 from aero_viz.scenes import World
 
-__all__ = ["closest", "obstacle_name", "verdict"]
-
 _ON_SURFACE = 0.3
 """Distance up to which a point of the cloud belongs to a solid of the world: noise and drift [m]."""
 _SHARE = 0.1

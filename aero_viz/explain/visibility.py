@@ -17,8 +17,6 @@ from aero_viz.sensors.lidar import LIDARS, LidarModel
 from aero_viz.sensors.raycast import cast
 from aero_viz.session.frame import Frame
 
-__all__ = ["Seen", "find_seen"]
-
 Array = NDArray[np.float64]
 
 _NEAR = 0.4

@@ -22,8 +22,6 @@ from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 
-__all__ = ["SWEEPS", "WHOLE_SWEEPS", "BatchProgress", "FlightBatch"]
-
 wp.set_module_options({"enable_backward": False})
 
 SWEEPS = 30

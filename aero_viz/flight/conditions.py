@@ -15,8 +15,6 @@ from aero_viz.session.source import Conditions
 if TYPE_CHECKING:
     from aero_viz.flight.simulator import Setting
 
-__all__ = ["LIVE", "OFFERED", "conditions_of", "live_conditions", "with_conditions", "with_live_conditions"]
-
 _NAMES = {StateNoise: ("position", "velocity", "attitude"), VehicleModel: ("drag", "gust_speed")}
 OFFERED: tuple[ParameterInfo, ...] = tuple(
     info for section, names in _NAMES.items() for info in section.parameters() if info.name in names

@@ -13,8 +13,6 @@ from aero_planner.config.parameter import ParameterSection, live
 from aero_viz.flight.estimate_kernels import Errors, NoiseParameters, estimate_kernel
 from aero_viz.flight.vehicle import Vehicle
 
-__all__ = ["StateEstimate", "StateNoise"]
-
 
 @dataclass(frozen=True)
 class StateNoise(ParameterSection, section="noise"):

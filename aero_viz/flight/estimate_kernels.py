@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = ["Errors", "NoiseParameters", "estimate_kernel"]
-
 wp.set_module_options({"enable_backward": False})
 
 ERRORS = wp.constant(0x65737469)  # separates the random numbers of the errors from those of other parts of a flight

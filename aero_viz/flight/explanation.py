@@ -10,8 +10,6 @@ from aero_viz.flight.rules import FlightRules
 from aero_viz.scenes.primitives import rotate_z
 from aero_viz.scenes.world import World
 
-__all__ = ["explain", "goal_problem", "refuse_impossible"]
-
 
 def explain(
     reason: str | None,

@@ -9,9 +9,6 @@ import warp as wp
 
 from aero_viz.scenes.geometry import Geometry, world_distance
 
-__all__ = ["ARRIVED", "FLYING", "STALL", "TIMEOUT", "FlightRecord", "RuleParameters"]
-__all__ += ["clearance_kernel", "judge_kernel", "judge_trajectory_kernel"]
-
 wp.set_module_options({"enable_backward": False})
 
 # Indices into OUTCOMES of rules.py.

@@ -10,8 +10,6 @@ from types import FrameType
 
 from aero_viz.flight.metrics import FlightResult
 
-__all__ = ["FlightInterrupted", "deferred_interrupt"]
-
 
 class FlightInterrupted(KeyboardInterrupt):
     """Ctrl-C was pressed during a flight.

@@ -9,8 +9,6 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["config_for_drone", "config_for_flight", "config_for_next_flight"]
-
 
 def config_for_drone(
     config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None

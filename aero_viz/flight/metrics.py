@@ -19,8 +19,6 @@ from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_traje
 from aero_viz.flight.rules import OUTCOMES, FlightRules
 from aero_viz.scenes.world import World
 
-__all__ = ["FlightResult", "config_name_of", "flight_results", "initial_records", "judge_trajectory", "pack_rules"]
-
 
 @dataclass(frozen=True)
 class FlightResult:

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from aero_planner.config.parameter import ParameterSection, live, structural
 
-__all__ = ["OUTCOMES", "FlightRules"]
-
 OUTCOMES = (None, "arrived", "collision", "stall", "out_of_bounds", "timeout")
 """Outcomes of a flight by their number on the device; 0 is still flying."""
 

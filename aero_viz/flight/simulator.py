@@ -23,8 +23,6 @@ from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import Lidar, LidarModel
 
-__all__ = ["Setting", "Simulator"]
-
 _WORLDS_MAX = 8  # worlds of the last settings that stay on the device
 _GPU_THREADS_PER_QUERY = 32  # threads that share the search for the nearest primitive
 

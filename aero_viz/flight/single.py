@@ -28,8 +28,6 @@ from aero_viz.sensors.lidar import LidarModel
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 
-__all__ = ["FlightProgress", "FlightRecorder", "distance_share", "fly"]
-
 FlightProgress = Callable[[float, float], None]
 """Called with the share of the distance to the goal that is covered, 0 to 1, and the simulated time [s]."""
 

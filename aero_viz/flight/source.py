@@ -26,8 +26,6 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 from aero_viz.session.source import Observation, SourceInfo
 
-__all__ = ["CACHED_BYTES", "FlightSource"]
-
 Cloud = NDArray[np.float32]
 Pose = NDArray[np.float32]
 

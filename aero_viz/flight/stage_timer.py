@@ -8,8 +8,6 @@ from contextlib import contextmanager
 
 import warp as wp
 
-__all__ = ["StageTimer"]
-
 
 class StageTimer:
     """Measures named stages on a device without making the host wait for it.

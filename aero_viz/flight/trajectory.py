@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 
 from aero_viz.errors import UserError
 
-__all__ = ["trajectory_file"]
-
 WriteRow = Callable[[float, ArrayLike, ArrayLike], None]
 
 

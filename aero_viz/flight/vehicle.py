@@ -14,8 +14,6 @@ from aero_planner.config import VehicleConfig
 from aero_planner.config.parameter import ParameterSection, live
 from aero_viz.flight.vehicle_kernels import VehicleParameters, fly_kernel
 
-__all__ = ["PLANNED", "Vehicle", "VehicleModel"]
-
 PLANNED = ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max")
 """Parameters of the vehicle that the planner's model has, too; by default, both have the same values."""
 

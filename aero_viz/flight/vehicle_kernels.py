@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warp as wp
 
-__all__ = ["VehicleParameters", "fly_kernel"]
-
 wp.set_module_options({"enable_backward": False})
 
 GUSTS = wp.constant(0x47757374)  # separates the random numbers of the gusts from those of other parts of a flight

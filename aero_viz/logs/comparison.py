@@ -19,8 +19,6 @@ from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
 
-__all__ = ["LogComparison", "LoggedFlight", "compare_logs"]
-
 _logger = logging.getLogger(__name__)
 
 _SAME = 0.01

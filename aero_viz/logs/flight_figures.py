@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LABELS", "FlightFigures"]
-
 LABELS = (
     "outcome", "time [s]", "length [m]", "mean speed [m/s]", "smallest clearance [m]", "median plan time [ms]",
     "ticks without safe candidate",

@@ -22,8 +22,6 @@ from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["FlightLog", "flight_recorder", "record"]
-
 _log = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 1 << 20

@@ -12,8 +12,6 @@ from aero_planner.onboard.ros_messages import Encoded, goal_message, plan_messag
 from aero_planner.quaternions import conjugate, multiply, rotation_matrix, rotation_vector
 from aero_viz.session.frame import Frame
 
-__all__ = ["FlightMessages", "new_sweeps"]
-
 _SWEEP_STEP = 1000  # [ns] between the stamps of the sweeps of a cloud that is sent as a whole
 _JUMP_STEP = 20_000_000  # [ns] between the stamps before and after a jump of the source's time
 

@@ -14,8 +14,6 @@ from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 
-__all__ = ["FoxgloveServer", "foxglove_recorder", "serve_foxglove"]
-
 _WAITING = 1024  # ticks that wait for the encoder; a headless flight is faster than real time
 _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
 

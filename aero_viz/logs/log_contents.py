@@ -30,8 +30,6 @@ from aero_viz.reader_process import Limits, ReadCancelled, Reader, ReaderProcess
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 
-__all__ = ["LogContents", "LoggedPlan", "is_flight_log", "read_log"]
-
 _TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
 _TEXT_MAX = 1000
 _COSTS = ("stage2_cost", "goal_cost", "collision_cost", "clearance")

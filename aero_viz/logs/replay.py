@@ -19,8 +19,6 @@ from aero_viz.recordings.source import RecordingSource
 from aero_viz.scenes import World
 from aero_viz.session.source import Observation, RecordedPlan
 
-__all__ = ["FlightReplay"]
-
 
 class FlightReplay(RecordingSource):
     """Replays a flight log. The planner runs on it as on any recording, beside the recorded plans.

@@ -36,8 +36,6 @@ from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 
-__all__ = ["SensorLogOptions", "write_sensor_log"]
-
 _GRAVITY = np.array([0.0, 0.0, 9.81])
 _ACCELERATION_NOISE, _RATE_NOISE = 0.05, 0.002  # standard deviations [m/s^2], [rad/s]
 

@@ -13,8 +13,6 @@ from aero_viz.recordings.poses import RecordedPoses
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
 
-__all__ = ["Matches", "fit_of_sweeps", "match", "place", "thin"]
-
 MAX_RANGE = 25.0
 """Farther points are too sparse to be matched [m]."""
 _MIN_RANGE = 0.5

@@ -11,21 +11,6 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 from aero_viz.input_limits import BLOCK_MAX, NAME_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.file_bytes import FileBytes
 
-__all__ = [
-    "HEAD_BYTES",
-    "ZSTD_MAGIC",
-    "BagFile",
-    "Buffer",
-    "Channel",
-    "ChunkPosition",
-    "ChunkedFile",
-    "Message",
-    "decompress",
-    "make_channel",
-    "one_line",
-    "unwrap",
-]
-
 HEAD_BYTES = 4096
 """Length of a message's head [bytes]: enough for the layout of a cloud and for a whole pose."""
 

@@ -23,8 +23,6 @@ from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_points
 
-__all__ = ["CLOUD_SUFFIXES", "STAMP_END", "CloudFiles", "CloudSequence", "PacketClouds", "StampedCloud", "read_kitti"]
-
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
 """Names of files that hold one cloud each. KITTI's .bin has rows of four float32: x, y, z, intensity."""
 _FRAME = "lidar"

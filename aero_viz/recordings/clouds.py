@@ -6,8 +6,6 @@ from aero_viz.recordings.livox import read_livox
 from aero_viz.recordings.other_clouds import FOXGLOVE_CLOUD, LASER_SCAN, read_foxglove, read_laser_scan
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, RawCloud, read_point_cloud2
 
-__all__ = ["CLOUD_TYPES", "read_cloud"]
-
 _READERS = {
     POINT_CLOUD2: read_point_cloud2,
     "livox_ros_driver/msg/CustomMsg": read_livox,

@@ -13,8 +13,6 @@ from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import expansion_limit
 
-__all__ = ["decompress_file"]
-
 _BLOCK = 1 << 20
 """Bytes that are read at once."""
 _STEP = 2048

@@ -19,8 +19,6 @@ from aero_viz.recordings.ros_messages import ENCODINGS, TF_TYPES, DamagedMessage
 from aero_viz.recordings.storage import Storage
 from aero_viz.recordings.transforms import PoseSamples, TransformTree
 
-__all__ = ["CloudEntry", "Contents", "Topic", "TopicContents", "read_contents"]
-
 
 @dataclass(frozen=True)
 class Topic:

@@ -30,8 +30,6 @@ from aero_viz.recordings.ros_messages import (
 )
 from aero_viz.recordings.storage import open_storage, readable
 
-__all__ = ["ConvertReport", "convert"]
-
 _ODOMETRY_TOPICS = ("/odometry", "/tf")
 
 

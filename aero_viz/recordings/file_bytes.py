@@ -7,8 +7,6 @@ from pathlib import Path
 
 from aero_planner.user_file import open_user_file
 
-__all__ = ["FileBytes"]
-
 _WINDOW = 16_384
 """Bytes that are read at once for a short slice: the header of a record and the head of its message."""
 

@@ -17,8 +17,6 @@ from aero_viz.recordings.poses import RecordedPoses, position_differences
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
 
-__all__ = ["Finding", "Measured", "find_faults", "measure"]
-
 _SAMPLES = 20
 _PAIRS, _QUERIES = 5, 1000
 _NEAR = 0.1

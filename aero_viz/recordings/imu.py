@@ -11,8 +11,6 @@ from aero_viz.recordings.bag_file import BagFile
 from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE
 from aero_viz.recordings.ros_messages import ENCODINGS, DamagedMessage, decode_message
 
-__all__ = ["IMU_TYPE", "ImuSamples", "read_imu"]
-
 _LARGEST_IN_G = 3.0
 """A median specific force below this is in units of g, as Livox's driver writes it, not in m/s^2."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from aero_viz.recordings.ros_messages import encode_message, message_type
 
-__all__ = ["GRAVITY", "IMU_TYPE", "ImuRows", "encode_imu"]
-
 IMU_TYPE = "sensor_msgs/msg/Imu"
 GRAVITY = 9.80665
 """Standard gravity [m/s^2]."""

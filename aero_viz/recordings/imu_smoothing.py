@@ -9,8 +9,6 @@ from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vecto
 from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.transforms import Transform
 
-__all__ = ["smooth_motion"]
-
 Array = NDArray[np.float64]
 
 _WINDOW = 1.0

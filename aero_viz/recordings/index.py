@@ -12,8 +12,6 @@ from aero_viz.recordings.contents import Contents, read_contents
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.storage import Storage, open_storage, readable
 
-__all__ = ["index_recording", "open_indexed"]
-
 
 def index_recording(path: str | Path) -> bytes:
     """Return what the pass over all messages of a recording finds, for `open_indexed`.

@@ -16,8 +16,6 @@ from aero_viz.recordings.storage import open_storage, readable
 from aero_viz.recordings.topics import require_topics
 from aero_viz.text_table import format_table
 
-__all__ = ["PointsPerSweep", "RecordingInfo", "inspect"]
-
 
 @dataclass(frozen=True)
 class PointsPerSweep:

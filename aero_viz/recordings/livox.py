@@ -10,8 +10,6 @@ from aero_viz.input_limits import SWEEP_POINTS_MAX
 from aero_viz.recordings.point_cloud2 import RawCloud
 from aero_viz.recordings.ros_messages import DamagedMessage
 
-__all__ = ["read_livox"]
-
 _POINT_SIZE = 19
 """Length of a CustomPoint [bytes]: offset_time [ns], x, y, z [m], reflectivity, tag, line."""
 

@@ -18,8 +18,6 @@ from mcap.records import Schema
 from aero_viz.input_limits import BLOCK_MAX, CHECKSUM_MAX
 from aero_viz.recordings.bag_file import HEAD_BYTES, Buffer, ChunkedFile, Message, decompress, make_channel
 
-__all__ = ["MCAP_MAGIC", "McapFile"]
-
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 _RECORD = struct.Struct("<BQ")

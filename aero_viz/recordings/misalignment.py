@@ -20,8 +20,6 @@ from aero_viz.recordings.poses import RecordedPoses
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
 
-__all__ = ["Misalignment", "estimate_misalignment"]
-
 _PAIRS, _MIN_PAIRS = 12, 3
 _GAPS = (2, 6)
 """Sweeps from one of a pair to the other, in turn."""

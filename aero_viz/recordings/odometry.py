@@ -24,8 +24,6 @@ from aero_viz.recordings.transforms import IDENTITY, Transform
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
 
-__all__ = ["Motion", "OdometryChoice", "OdometryProgress", "choose_method", "estimate_motion"]
-
 OdometryChoice = Literal["none", "auto", "rko-lio", "kiss-icp"]
 OdometryProgress = Callable[[int, int], None]
 """Called with the number of sweeps that are done and the number of all sweeps."""

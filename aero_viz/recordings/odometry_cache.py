@@ -14,8 +14,6 @@ import numpy as np
 
 from aero_viz.recordings.odometry import Motion
 
-__all__ = ["cache_folder", "load_motion", "motion_key", "save_motion"]
-
 _VERSION = 3
 """Changes when the estimate of the same file would change."""
 _WHOLE = 64 << 20

@@ -11,8 +11,6 @@ import numpy as np
 from aero_viz.recordings.point_cloud2 import RawCloud
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message
 
-__all__ = ["FOXGLOVE_CLOUD", "LASER_SCAN", "read_foxglove", "read_laser_scan"]
-
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 FOXGLOVE_CLOUD = "foxglove.PointCloud"
 

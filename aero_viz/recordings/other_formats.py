@@ -26,8 +26,6 @@ from aero_viz.recordings.packets import (
 from aero_viz.recordings.pcap import PCAP_MAGICS
 from aero_viz.scenes.map_files import MAP_SUFFIXES
 
-__all__ = ["CloudFolder", "open_cloud_folder", "open_other_file"]
-
 _PERIOD = 100_000_000
 _FIRST_STAMP = 1_000_000_000
 """Stamp of the first cloud where none is known [ns]; zero would mean that it is unset."""

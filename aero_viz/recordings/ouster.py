@@ -25,8 +25,6 @@ from aero_viz.recordings.cloud_files import StampedCloud
 from aero_viz.recordings.imu_messages import ImuRows
 from aero_viz.recordings.pcap import udp_payloads
 
-__all__ = ["INSTALL", "find_metadata", "ouster_sweeps"]
-
 INSTALL = "pip install --no-deps ouster-sdk"
 """Its requirements exclude the versions of rosbags and psutil that AERO-Viz needs; decoding needs neither."""
 

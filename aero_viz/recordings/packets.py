@@ -25,15 +25,6 @@ from aero_viz.recordings.imu_messages import GRAVITY, ImuRows
 from aero_viz.recordings.ouster import find_metadata
 from aero_viz.recordings.pcap import udp_payloads
 
-__all__ = [
-    "LVX_MAGIC",
-    "livox_sweeps",
-    "lvx2_packets",
-    "pcap_kind",
-    "pcap_livox_packets",
-    "velodyne_sweeps",
-]
-
 LVX_MAGIC = b"livox_tech"
 _SWEEP = 100_000_000
 """A Livox never turns: packets of so much time make a sweep [ns]."""

@@ -10,8 +10,6 @@ from typing import NamedTuple
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 
-__all__ = ["PCAP_MAGICS", "Datagram", "udp_payloads"]
-
 PCAP_MAGICS = (b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d")
 """Starts of captures: little and big endian with microseconds, and with nanoseconds."""
 

@@ -13,8 +13,6 @@ from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, enc
 if TYPE_CHECKING:
     from rosbags.typesys.stores.ros2_humble import sensor_msgs__msg__PointCloud2 as PointCloud2
 
-__all__ = ["POINT_CLOUD2", "DecodedPoints", "RawCloud", "decode_points", "encode_point_cloud2", "read_point_cloud2"]
-
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 
 _MAX_RANGE = 1e4

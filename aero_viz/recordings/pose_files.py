@@ -20,8 +20,6 @@ from aero_viz.recordings.poses import RecordedPoses
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
 
-__all__ = ["PoseTable", "add_poses", "read_pose_file"]
-
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 _LINE_MAX = 4096  # [bytes]
 _NUMBERS_MAX = 1 << 26

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
         tf2_msgs__msg__TFMessage,
     )
 
-__all__ = ["POSE_TYPES", "TRANSFORM_STAMPED", "StampedPose", "decode_poses"]
-
 TRANSFORM_STAMPED = "geometry_msgs/msg/TransformStamped"
 
 POSE_TYPES = (

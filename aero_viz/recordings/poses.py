@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import rotate
 
-__all__ = ["POSE_TOLERANCE", "SPEED_MAX", "Pose", "RecordedPoses", "position_differences", "sort_poses"]
-
 SPEED_MAX = 1e3
 """A larger component of a velocity [m/s] is not that of a drone."""
 

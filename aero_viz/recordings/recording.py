@@ -24,8 +24,6 @@ from aero_viz.recordings.transforms import IDENTITY, Transform
 if TYPE_CHECKING:
     from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
 
-__all__ = ["NO_POSES", "PointSweep", "Recording", "configure_recording", "open_recording"]
-
 NO_POSES = (
     "no poses are recorded: the sensor is assumed to stand still; play with --odometry auto to estimate its motion "
     "from the sweeps"

@@ -9,8 +9,6 @@ from typing import NamedTuple
 from aero_viz.input_limits import BLOCK_MAX, LimitExceeded
 from aero_viz.recordings.bag_file import HEAD_BYTES, Buffer, ChunkedFile, Message, decompress, make_channel
 
-__all__ = ["ROS1_MAGIC", "Ros1File"]
-
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 
 _MESSAGE, _BAG_HEADER, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7

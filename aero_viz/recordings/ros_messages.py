@@ -8,17 +8,6 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-__all__ = [
-    "ENCODINGS",
-    "TF_TYPES",
-    "DamagedMessage",
-    "decode_message",
-    "encode_message",
-    "message_definition",
-    "message_type",
-    "ros1_to_cdr",
-]
-
 ENCODINGS = ("cdr", "ros1")
 """Encodings of messages that can be decoded."""
 

@@ -16,8 +16,6 @@ from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
 from aero_viz.recordings.recording import Recording
 from aero_viz.session.source import Observation, SourceInfo
 
-__all__ = ["MAX_POINTS", "RecordedPath", "RecordingSource"]
-
 MAX_POINTS = 200_000
 """Largest number of points in the planner's cloud. Whole sweeps are used; the newest one always is."""
 

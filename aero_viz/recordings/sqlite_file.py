@@ -20,8 +20,6 @@ from aero_viz.recordings.bag_file import (
     unwrap,
 )
 
-__all__ = ["SQLITE_MAGIC", "SqliteFile"]
-
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 _STEPS = 10_000

@@ -23,8 +23,6 @@ from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
 if TYPE_CHECKING:
     from aero_viz.recordings.other_formats import CloudFolder
 
-__all__ = ["SUPPORTED", "Storage", "open_storage", "readable"]
-
 SUPPORTED = (
     "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
     "folders of PCD, PLY, LAS, LAZ, NPY and KITTI .bin clouds, Livox .lvx2, Ouster .osf, and .pcap of a Livox "

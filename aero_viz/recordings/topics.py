@@ -19,8 +19,6 @@ from aero_viz.recordings.transforms import IDENTITY, Transform
 
 Array = NDArray[np.float64]
 
-__all__ = ["ChosenPoses", "PoseSource", "choose_cloud_topic", "choose_poses", "require_topics", "suggest_other_clouds"]
-
 _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
 """Types of messages that fit each role of a topic, and what to say about another type."""
 

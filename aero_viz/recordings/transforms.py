@@ -13,8 +13,6 @@ from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import compose_transforms, invert_transform
 from aero_viz.recordings.poses import sort_poses
 
-__all__ = ["FIXED_FRAMES", "IDENTITY", "MovingBody", "PoseSamples", "Transform", "TransformTree"]
-
 FIXED_FRAMES = ("map", "world", "odom")
 """Names of frames that do not move, the preferred one first."""
 

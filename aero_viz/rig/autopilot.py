@@ -27,8 +27,6 @@ from aero_viz.rig.faults import Channel
 from aero_viz.rig.offboard import Mode, OffboardControl, Setpoint
 from aero_viz.rig.setpoint_decoder import PILOT_MESSAGES, decode_setpoint
 
-__all__ = ["PERIOD", "SimulatedAutopilot"]
-
 PERIOD = 0.004
 """Duration of a simulation step [s]."""
 

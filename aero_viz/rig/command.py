@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from aero_viz.rig.px4_log import Px4LogSummary
 from aero_viz.rig.result import RigResult
 
-__all__ = ["main"]
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the verb and return the exit code. This is an entry point in the group "aero_planner.commands".

@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EstimateError", "covariance", "estimate_error"]
-
 _POSITION_STD, _VELOCITY_STD = 0.2, 0.05  # [m], [m/s]; reported while the position is known
 # A lost position, after a flight of PX4 1.17 whose GNSS was switched off: in 13 s, its error grows to 6 m, and its
 # reported variance from 0.04 to 31 m^2.

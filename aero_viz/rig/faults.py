@@ -11,8 +11,6 @@ import numpy as np
 
 from aero_viz.errors import UserError
 
-__all__ = ["FAULT_KINDS", "Channel", "Fault", "parse_fault"]
-
 
 @dataclass(frozen=True)
 class FaultKind:

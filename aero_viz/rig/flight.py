@@ -21,8 +21,6 @@ from aero_viz.rig.result import Event, Handover, RigResult, Trajectory, interval
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 
-__all__ = ["RigFlight"]
-
 _COLLISION_STEPS = 5  # steps between two checks for a collision
 _REST_SPEED = 0.2  # [m/s]; a slower vehicle counts as at rest
 _REST_TIME = 2.0  # [s] at rest, or near the goal, that end a flight

@@ -25,8 +25,6 @@ from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 from aero_viz.sensors.lidar import LIDARS
 
-__all__ = ["LockstepRig"]
-
 _PILOT_PERIOD = 0.1  # [s] between two attempts of the pilot to take off
 
 

@@ -20,8 +20,6 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.watchdog import Heartbeat
 from aero_planner.plan import Plan
 
-__all__ = ["LockstepNode"]
-
 
 class _MemoryFailsafe:
     """The node's side of the failsafe process, without the process."""

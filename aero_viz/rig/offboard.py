@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from aero_planner.quaternions import conjugate, multiply
 
-__all__ = ["Mode", "OffboardControl", "Setpoint"]
-
 _SWITCH_TIME = 0.4
 """Time from the first setpoint of another kind until its controller is selected, as seen with PX4 1.17 [s]."""
 _GAINS = np.array([6.5, 6.5, 2.8])

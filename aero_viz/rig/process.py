@@ -15,8 +15,6 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
-__all__ = ["NodeProcess", "raised_priority"]
-
 _NODE_COMMAND = (sys.executable, "-m", "aero_planner", "run", "--config", "{config}")  # as on the drone
 
 

@@ -29,8 +29,6 @@ from aero_viz.rig.px4_process import HOST, Px4Process
 from aero_viz.rig.px4_truth import Place, PosedVehicle, TruthTracker
 from aero_viz.rig.setpoint_decoder import PILOT_MESSAGES, decode_setpoint
 
-__all__ = ["Px4Autopilot"]
-
 _STREAMS = {
     "HIL_STATE_QUATERNION": 250.0, "SYSTEM_TIME": 250.0, "HEARTBEAT": 10.0, "GPS_GLOBAL_ORIGIN": 1.0,
     "EXTENDED_SYS_STATE": 5.0,

@@ -14,8 +14,6 @@ from aero_planner.onboard.lag_identification import identify_lag
 from aero_planner.quaternions import rotate
 from aero_viz.errors import UserError
 
-__all__ = ["Px4LogSummary", "load_reader", "summarize_log"]
-
 _OFFBOARD = 14  # vehicle_status.nav_state
 _SATURATED = 0.99  # of a motor's range
 _PERIOD = 0.01  # [s] of the resampled signals

@@ -15,8 +15,6 @@ from pathlib import Path
 from aero_viz.errors import UserError
 from aero_viz.rig.process import raised_priority
 
-__all__ = ["HOST", "Px4Process", "find_px4"]
-
 HOST = "127.0.0.1"
 
 _BINARY = Path("build/px4_sitl_default/bin/px4")

@@ -20,8 +20,6 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.errors import UserError
 from aero_viz.rig.px4_process import HOST, Px4Process
 
-__all__ = ["set_parameters"]
-
 _START_TIME = 90.0  # [s] for PX4 to start and to find its position
 _POLL_PERIOD = 0.02  # [s]
 

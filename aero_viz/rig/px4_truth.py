@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from aero_planner.onboard.frames import attitude_from_ned, world_from_ned
 from aero_planner.quaternions import conjugate, multiply, quaternion_from_angles, rotate
 
-__all__ = ["Place", "PosedVehicle", "Truth", "TruthTracker"]
-
 _EARTH_RADIUS = 6_371_000.0  # [m], as in PX4's map projection
 
 Place = tuple[float, float, float]

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from aero_viz.rig.offboard import Mode, Setpoint
 from aero_viz.rig.px4_log import Px4LogSummary
 
-__all__ = ["Event", "Handover", "Intervals", "RigResult", "Trajectory", "intervals_of"]
-
 
 @dataclass(frozen=True)
 class Event:

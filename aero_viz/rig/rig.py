@@ -39,8 +39,6 @@ from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 
-__all__ = ["HOST", "PX4_RESPONSE", "fly_rig", "free_ports", "ground_below", "rig_settings"]
-
 PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max": 3.84, "rate_z_max": 0.8}
 """Response of the vehicle to setpoints, as identified from flights of PX4 1.17 in its own simulation: parameters of
 `VehicleModel`. The largest rates are those of PX4's attitude controller about x and y (MC_ROLLRATE_MAX), and what the

@@ -18,8 +18,6 @@ from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.lidar import Lidar, LidarModel
 
-__all__ = ["PACKET_POINTS", "SimulatedMid360"]
-
 PACKET_POINTS = 96
 """Points per packet, as in the packets of the real sensor."""
 

@@ -10,8 +10,6 @@ import numpy as np
 from aero_planner.onboard.frames import attitude_from_ned, flu_from_frd
 from aero_viz.rig.offboard import Mode, Setpoint
 
-__all__ = ["PILOT_MESSAGES", "decode_setpoint"]
-
 PILOT_MESSAGES = ("SET_MODE", "COMMAND_INT", "MANUAL_CONTROL", "RC_CHANNELS_OVERRIDE", "PARAM_SET")
 """Messages that only the pilot may send."""
 

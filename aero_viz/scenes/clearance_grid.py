@@ -26,8 +26,6 @@ from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
 
-__all__ = ["ClearanceGrid", "search_box"]
-
 _BAND = 1.5  # [m] below and above start and goal
 _POINTS_MAX = 50_000_000  # 250 MB
 

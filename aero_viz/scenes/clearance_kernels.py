@@ -7,8 +7,6 @@ import warp as wp
 from aero_viz.scenes.geometry import Primitive, primitive_distance
 from aero_viz.scenes.triangles import mesh_distance
 
-__all__ = ["ROUTE_BUCKETS", "distance_kernel", "flood_kernel", "mesh_distance_kernel", "route_kernel"]
-
 ROUTE_BUCKETS = 18
 """Number of buckets of `route_kernel`, more than the cost of its longest step."""
 

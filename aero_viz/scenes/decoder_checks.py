@@ -7,8 +7,6 @@ from pathlib import Path
 
 from aero_viz.input_limits import MAP_POINTS_MAX
 
-__all__ = ["check_count", "read_header", "read_ply_header"]
-
 _HEADER_MAX = 65_536  # [bytes] that are searched for the end of a header
 
 

@@ -15,8 +15,6 @@ from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.solids import Solids
 
-__all__ = ["DecodingProcess"]
-
 T = TypeVar("T")
 
 

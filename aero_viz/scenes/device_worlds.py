@@ -18,8 +18,6 @@ from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
 
-__all__ = ["COLUMNS_PRIMITIVES_MAX", "DeviceWorlds", "pack_primitives"]
-
 COLUMNS_PRIMITIVES_MAX = 5000
 """Worlds with more primitives (maps) get cubic cells instead of columns."""
 

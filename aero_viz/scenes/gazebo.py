@@ -20,8 +20,6 @@ from aero_viz.scenes.solids import Pose, Solids
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-__all__ = ["read_gazebo"]
-
 Table = NDArray[np.float64]
 
 _GROUND_SIZE = 100.0

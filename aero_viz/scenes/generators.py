@@ -15,8 +15,6 @@ from aero_viz.scenes import rooms
 from aero_viz.scenes.primitives import DISTANCES
 from aero_viz.scenes.world import World
 
-__all__ = ["SCENES", "SceneKind", "density", "forest", "inclines", "scene", "verticals"]
-
 START = (0.0, 0.0, 2.0)
 GOAL = (45.0, 0.0, 2.0)
 AREA = ((2.5, 42.5), (-20.0, 20.0))

@@ -9,9 +9,6 @@ import warp as wp
 
 from aero_viz.scenes.triangles import FAR, mesh_distance
 
-__all__ = ["BOX", "CYLINDER", "FAR", "SPHERE", "Entry", "Geometry", "Grid", "Primitive"]
-__all__ += ["primitive_distance", "rotate_z", "world_distance"]
-
 wp.set_module_options({"enable_backward": False})
 
 CYLINDER = wp.constant(0)

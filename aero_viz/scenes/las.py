@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.decoder_checks import check_count
 
-__all__ = ["LasUnits", "read_las", "read_las_units"]
-
 _CHUNK = 1_000_000  # points decoded at once
 _HEADER_MAX = 375  # [bytes]
 _FEET = {9002: 0.3048, 9003: 1200 / 3937}

@@ -20,8 +20,6 @@ from aero_viz.scenes.las import read_las
 from aero_viz.scenes.mesh_decoder import read_triangles
 from aero_viz.scenes.pcd import read_pcd
 
-__all__ = ["decode"]
-
 Points = NDArray[np.float64]
 
 _PLY_SIZES = {"char": 1, "short": 2, "int": 4, "float": 4, "double": 8} | {"int8": 1, "int16": 2, "int32": 4}

@@ -17,17 +17,6 @@ from aero_viz.errors import UserError
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.solids import Solids
 
-__all__ = [
-    "MAP_SUFFIXES",
-    "MESH_SUFFIXES",
-    "SOLID_SUFFIXES",
-    "has_voxels",
-    "read_map",
-    "read_mesh",
-    "read_points",
-    "read_solids",
-]
-
 Points = NDArray[np.float64]
 _logger = logging.getLogger(__name__)
 

@@ -14,8 +14,6 @@ from aero_viz.scenes.map_files import SOLID_SUFFIXES, read_map, read_solids
 from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.world import World
 
-__all__ = ["load_map"]
-
 VOXEL, VOXEL_RANGE = 0.2, (0.01, 100.0)
 """Default edge of a voxel and its bounds [m]."""
 HEIGHT = 2.0

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.world import World
 
-__all__ = ["SHAPES", "Instances", "Mesh", "box_mesh", "joined_mesh", "world_instances", "world_meshes"]
-
 _SIDES = 8
 _RINGS = 4
 

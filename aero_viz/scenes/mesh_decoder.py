@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 
-__all__ = ["read_triangles"]
-
 
 class _NoOtherFiles:
     """Trimesh asks it for the files that a mesh names: none is opened, wherever it may lie."""

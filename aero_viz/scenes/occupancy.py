@@ -13,8 +13,6 @@ from aero_planner.user_file import read_user_text
 from aero_viz.input_limits import IMAGE_PIXELS_MAX, METADATA_MAX
 from aero_viz.scenes.solids import Solids
 
-__all__ = ["IMAGE_SUFFIXES", "PIXEL", "read_occupancy"]
-
 IMAGE_SUFFIXES = (".png", ".pgm")
 PIXEL = 0.1
 """Edge of a pixel of an image without a YAML file [m], as in kr_param_map."""

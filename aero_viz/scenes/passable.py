@@ -20,8 +20,6 @@ from numpy.typing import ArrayLike
 from aero_viz.scenes.clearance_grid import ClearanceGrid
 from aero_viz.scenes.world import World
 
-__all__ = ["is_passable"]
-
 
 def is_passable(
     world: World,

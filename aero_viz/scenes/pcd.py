@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from aero_viz.scenes.decoder_checks import check_count, read_header
 
-__all__ = ["read_pcd"]
-
 Points = NDArray[np.float64]
 
 _LZF_RATIO_MAX = 88  # a copy of 3 bytes yields at most 264

@@ -8,8 +8,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DISTANCES", "primitive_bounds", "rotate_z"]
-
 
 def primitive_bounds(
     cylinders: NDArray[np.float64], boxes: NDArray[np.float64], spheres: NDArray[np.float64]

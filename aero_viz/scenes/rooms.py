@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from aero_viz.errors import UserError
 from aero_viz.scenes.world import World
 
-__all__ = ["CLEAR_RADIUS", "double_wall_trap", "pillars", "random_clutter", "wall"]
-
 START = (0.0, 0.0, 0.8)
 GOAL = (3.75, 0.0, 0.8)
 CLEAR_RADIUS = 0.6

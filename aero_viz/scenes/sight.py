@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 from aero_viz.scenes.primitives import DISTANCES, primitive_bounds
 from aero_viz.scenes.world import World
 
-__all__ = ["SightLines"]
-
 _STEP = 0.3
 """Distance between the samples on a line [m]."""
 _SAMPLES_MAX = 120

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.warp_init import init_warp
 
-__all__ = ["FAR", "TriangleTree", "mesh_distance", "mesh_range"]
-
 wp.set_module_options({"enable_backward": False})
 
 FAR = wp.constant(1.0e9)

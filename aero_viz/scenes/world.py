@@ -22,8 +22,6 @@ from aero_viz.scenes.primitives import DISTANCES, primitive_bounds, rotate_z
 if TYPE_CHECKING:
     from aero_viz.scenes.triangles import TriangleTree
 
-__all__ = ["World"]
-
 _COLUMNS = {
     "cylinders": "bx, by, bz, ax, ay, az, radius, height",
     "boxes": "cx, cy, cz, sx, sy, sz, yaw",

@@ -13,8 +13,6 @@ from aero_planner.warp_init import init_warp
 from aero_viz.sensors.lidar import LidarModel, pack_beams
 from aero_viz.sensors.lidar_kernels import Beams, beam_direction
 
-__all__ = ["coverage"]
-
 wp.set_module_options({"enable_backward": False})
 
 

@@ -17,8 +17,6 @@ from aero_viz.errors import UserError
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors.lidar_kernels import Beams, scan_kernel
 
-__all__ = ["LIDARS", "Lidar", "LidarModel", "lidar_model", "pack_beams"]
-
 # The Mid-360, after the scan table that its maker publishes for simulation (livox_laser_simulation, mid360.csv).
 _BEAMS = 4
 _TURN_RATE = 176.4  # [Hz]

@@ -7,8 +7,6 @@ import warp as wp
 from aero_viz.scenes.geometry import Geometry
 from aero_viz.sensors.raycast import ray_range
 
-__all__ = ["Beams", "beam_direction", "scan_kernel"]
-
 wp.set_module_options({"enable_backward": False})
 
 # Steps of the two-dimensional low-discrepancy sequence R2 (Roberts 2018), 1 / rho and 1 / rho^2 with rho the plastic

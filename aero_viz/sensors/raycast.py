@@ -15,8 +15,6 @@ from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.geometry import BOX, CYLINDER, FAR, Geometry, Primitive, rotate_z
 from aero_viz.scenes.triangles import mesh_range
 
-__all__ = ["cast", "primitive_range", "ray_range"]
-
 wp.set_module_options({"enable_backward": False})
 
 

@@ -19,8 +19,6 @@ from aero_viz.session.timeline import Checkpoint
 if TYPE_CHECKING:
     from aero_viz.session.comparison import Comparison
 
-__all__ = ["BaseSession", "Publisher", "SessionControls"]
-
 T = TypeVar("T")
 
 

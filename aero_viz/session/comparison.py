@@ -15,8 +15,6 @@ from aero_viz.session.engine import Engine
 from aero_viz.session.frame import Frame
 from aero_viz.session.timeline import Checkpoint
 
-__all__ = ["Comparison", "ComparisonEvent"]
-
 _TICKS_PER_TURN = 4
 """Ticks that A flies before the session looks for commands again."""
 _TICKS_MAX = 30_000

@@ -9,8 +9,6 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 
-__all__ = ["ConfigHistory"]
-
 _DRAG_INTERVAL = 1.0
 """Changes of the same parameters within this time are one step of undo, as when a slider is dragged [s]."""
 _MOST = 500

@@ -17,8 +17,6 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Checkpoint, Timeline
 
-__all__ = ["Engine"]
-
 
 class Engine:
     """Owns a source, a planner and a checkpoint of every tick so far.

@@ -16,8 +16,6 @@ from aero_viz.session.timeline import Checkpoint
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["Frame", "Notice"]
-
 
 @dataclass(frozen=True, eq=False)
 class Frame:

@@ -18,8 +18,6 @@ from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.node_client import NodeClient
 
-__all__ = ["LiveSession"]
-
 _log = logging.getLogger(__name__)
 
 _KEPT = 300

@@ -21,8 +21,6 @@ from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Observation, SourceInfo
 
-__all__ = ["NodeClient"]
-
 _CHUNK = 1 << 18
 _RATE_WINDOW = 2.0
 """Time over which the rate of plans is measured [s]."""

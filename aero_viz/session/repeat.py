@@ -11,8 +11,6 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Checkpoint
 
-__all__ = ["repeat"]
-
 
 def repeat(
     source: Source, ticks: Iterable[tuple[Checkpoint, PlannerConfig]], *, device: str, seed: int

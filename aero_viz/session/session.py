@@ -23,8 +23,6 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source, SourceInfo
 from aero_viz.session.timeline import Checkpoint
 
-__all__ = ["Session"]
-
 _log = logging.getLogger(__name__)
 _USER_MISTAKES = (UserError, ValueError)
 _CATCH_UP = 0.1

@@ -15,8 +15,6 @@ from aero_viz.reader_process import Reader, read_here
 if TYPE_CHECKING:
     from aero_viz.scenes import World
 
-__all__ = ["Conditions", "Observation", "Opener", "RecordedPlan", "Source", "SourceInfo"]
-
 
 @dataclass(frozen=True, eq=False)
 class Observation:

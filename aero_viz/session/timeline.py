@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import PlannerConfig
 from aero_planner.history import History
 
-__all__ = ["Checkpoint", "Timeline"]
-
 _CAPACITY = 30_000
 """Number of checkpoints kept: ten minutes of flight at 50 Hz."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from aero_planner import Planner, PlannerConfig
 from aero_planner.forest_cloud import forest_flight
 
-__all__ = ["Problem", "make_problem", "problem_config"]
-
 Array = NDArray[np.float32]
 
 

@@ -12,8 +12,6 @@ from jax_mppi import mppi
 
 from benchmarks.comparison.problem import Problem
 
-__all__ = ["make_runner", "nominal_costs"]
-
 
 def _functions(problem: Problem) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any], Any]:
     """Return dynamics, running cost and terminal cost for a guide, and the start.

@@ -10,8 +10,6 @@ from pytorch_mppi import MPPI
 
 from benchmarks.comparison.problem import Problem
 
-__all__ = ["make_runner", "nominal_costs"]
-
 _ROWS = 4096
 """Positions whose distances to the whole cloud are held in memory at once."""
 

@@ -16,8 +16,6 @@ from aero_planner.arrays import fine_shape
 from aero_planner.kernels.params import Params
 from benchmarks.naive.model import PROBES
 
-__all__ = ["BRAKING_CANDIDATES", "Arrays", "allocate", "connect"]
-
 BRAKING_CANDIDATES = wp.constant(5)
 """Braking candidates: straight ahead, and turned to both sides."""
 

@@ -7,8 +7,6 @@ import warp as wp
 from benchmarks.naive.arrays import Arrays
 from benchmarks.naive.model import clamp_control, follow_command, rk4, rotate_back, rotation, yaw
 
-__all__ = ["follow_guide", "guides", "nominal_controls", "turned", "write_guide"]
-
 wp.set_module_options({"enable_backward": False})
 
 

@@ -9,23 +9,6 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 
-__all__ = [
-    "attitude_cost",
-    "blocked_cost",
-    "clamp_control",
-    "collision_cost",
-    "follow_command",
-    "goal_cost",
-    "multiply",
-    "probe_position",
-    "rk4",
-    "rotate",
-    "rotate_back",
-    "rotation",
-    "speed_cost",
-    "yaw",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 PROBES = wp.constant(10)

@@ -19,17 +19,6 @@ from benchmarks.naive.model import (
     speed_cost,
 )
 
-__all__ = [
-    "clearance",
-    "collision_and_blocked",
-    "distance_to",
-    "draw_noise",
-    "rollouts",
-    "scores",
-    "softmin",
-    "update",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 

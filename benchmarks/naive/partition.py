@@ -7,8 +7,6 @@ import warp as wp
 from benchmarks.naive.arrays import Arrays
 from benchmarks.naive.model import follow_command, rotate, rotate_back, yaw
 
-__all__ = ["cells_of_points", "coarse_cells", "complete_goal", "fine_cells", "initial_anchors", "refined_anchors"]
-
 wp.set_module_options({"enable_backward": False})
 
 NOTHING = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))

@@ -13,8 +13,6 @@ from aero_planner.config import Value
 from benchmarks.naive import guides, mppi, partition, stage2
 from benchmarks.naive.arrays import allocate, connect
 
-__all__ = ["NEUTRAL", "NaivePlanner"]
-
 NEUTRAL: dict[str, Value] = {
     "vehicle.delay": 0.0,
     "partition.range_time": 0.0,

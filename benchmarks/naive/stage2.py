@@ -9,8 +9,6 @@ from benchmarks.naive.guides import follow_guide, turned, write_guide
 from benchmarks.naive.model import PROBES, follow_command, goal_cost, probe_position, rk4, speed_cost, yaw
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
-__all__ = ["braking_candidates", "commit", "final_rollouts", "final_scores", "select"]
-
 wp.set_module_options({"enable_backward": False})
 
 

@@ -12,8 +12,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-__all__ = ["PackedArrays", "allocate", "array", "as_dict", "as_scalars", "as_vectors"]
-
 Arrays = TypeVar("Arrays")
 _ALIGNMENT = 256
 _MOST_BUFFERS = 8

@@ -33,8 +33,6 @@ from aero_planner.kernels.records import CloudSweeps, bundle
 from aero_planner.kernels.stops import STOPS
 from aero_planner.kernels.warp_ops import point_pack
 
-__all__ = ["CloudArrays", "PlannerInputs", "PlannerOutputs", "Sizes", "Workspace", "fine_shape"]
-
 
 @dataclass(eq=False)
 class PlannerInputs:

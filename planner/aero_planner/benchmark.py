@@ -23,8 +23,6 @@ from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.sweeps import Sweeps, as_constant
 
-__all__ = ["elapsed_ms", "main", "measure"]
-
 _WARM_UP = 3
 _SWEEPS = 10
 _PLANS_PER_SWEEP = 5

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from aero_planner.onboard.px4_parameters import ParameterChange
     from aero_planner.onboard.settings import OnboardConfig
 
-__all__ = ["GROUP", "main", "write_bundle"]
-
 GROUP = "aero_planner.commands"
 """Group of the entry points that add verbs."""
 

@@ -6,8 +6,6 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
-__all__ = ["INTERRUPTED", "abandon_output", "installed_version", "run_command"]
-
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 

@@ -15,8 +15,6 @@ from aero_planner.arrays import CloudArrays
 from aero_planner.kernels.shells import COUNTERS
 from aero_planner.sweeps import is_constant
 
-__all__ = ["Cloud", "Points"]
-
 Points = NDArray[Any] | wp.array | Sequence[NDArray[Any]]
 
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from aero_planner.plan import Goal, VehicleState
 
-__all__ = ["forest_cloud", "forest_flight"]
-
 _SWEEPS = 10
 _SWEEP_PERIOD = 0.1  # [s]
 _SPEED = 4.0  # of the drone, along x [m/s]

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from aero_planner.arrays import Workspace
 
-__all__ = ["History"]
-
 
 @dataclass(frozen=True, eq=False)
 class History:

@@ -16,8 +16,6 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["Chunk", "LaunchSequence"]
-
 Launch = tuple[str, Callable[[], Any]]
 """A launch, and the name of the stage under which its time is counted."""
 Chunk = list[Launch]

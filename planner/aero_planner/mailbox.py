@@ -10,8 +10,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-__all__ = ["Mailbox", "lower_thread_priority"]
-
 _log = logging.getLogger(__name__)
 
 T = TypeVar("T")

@@ -31,8 +31,6 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.launch_sequence import Chunk, LaunchSequence
 from aero_planner.pipeline_records import PipelineRecords
 
-__all__ = ["Pipeline", "tuned_kernels"]
-
 
 def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     """Return every kernel made for a tuning, for one drone and for many, and the block size of its launches."""

@@ -14,8 +14,6 @@ from aero_planner.kernels.records import (
     bundle,
 )
 
-__all__ = ["PipelineRecords"]
-
 
 class PipelineRecords:
     """Groups of the arrays; see `aero_planner.kernels.records` for their fields.

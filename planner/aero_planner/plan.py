@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BrakingCandidates", "Goal", "Plan", "PlanStatus", "VehicleState"]
-
 Array = NDArray[np.float32]
 
 

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.plan import Goal, VehicleState
 
-__all__ = ["check_inputs"]
-
 _FARTHEST = 1e6
 """Largest coordinate, beyond which float32 no longer resolves a decimetre [m]."""
 _LARGEST = float(np.finfo(np.float64).max)

@@ -12,8 +12,6 @@ from aero_planner.config import PlannerConfig
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.plan import BrakingCandidates, Plan, PlanStatus
 
-__all__ = ["make_plan"]
-
 _PER_INSTANCE = frozenset({
     "initial_endpoints", "anchors", "guide_coefficients", "guides", "controls", "positions", "velocities",
     "quaternions", "stage2_cost", "goal_cost", "collision_cost", "clearance",

@@ -29,8 +29,6 @@ from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import find_device
 
-__all__ = ["Planner"]
-
 _MIN_SWEEPS = 16
 """Sweeps for which there is room at least."""
 

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.quaternions import slerp
 
-__all__ = ["PoseTrack"]
-
 _SMALL_ANGLE = 1e-3
 """Half the angle between two poses [rad] below which the weights of the slerp are linear in float32."""
 _LONE_POSE = 1e-3

@@ -12,20 +12,6 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "compose_transforms",
-    "conjugate",
-    "integrate_rates",
-    "invert_transform",
-    "multiply",
-    "quaternion_from_angles",
-    "quaternion_of_matrix",
-    "rotate",
-    "rotation_matrix",
-    "rotation_vector",
-    "slerp",
-]
-
 Array = NDArray[np.float64]
 
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])

@@ -15,8 +15,6 @@ from aero_planner.arrays import CloudArrays, SweepTable
 from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep, thin_sweep
 from aero_planner.sweeps import Sweeps
 
-__all__ = ["SweepMemory"]
-
 
 class _Sizes(NamedTuple):
     B: int

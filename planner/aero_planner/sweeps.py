@@ -8,8 +8,6 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HASH_FACTORS", "THINNING", "Sweeps", "as_constant", "is_constant"]
-
 THINNING = 5
 """Of an older sweep one point in five is kept."""
 HASH_FACTORS = (2654435761, 2246822519, 3266489917)

@@ -7,8 +7,6 @@ import os
 import stat
 from typing import BinaryIO
 
-__all__ = ["open_user_file", "read_user_text"]
-
 
 def open_user_file(path: str | os.PathLike[str]) -> BinaryIO:
     """Open a regular file for reading; anything else is refused at once, without a byte being read.

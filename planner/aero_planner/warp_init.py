@@ -15,8 +15,6 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["find_device", "init_warp"]
-
 _log = logging.getLogger(__name__)
 _lock = threading.Lock()
 _started = False

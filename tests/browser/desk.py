@@ -23,8 +23,6 @@ from aero_viz.session import Session
 from aero_viz.session.source import Conditions, Opener, Source
 from tests.browser.pictures import Image, differing, project
 
-__all__ = ["Desk", "open_desk"]
-
 LEFT, RIGHT = 330, 355
 """Columns at either side of the page that panels cover [pixels]."""
 TIMEOUT = 90.0

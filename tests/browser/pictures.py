@@ -8,8 +8,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.rollouts import cost_scale
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW
 
-__all__ = ["Image", "count", "differing", "project", "rollouts_drawn"]
-
 Image = NDArray[np.uint8]
 
 

@@ -12,8 +12,6 @@ from websockets.sync.connection import Connection
 
 from aero_viz.dashboard.server import LocalServer
 
-__all__ = ["CAMERA", "join", "read_until", "send", "wait_for"]
-
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 1.0), "fov": 1, "near": 0.1,
     "far": 100, "image_height": 600, "image_width": 800.5, "look_at": (1.0, 0.0, 1.0), "up_direction": (0.0, 0.0, 1.0),

@@ -13,8 +13,6 @@ from fuzz.mutation import mutate
 from fuzz.ports import PORTS
 from fuzz.seeds import SEEDS, mutable_files
 
-__all__ = ["INPUTS", "NAMES", "TARGET", "write_case", "write_seed"]
-
 _GENERATED: dict[str, tuple[str, Callable[[np.random.Generator], bytes], int]] = {
     **{name: ("port", port.generate, port.inputs) for name, port in PORTS.items()},
     "node.telemetry": ("node", telemetry.generate, 1),

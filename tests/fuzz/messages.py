@@ -8,8 +8,6 @@ import msgspec
 import numpy as np
 from fuzz.mutation import mutate, pack
 
-__all__ = ["COUNT", "IDENTIFIERS", "generate"]
-
 COUNT = 200
 """Messages of a case."""
 IDENTIFIERS = tuple(f"{number:036}" for number in range(1000))

@@ -17,8 +17,6 @@ from aero_viz.dashboard import Dashboard
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
-__all__ = ["send_messages"]
-
 _STAND_IN = re.compile(rb"0{33}\d{3}")
 
 

@@ -35,8 +35,6 @@ from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.sweep_buffer import SweepBuffer
 from aero_planner.onboard.thrust import ThrustModel
 
-__all__ = ["PORTS", "Port"]
-
 Random = np.random.Generator
 
 POLLS, BATCH = 6, 50

@@ -16,8 +16,6 @@ from PIL import Image
 
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
-__all__ = ["SEEDS", "mutable_files"]
-
 _POINTS = np.random.default_rng(0).uniform(-9.0, 9.0, (300, 3))
 _BOX = trimesh.creation.box((6.0, 6.0, 6.0)).subdivide()
 _WORLD = {

@@ -32,8 +32,6 @@ from aero_viz.scenes import World, load_map
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.map_files import read_map, read_solids
 
-__all__ = ["TARGETS", "Reading"]
-
 _SWEEPS, _TICKS = 60, 20
 
 

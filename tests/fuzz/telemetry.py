@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 from fuzz.mutation import mutate
 
-__all__ = ["generate", "read"]
-
 _VALUES = (None, -1, 0, 2**70, 1e308, math.nan, math.inf, "", "x" * 9000, [], [[]], {}, True, {"a": 1}, ["\n\x1b[2J"])
 _HEADER = struct.Struct("<4sHHIII")
 

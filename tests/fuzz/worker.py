@@ -19,8 +19,6 @@ from types import TracebackType
 
 import psutil
 
-__all__ = ["MEMORY_MAX", "SECONDS_MAX", "Outcome", "Worker"]
-
 SECONDS_MAX = 5.0
 """CPU time that a case may take [s]. A busy machine does not fail a case."""
 MEMORY_MAX = 2 << 30

@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-__all__ = ["interrupted_at_import"]
-
 _CODE = """
 import os, signal, sys
 

@@ -17,8 +17,6 @@ from soak.report import TICK_RATE, Sample, curve, problems, table, write_csv
 
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 
-__all__ = ["figures", "serve"]
-
 _PERIOD = 5.0
 """Time between two samples [s]."""
 _WARM_UP = 30.0

@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from statistics import median
 
-__all__ = ["FREEZE", "TICK_RATE", "Sample", "curve", "problems", "table", "write_csv"]
-
 TICK_RATE = 50.0
 """Ticks of a flight per second."""
 FREEZE = 30.0

@@ -9,8 +9,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
 from aero_viz.session.frame import Frame
 
-__all__ = ["AlternativeLayer"]
-
 _COLOR = palette.unmapped(palette.GHOST)
 
 

@@ -16,21 +16,6 @@ from aero_viz.dashboard.history import FlightHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = [
-    "Bar",
-    "BarChart",
-    "Change",
-    "ColorKey",
-    "ColorScale",
-    "Layer",
-    "Lines",
-    "Option",
-    "apply",
-    "legend_of",
-    "polylines",
-    "to_see",
-]
-
 _DRONE_MARGIN, _PATH_MARGIN = 0.6, 0.15
 """Distances that obstacles must keep from the view of the drone and of its plan, to stay solid [m]."""
 Change = tuple[Any, str, Any]

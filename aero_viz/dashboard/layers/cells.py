@@ -12,8 +12,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines
 from aero_viz.session.frame import Frame
 
-__all__ = ["CoarseCellLayer", "FineCellLayer"]
-
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
 _BORDER = palette.unmapped(palette.GRID_SECTION)
 _ANCHOR = palette.unmapped(palette.ANCHOR)

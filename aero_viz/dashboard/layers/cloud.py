@@ -11,8 +11,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option, to_see
 from aero_viz.session.frame import Frame
 
-__all__ = ["CloudLayer"]
-
 _MOST_POINTS = 24_000
 _STEP = 4096
 """The size of the buffer is a multiple of this, so that it seldom changes."""

@@ -11,8 +11,6 @@ from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polyl
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.session.frame import Frame
 
-__all__ = ["DroneLayer", "GhostLayer", "TrailLayer"]
-
 _TRAIL_SEGMENTS = 512
 _GHOST = palette.unmapped(palette.GHOST)
 _TRAIL = palette.unmapped(palette.TRAIL)

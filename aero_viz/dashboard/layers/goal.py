@@ -9,8 +9,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply
 from aero_viz.session.frame import Frame
 
-__all__ = ["GoalLayer"]
-
 
 class GoalLayer(Layer):
     """Goal of the flight: a ball in a ring."""

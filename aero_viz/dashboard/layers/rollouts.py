@@ -11,8 +11,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Lines, Option, polylines
 from aero_viz.session.frame import Frame
 
-__all__ = ["RolloutLayer", "cost_scale"]
-
 _COST, _CHOSEN = palette.unmapped(palette.COST), palette.unmapped(palette.CHOSEN)
 
 

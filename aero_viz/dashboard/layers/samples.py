@@ -10,8 +10,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Lines, Option, polylines
 from aero_viz.session.frame import Frame
 
-__all__ = ["SampleLayer"]
-
 _CHOSEN = "the chosen one"
 _COLORS = palette.unmapped(palette.VIRIDIS)
 

@@ -16,8 +16,6 @@ from aero_viz.scenes.mesh import SHAPES, joined_mesh
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["GroundLayer", "ObstacleLayer", "RecordedPathLayer", "RecordedPlanLayer"]
-
 _FAINT = 0.12
 """Opacity of an obstacle that hides the drone or its plan."""
 _NO_FACES = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)

@@ -10,8 +10,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
 from aero_viz.session.frame import Frame
 
-__all__ = ["SelectionLayer"]
-
 _COLOR = palette.unmapped(palette.SELECTED)
 
 

@@ -18,8 +18,6 @@ from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["TYPING_DELAY", "Page", "Panel"]
-
 _log = logging.getLogger(__name__)
 
 TYPING_DELAY = 0.2

@@ -16,8 +16,6 @@ from aero_viz.scenes import SightLines, World
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["FIELD_OF_VIEW", "MODES", "MODE_CLASS", "VIEWS", "CameraPanel", "Viewpoints", "orientation", "view"]
-
 FIELD_OF_VIEW = float(np.radians(58.0))
 """Vertical field of view [rad]."""
 VIEWS = ("follow", "top", "side")

@@ -21,8 +21,6 @@ from aero_viz.dashboard.panels.base import Panel
 from aero_viz.logs.flight_figures import LABELS, FlightFigures
 from aero_viz.session.frame import Frame
 
-__all__ = ["CURVES", "ChartPanel", "Curve", "envelope", "flight_table", "table"]
-
 _WIDTH, _HEIGHT = 300, 46
 """Size of one curve in the drawing [pixels]."""
 _PERIOD = 0.4

@@ -16,8 +16,6 @@ from aero_viz.dashboard.panels.charts import flight_table
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["ComparePanel", "parameter_table", "tick_table"]
-
 _PIN_HINT = (
     "Keep the present configuration as A. B is what the controls below say. Both plan every tick on which time stands "
     "still: the rollouts of A are drawn in the colour of the ghost."

@@ -15,8 +15,6 @@ from aero_viz.scenes.generators import COUNT_MAX
 from aero_viz.sensors.lidar import LIDARS
 from aero_viz.session.source import Conditions
 
-__all__ = ["ConditionControls"]
-
 _HINT = "Used when a scene or a world is opened."
 
 

@@ -20,8 +20,6 @@ from aero_viz.dashboard.preset_store import PresetStore
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["Baseline", "ConfigurationPanel", "differences", "parse_upload"]
-
 _CHANGED = "(changed)"
 _HISTORY_HINT = "undo and redo one change of the configuration; reset all returns to the preset."
 _COPY = (

@@ -12,8 +12,6 @@ import viser
 from aero_planner.config import ParameterInfo, Value
 from aero_viz.dashboard.layers import Change
 
-__all__ = ["Control", "SliderControl", "add_control", "add_number"]
-
 ChangeCallback = Callable[[viser.ClientHandle], None]
 """Called with the client after a user has changed the value of a control."""
 

@@ -13,8 +13,6 @@ from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["GoalPanel"]
-
 _HOLD = 0.7
 """Time after a user's change for which the control is not overwritten [s]."""
 

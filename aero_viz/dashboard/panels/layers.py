@@ -12,8 +12,6 @@ from aero_viz.dashboard.layers import Change, Layer, Option
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.session.frame import Frame
 
-__all__ = ["LayerPanel"]
-
 _ROOM = 100.0
 """Difference in order between two layers; their options are between them."""
 

@@ -25,8 +25,6 @@ from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
 
-__all__ = ["build"]
-
 
 def build(
     page: Page,

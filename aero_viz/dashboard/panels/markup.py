@@ -9,24 +9,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Bar, ColorKey, ColorScale
 from aero_viz.dashboard.palette import Rgb, css
 
-__all__ = [
-    "bars",
-    "block",
-    "columns",
-    "heading",
-    "key",
-    "legend",
-    "metrics",
-    "muted",
-    "note",
-    "pill",
-    "scale",
-    "stacked",
-    "table",
-    "text",
-]
-
-
 _FONT = "font-size:12px;line-height:1.45;font-variant-numeric:tabular-nums"
 
 

@@ -12,8 +12,6 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.controls import Control, add_control
 
-__all__ = ["CHANGED_CLASS", "ParameterRow"]
-
 CHANGED_CLASS = "aero-changed"
 """Class of the element before a control whose value differs from the preset."""
 

@@ -17,8 +17,6 @@ from aero_viz.dashboard.panels.parameter_row import ParameterRow
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
-__all__ = ["ParameterPanel", "ParameterTablePanel"]
-
 _RESET_HINT = "Return these parameters to the preset."
 _SHOW = ("basic", "expert", "changed")
 _SHOW_HINT = (

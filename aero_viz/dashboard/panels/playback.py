@@ -17,8 +17,6 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["PlaybackPanel"]
-
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _HOLD = 0.7
 """Time after a user's change for which the timeline is not overwritten [s]."""

@@ -18,8 +18,6 @@ from aero_viz.explain.trace import FlightTrace
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["PostMortemPanel"]
-
 
 class PostMortemPanel(Panel):
     """Explains every simulated flight that does not arrive, on its own thread, and leads to the tick in question."""

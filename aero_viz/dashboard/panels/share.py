@@ -28,8 +28,6 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.repeat import repeat
 
-__all__ = ["Files", "SharePanel"]
-
 _log = logging.getLogger(__name__)
 _KINDS = {
     "Web page": (".html", viser.Icon.WORLD, "The flight so far as one file that plays in any browser, offline."),

@@ -28,8 +28,6 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Conditions, Opener, Source
 
-__all__ = ["SourcePanel"]
-
 _log = logging.getLogger(__name__)
 _LINK_STEPS = 25
 """Ticks to fly at once on the way to the time of a link; other commands wait for them."""

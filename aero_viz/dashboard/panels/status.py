@@ -15,8 +15,6 @@ from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import RecordedPlan
 
-__all__ = ["StatusPanel"]
-
 _STATUS = {
     PlanStatus.OK: ("OK", palette.GOOD),
     PlanStatus.NO_SAFE_CANDIDATE: ("no safe candidate: stopping", palette.BAD),

@@ -10,8 +10,6 @@ from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 
-__all__ = ["VisitorPanel"]
-
 _HINT = "Control the session; whoever does now looks on from then on."
 
 

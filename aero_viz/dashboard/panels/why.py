@@ -20,8 +20,6 @@ from aero_viz.explain.picking import describe_point, pick
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["WhyPanel"]
-
 _PERIOD = 0.7
 """Shortest time between two explanations while time runs [s]: each plans once more."""
 _HINT = (

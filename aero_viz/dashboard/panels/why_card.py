@@ -15,8 +15,6 @@ from aero_viz.explain.evidence import Evidence
 from aero_viz.explain.terms import STAGE1, STAGE2
 from aero_viz.explain.verdict import closest, verdict
 
-__all__ = ["card", "chart"]
-
 Array = NDArray[np.float64]
 _TAB20 = palette.as_rgb((255 * matplotlib.colormaps["tab20"](np.arange(20))[:, :3]).astype(np.uint8))
 _COLORS: dict[str, Rgb] = dict(zip(STAGE1, [_TAB20[i] for i in (10, 11, 14, 15, 0, 1, 4, 5, 6, 8, 2, 12)], strict=True))

@@ -13,8 +13,6 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import ColorKey, ColorScale
 from aero_viz.dashboard.panels import markup
 
-__all__ = ["COLUMNS", "page"]
-
 COLUMNS = ("time", "speed", "clearance")
 """Columns of the figures: [s], [m/s], [m]."""
 _WIDTH, _HEIGHT = 236, 34

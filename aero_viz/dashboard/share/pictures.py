@@ -14,8 +14,6 @@ from aero_viz.errors import UserError
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-__all__ = ["SIZE", "VIDEO_RATE", "page_picture", "write_video"]
-
 SIZE = (1280, 720)
 """Width and height of videos and pictures [pixels]."""
 VIDEO_RATE = 25

@@ -16,8 +16,6 @@ from aero_viz.dashboard.server import LocalServer
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame
 
-__all__ = ["SceneRecording"]
-
 _MOST_POINTS = 16_000
 """Points of a shared cloud."""
 _CLOUD_PERIOD = 0.2

@@ -21,8 +21,6 @@ from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
 
-__all__ = ["SUFFIXES", "FlightFiles", "frames_of", "share", "write"]
-
 SUFFIXES = {
     ".html": "a page that plays offline",
     ".mp4": "a video",

@@ -12,8 +12,6 @@ from aero_viz.explain.trace import FlightTrace, recorder
 from aero_viz.flight import fly
 from aero_viz.scenes import World
 
-__all__ = ["cause_of", "cause_rows"]
-
 
 def cause_of(world: World, reason: str, **options: Any) -> dict[str, Any]:
     """Fly a failed flight once more and return its cause and obstacle, as fields of its record.

@@ -11,8 +11,6 @@ from aero_viz.evaluation.bench.result_folder import read_folder
 from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
 from aero_viz.text_table import format_table
 
-__all__ = ["RunComparison", "compare_runs"]
-
 _SAME = ("benchmark", "seed", "lidar", "simulation")
 """Keys of the header that must be equal, because the worlds or the flights depend on them besides the planner."""
 

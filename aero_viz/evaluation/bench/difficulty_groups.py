@@ -9,8 +9,6 @@ from typing import Any
 from aero_viz.evaluation.bench.runner import Run
 from aero_viz.evaluation.statistics import wilson_interval
 
-__all__ = ["DIFFICULTY", "GROUPS_NOTE", "format_groups"]
-
 DIFFICULTY = ("traversability_obstruction", "view_occlusion", "angle_over_length", "guide_length", "difficulty")
 """Fields of a record about the difficulty of its world."""
 GROUPS_NOTE = (

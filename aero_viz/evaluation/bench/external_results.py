@@ -17,8 +17,6 @@ from aero_viz.flight import FlightResult
 from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes import World
 
-__all__ = ["ExternalResults", "append_to_table", "load_external_results"]
-
 _COLUMNS = tuple(field.name for field in fields(FlightResult))
 _TEXTS = ("arrived", "reason", "scene", "config", "seed", "explanation")
 _NUMBERS = tuple(name for name in _COLUMNS if name not in _TEXTS)

@@ -10,8 +10,6 @@ from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import Summary
 
-__all__ = ["plot"]
-
 _SIZE, _DPI = (8.0, 4.5), 150
 
 

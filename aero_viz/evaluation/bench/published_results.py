@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["PUBLISHED", "PublishedRow"]
-
 
 class PublishedRow(NamedTuple):
     """Means over 50 successful flights: speeds [m/s], smoothness [m^2/s^5], length [m], clearances [m]."""

@@ -21,16 +21,6 @@ from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import METRICS, Summary, summarise
 from aero_viz.text_table import format_table
 
-__all__ = [
-    "OURS",
-    "format_causes",
-    "format_summaries",
-    "format_worlds",
-    "summarise_run",
-    "world_records",
-    "write_report",
-]
-
 OURS = "AERO-Viz"
 """Name of our planner in the summaries."""
 _CAUSES = ["cause of failure", "flights", "row and seed of the world, for example"]

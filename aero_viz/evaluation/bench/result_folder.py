@@ -10,8 +10,6 @@ from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
 
-__all__ = ["append_flights", "open_folder", "read_folder"]
-
 _HEADER, _FLIGHTS = "run.json", "flights.jsonl"
 _FIXED_KEYS = (
     "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "config", "rows",

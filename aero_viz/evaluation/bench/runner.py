@@ -27,8 +27,6 @@ from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel, lidar_model
 
-__all__ = ["STAGE_FIELD", "BenchmarkInterrupted", "Run", "run_benchmark"]
-
 STAGE_FIELD = "stage_ms."
 """Beginning of the names of the fields with the times of the stages of a tick [ms]."""
 _TIMED_TICK = 100

@@ -9,8 +9,6 @@ from typing import Literal
 from aero_planner.config import Value
 from aero_viz.scenes import World
 
-__all__ = ["BENCHMARKS", "PUBLISHED_SPEED", "Benchmark", "Row"]
-
 PUBLISHED_SPEED = 7.0
 """Highest velocity limit of the paper [m/s], at which planners are compared."""
 

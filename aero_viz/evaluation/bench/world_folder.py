@@ -14,8 +14,6 @@ from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.scenes.occupancy import IMAGE_SUFFIXES
 
-__all__ = ["folder_benchmark"]
-
 _logger = logging.getLogger(__name__)
 
 

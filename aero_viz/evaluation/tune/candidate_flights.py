@@ -13,8 +13,6 @@ from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 
-__all__ = ["CandidateFlights", "FlightOptions"]
-
 
 @dataclass(frozen=True)
 class FlightOptions:

@@ -9,8 +9,6 @@ from typing import Literal
 
 from aero_viz.flight import FlightResult
 
-__all__ = ["OBJECTIVES", "Objective", "flight_cost", "front_values"]
-
 Objective = Literal["time", "clearance", "smoothness"]
 
 _COSTS: dict[Objective, Callable[[FlightResult], float]] = {

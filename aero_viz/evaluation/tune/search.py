@@ -28,8 +28,6 @@ from aero_viz.scenes import World
 if TYPE_CHECKING:
     import optuna
 
-__all__ = ["SearchOptions", "tune"]
-
 _INCUMBENT = "incumbent"
 _MAX_CONTRADICTIONS = 1000
 """Number of inconsistent proposals in a row before the search gives up."""

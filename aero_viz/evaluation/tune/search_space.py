@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 
-__all__ = ["ParameterRange", "parse_ranges"]
-
 _DEFAULT_FACTOR = 4.0
 """The default range is from the value divided by this factor to the value times this factor."""
 

@@ -16,8 +16,6 @@ from aero_viz.flight import FlightResult
 if TYPE_CHECKING:
     import optuna
 
-__all__ = ["DEFAULT_STORAGE", "Sampler", "dump_flights", "flights_of", "load_flights", "open_study", "save_flights"]
-
 DEFAULT_STORAGE = "sqlite:///results/tune.db"
 Sampler = Literal["auto", "tpe", "cmaes", "nsga2", "random"]
 _DEFINITION, _FLIGHTS = "definition", "flights"

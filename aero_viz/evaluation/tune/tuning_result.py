@@ -15,8 +15,6 @@ from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.flight import FlightResult
 from aero_viz.text_table import format_table
 
-__all__ = ["Candidate", "Check", "Score", "TuningResult"]
-
 
 @dataclass(frozen=True)
 class Score:

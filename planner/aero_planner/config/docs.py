@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from aero_planner.config import ParameterInfo, PlannerConfig
 
-__all__ = ["format_parameters"]
-
 
 def format_parameters() -> str:
     """Return all parameters of the planner in Markdown, one table per section, and the list of presets."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["mounted_view"]
-
 _TOLERANCE = math.cos(math.radians(3.0))
 """Cosine of the largest tilt of a sensor that counts as upright or upside down: the size of a fine cell."""
 

@@ -28,21 +28,6 @@ from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.yaml_entries import Entry, parse_entries
 from aero_planner.user_file import open_user_file
 
-__all__ = [
-    "GOAL",
-    "ONBOARD",
-    "ConfigFile",
-    "config_from_name",
-    "format_changes",
-    "format_config",
-    "format_goal",
-    "format_sections",
-    "load_config",
-    "read_text",
-    "save_config",
-    "write_text",
-]
-
 Config = TypeVar("Config", bound=SectionedConfig)
 
 ONBOARD = "onboard"

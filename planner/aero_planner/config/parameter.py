@@ -16,19 +16,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeVar, get_type_hints
 
-__all__ = [
-    "ParameterInfo",
-    "ParameterSection",
-    "SectionedConfig",
-    "Value",
-    "choice",
-    "did_you_mean",
-    "live",
-    "structural",
-    "switch",
-    "text",
-]
-
 Value = float | int | bool | str
 Config = TypeVar("Config", bound="SectionedConfig")
 

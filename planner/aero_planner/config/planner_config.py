@@ -23,19 +23,6 @@ from aero_planner.config.parameter import (
 )
 from aero_planner.config.presets import PRESETS
 
-__all__ = [
-    "REMOVED",
-    "RENAMED",
-    "AnchorConfig",
-    "CandidateConfig",
-    "CostConfig",
-    "EscapeConfig",
-    "PartitionConfig",
-    "PlannerConfig",
-    "SamplingConfig",
-    "VehicleConfig",
-]
-
 
 @dataclass(frozen=True)
 class VehicleConfig(ParameterSection, section="vehicle"):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from aero_planner.config.parameter import Value
 
-__all__ = ["PRESETS"]
-
 _PAPER: dict[str, Value] = {
     "vehicle.speed_limit": 50.0,
     "partition.range_min": 0.0,

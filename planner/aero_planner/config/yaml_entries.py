@@ -15,8 +15,6 @@ import yaml
 
 from aero_planner.config.parameter import Value
 
-__all__ = ["Entry", "parse_entries"]
-
 _MAX_DEPTH = 8
 _HINT = "write 'section:' or, indented by two spaces, 'name: value'"
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)")

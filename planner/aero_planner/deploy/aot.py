@@ -24,8 +24,6 @@ from aero_planner.planner import Planner
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import init_warp
 
-__all__ = ["compile_ahead", "kernels_in", "load_kernels", "warmup"]
-
 _BLOCK_DIMS = (32, 64, 128, 256)
 """CUDA block sizes; each one has its own binary."""
 

@@ -34,18 +34,6 @@ from aero_planner.config import PlannerConfig
 from aero_planner.user_file import open_user_file
 from aero_planner.warp_init import find_device
 
-__all__ = [
-    "CONFIG",
-    "FORMAT",
-    "GRAPH",
-    "KERNELS",
-    "MANIFEST",
-    "Bundle",
-    "cpu_target",
-    "open_bundle",
-    "planner_digest",
-]
-
 FORMAT = 1
 MANIFEST, CONFIG, KERNELS, GRAPH = "manifest.json", "config.yaml", "kernels", "graph"
 

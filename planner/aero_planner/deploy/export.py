@@ -39,8 +39,6 @@ from aero_planner.deploy.bundle import (
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
 
-__all__ = ["export", "makes_graphs", "pack", "parse_architecture", "save_graph", "write_manifest"]
-
 _BINARIES = (".cubin", ".ptx", ".o")
 """Files that Warp loads, besides their .meta files; sources are left out."""
 

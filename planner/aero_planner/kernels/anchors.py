@@ -17,8 +17,6 @@ from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction, safest_fine_cell
 from aero_planner.kernels.records import DroneState, GoalState, PreviousPlan
 
-__all__ = ["flown_controls", "lookahead", "place_anchors", "safe_anchor", "time_since_plan"]
-
 wp.set_module_options({"enable_backward": False})
 
 

@@ -19,22 +19,6 @@ from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import farthest
 from aero_planner.kernels.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
 
-__all__ = [
-    "FAR",
-    "GRID",
-    "above_ground",
-    "allocate_rows",
-    "cell_size",
-    "clearance_at",
-    "count_points",
-    "fill_rows",
-    "grid_coordinates",
-    "query_limit",
-    "safety_limit",
-    "scan_packs",
-    "smallest",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 GRID = wp.constant(44)

@@ -12,8 +12,6 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction, farthest
 
-__all__ = ["continue_surfaces"]
-
 wp.set_module_options({"enable_backward": False})
 
 _ROWS_INSIDE = wp.constant(2)

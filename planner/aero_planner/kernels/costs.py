@@ -7,17 +7,6 @@ import warp as wp
 from aero_planner.kernels.dynamics import quat_multiply
 from aero_planner.kernels.params import Params
 
-__all__ = [
-    "attitude_distance",
-    "collision_cost",
-    "control_cost",
-    "control_rate_cost",
-    "goal_cost",
-    "speed_cost",
-    "track_cost",
-    "vnorm_cost",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 

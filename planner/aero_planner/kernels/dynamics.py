@@ -11,22 +11,6 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 
-__all__ = [
-    "clamp_control",
-    "heading",
-    "lag_shares",
-    "lagged_control",
-    "mean_lag_shares",
-    "near_atan2",
-    "quat_from_heading",
-    "quat_inverse_rotate",
-    "quat_multiply",
-    "quat_rotate",
-    "rk4_step",
-    "rotate_by_rates",
-    "thrust_axis",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 

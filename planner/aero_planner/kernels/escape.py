@@ -6,8 +6,6 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 
-__all__ = ["PLACES", "Escape", "escape_cost", "remember_place"]
-
 wp.set_module_options({"enable_backward": False})
 
 PLACES = wp.constant(16)

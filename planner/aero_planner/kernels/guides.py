@@ -24,8 +24,6 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, PreviousPlan
 
-__all__ = ["BRAKING_CANDIDATES", "make_guides"]
-
 wp.set_module_options({"enable_backward": False})
 
 

@@ -10,8 +10,6 @@ from typing import NamedTuple
 
 import warp as wp
 
-__all__ = ["CPU", "CUDA", "KernelTuning"]
-
 _FEW_DRONES = 2
 """Largest batch that leaves a GPU idle threads."""
 

@@ -26,16 +26,6 @@ from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState
 from aero_planner.kernels.warp_ops import minimum_over, read_values, sum_over, synchronize_block
 
-__all__ = [
-    "NOISE_ROWS",
-    "PROBES",
-    "blocked_cost",
-    "fill_noise",
-    "probe_position",
-    "sample_rollouts",
-    "update_controls",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 NOISE_ROWS = wp.constant(16384)

@@ -9,8 +9,6 @@ import warp as wp
 
 from aero_planner.config import ParameterInfo, PlannerConfig
 
-__all__ = ["Params", "pack"]
-
 _LIVE: tuple[ParameterInfo, ...] = tuple(info for info in PlannerConfig.parameters() if info.live)
 
 

@@ -18,17 +18,6 @@ from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.shells import SHELLS, last_shell
 from aero_planner.kernels.warp_ops import add_count
 
-__all__ = [
-    "EMPTY",
-    "cell_of_direction",
-    "farthest",
-    "fill_directions",
-    "finish_fine_cells",
-    "pool_coarse",
-    "safest_fine_cell",
-    "scatter_points",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))

@@ -10,8 +10,6 @@ from aero_planner.kernels.guides import shifted_control
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, PreviousPlan
 
-__all__ = ["predict_state"]
-
 wp.set_module_options({"enable_backward": False})
 
 _STEP = wp.constant(0.01)

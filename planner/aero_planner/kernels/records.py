@@ -6,8 +6,6 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["CloudSweeps", "DroneState", "GoalState", "GuideSet", "InstanceCosts", "PreviousPlan", "Rollouts", "bundle"]
-
 
 @wp.struct
 class CloudSweeps:

@@ -22,8 +22,6 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.warp_ops import point_pack
 
-__all__ = ["query_clearance", "query_sample_vectors"]
-
 wp.set_module_options({"enable_backward": False})
 
 

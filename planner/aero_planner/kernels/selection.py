@@ -22,8 +22,6 @@ from aero_planner.kernels.stops import STOPS, safe_clearances, switch_step
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 from aero_planner.plan import PlanStatus
 
-__all__ = ["commit_plan", "evaluate_states", "roll_out_controls", "score_instances"]
-
 wp.set_module_options({"enable_backward": False})
 
 OK = wp.constant(int(PlanStatus.OK))

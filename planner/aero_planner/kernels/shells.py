@@ -14,17 +14,6 @@ from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.warp_ops import claim_slot
 from aero_planner.sweeps import HASH_FACTORS, THINNING
 
-__all__ = [
-    "COUNTERS",
-    "SHELLS",
-    "begin_shells",
-    "count_shells",
-    "fill_shells",
-    "last_shell",
-    "start_sweep",
-    "thin_sweep",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 SHELLS = wp.constant(8)

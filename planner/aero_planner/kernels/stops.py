@@ -32,8 +32,6 @@ from aero_planner.kernels.partition import cell_of_direction
 from aero_planner.kernels.records import DroneState, Rollouts
 from aero_planner.kernels.warp_ops import point_pack
 
-__all__ = ["STOPS", "evaluate_stops", "prove_stops", "roll_out_stops", "safe_clearances", "switch_step"]
-
 wp.set_module_options({"enable_backward": False})
 
 STOPS = wp.constant(6)

@@ -10,19 +10,6 @@ from typing import Any
 
 import warp as wp
 
-__all__ = [
-    "add_count",
-    "claim_slot",
-    "claim_slots",
-    "minimum_over",
-    "point_pack",
-    "read_lane",
-    "read_point_pack",
-    "read_values",
-    "sum_over",
-    "synchronize_block",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 _WARP = 32

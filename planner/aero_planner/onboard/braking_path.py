@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from aero_planner.plan import Plan
 
-__all__ = ["PATH_POINTS", "BrakingPath", "PathState", "choose_path"]
-
 Array = NDArray[np.float64]
 
 PATH_POINTS = 32

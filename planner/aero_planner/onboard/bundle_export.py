@@ -12,8 +12,6 @@ from aero_planner.config.file import format_config, read_text
 from aero_planner.deploy.export import export
 from aero_planner.onboard.settings import check_together, flight_config_from_name, format_onboard
 
-__all__ = ["export_bundle"]
-
 
 def export_bundle(
     out: str | os.PathLike[str],

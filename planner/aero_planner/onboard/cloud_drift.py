@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Drift", "measure_drift"]
-
 Array = NDArray[np.float64]
 
 _RADIUS = 15.0  # [m] within which points are used

@@ -18,8 +18,6 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.watchdog import UPCOMING_MAX
 
-__all__ = ["Command", "CommandChoice"]
-
 
 class Command(NamedTuple):
     """A command as `CommandSink.send` takes it."""

@@ -15,8 +15,6 @@ from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.thrust import ThrustModel
 
-__all__ = ["is_loopback", "make_sender", "open_lidar", "open_link", "thrust_model"]
-
 
 def is_loopback(host: str) -> bool:
     """Return True if only programs of this computer can reach an address of it."""

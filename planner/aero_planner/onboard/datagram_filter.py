@@ -8,8 +8,6 @@ import socket
 import struct
 from collections.abc import Iterable
 
-__all__ = ["count_drops", "filter_senders"]
-
 _SO_ATTACH_FILTER, _SO_MEMINFO = 26, 55  # socket options of Linux
 _DROPS = 8  # index of the dropped datagrams in _SO_MEMINFO
 _MAX_SENDERS = 60  # jumps of the filter reach 255 instructions

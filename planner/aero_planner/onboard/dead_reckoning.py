@@ -14,8 +14,6 @@ from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.settings import ResponseSettings
 from aero_planner.quaternions import integrate_rates, rotate
 
-__all__ = ["DeadReckoning", "MotionState", "acceleration", "propagate"]
-
 Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])

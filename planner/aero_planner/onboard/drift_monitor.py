@@ -7,8 +7,6 @@ from collections import deque
 
 from aero_planner.onboard.cloud_drift import Drift
 
-__all__ = ["DriftMonitor"]
-
 _WINDOW = 3.0  # [s]
 _MIN_MEASUREMENTS = 3
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from aero_planner.quaternions import integrate_rates
 
-__all__ = ["EstimatorState", "is_estimator_reset"]
-
 Array = NDArray[np.float64]
 
 _MAX_OFFSET, _MAX_ACCELERATION = 0.5, 30.0  # [m], [m/s^2]

@@ -32,8 +32,6 @@ from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.transport import open_transport
 from aero_planner.onboard.watchdog import Heartbeat, Watchdog
 
-__all__ = ["Failsafe", "FailsafeGuard", "FailsafeProcess", "main", "takeover_time"]
-
 _log = logging.getLogger(__name__)
 
 _EXTRA_PERIODS = 2.0

@@ -18,32 +18,6 @@ from numpy.typing import ArrayLike
 from aero_planner.onboard.settings import LimitSettings
 from aero_planner.plan import PlanStatus
 
-__all__ = [
-    "AS_PLANNED",
-    "BLINDING",
-    "COMMANDING",
-    "DETECTION",
-    "FAULTS",
-    "HARMLESS_AT_REST",
-    "NOT_READY",
-    "REACTIONS",
-    "REACTION_OVERRIDES",
-    "THRESHOLDS",
-    "TRANSITIONS",
-    "UNLOCATED",
-    "Cause",
-    "Inputs",
-    "Reaction",
-    "State",
-    "Transition",
-    "blind_time_left",
-    "cause_applies",
-    "find_faults",
-    "is_inside_fence",
-    "next_state",
-    "reaction_to",
-]
-
 
 class State(enum.Enum):
     """What the node is doing."""

@@ -25,8 +25,6 @@ from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 from aero_planner.quaternions import quaternion_from_angles, rotate
 
-__all__ = ["FlightLog"]
-
 _log = logging.getLogger(__name__)
 
 _CHUNK_BYTES = 4 << 20

@@ -12,15 +12,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "attitude_from_ned",
-    "attitude_to_ned",
-    "flu_from_frd",
-    "frd_from_flu",
-    "ned_from_world",
-    "world_from_ned",
-]
-
 Array = NDArray[np.float64]
 
 _HALF_TURN = np.array([1.0, -1.0, -1.0])

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.failsafe_table import is_inside_fence
 from aero_planner.onboard.settings import LimitSettings
 
-__all__ = ["GoalTracker"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["find_ground"]
-
 _RADIUS = 38.0  # [m] within which points are used
 _CELL = 1.0  # [m] edge of a square cell
 _DEPTH = 0.3  # [m] that ground lies below the drone at least

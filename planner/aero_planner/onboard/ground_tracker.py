@@ -9,8 +9,6 @@ from collections import deque
 
 import numpy as np
 
-__all__ = ["GroundSource", "GroundTracker"]
-
 _log = logging.getLogger(__name__)
 
 _WINDOW = 5.0  # [s] of measurements that count

@@ -15,8 +15,6 @@ from aero_planner.onboard.braking_path import PATH_POINTS, BrakingPath
 from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat
 
-__all__ = ["HeartbeatMemory", "ReaderStatus", "SharedHeartbeat"]
-
 
 class SharedHeartbeat(NamedTuple):
     """A heartbeat as read from the shared memory."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["HostClock"]
-
 
 class HostClock:
     """Maps time stamps of a device to host time, from the stamps and their arrival times alone.

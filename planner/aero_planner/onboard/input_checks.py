@@ -17,8 +17,6 @@ from aero_planner.onboard.interfaces import PointSource, VehicleLink, VehicleSam
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import SweepBuffer, make_sweep_buffer
 
-__all__ = ["check_inputs"]
-
 _POLL_PERIOD = 0.01  # [s]
 _MIN_STATE_RATE = 25.0  # [Hz]
 _MIN_POINTS = 1000  # per sweep

@@ -15,11 +15,6 @@ from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Plan, VehicleState
 from aero_planner.sweeps import Sweeps
 
-__all__ = [
-    "CommandSink", "Observation", "Observer", "PlanRecord", "PlanResult", "PointCounters", "PointPacket", "PointSource",
-    "VehicleLink", "VehicleSample",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class PointPacket:

@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["identify_lag"]
-
 _LONGEST = 1.0  # [s]
 _STEPS = 200
 

@@ -27,11 +27,6 @@ from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import PointCounters, PointPacket
 
-__all__ = [
-    "CARTESIAN_CM", "CARTESIAN_MM", "LivoxPacket", "LivoxSource", "Reject", "encode_packet", "parse_imu",
-    "parse_packet",
-]  # fmt: skip
-
 _log = logging.getLogger(__name__)
 
 CARTESIAN_MM = 1

@@ -30,8 +30,6 @@ from aero_planner.onboard.mavlink_state import COORDINATE_LIMIT, StateReceiver
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.onboard.transport import open_transport
 
-__all__ = ["MavlinkLink"]
-
 _log = logging.getLogger(__name__)
 
 _REQUEST_PERIOD = 2.0  # [s] between two requests for messages

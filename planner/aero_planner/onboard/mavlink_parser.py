@@ -12,8 +12,6 @@ from typing import Any
 
 from aero_planner.onboard.mavlink_signing import SignatureChecker
 
-__all__ = ["MavlinkParser"]
-
 _V1, _V2 = 0xFE, 0xFD  # first byte of a frame
 _MARKER = re.compile(b"[\xfd\xfe]")
 _SIGNED = 1  # the only flag of a frame's header that is understood

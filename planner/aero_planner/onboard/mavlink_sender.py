@@ -15,8 +15,6 @@ from aero_planner.onboard.mavlink_signing import signing_time
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.onboard.transport import Transport
 
-__all__ = ["MavlinkSender", "load_dialect"]
-
 
 def load_dialect() -> Any:
     """Return pymavlink's module of the common messages.

@@ -10,8 +10,6 @@ import hmac
 import time
 from pathlib import Path
 
-__all__ = ["SignatureChecker", "load_key", "signing_time"]
-
 _EPOCH = 1_420_070_400  # 2015-01-01 [s]
 _TICKS = 100_000  # per second
 _MAX_DELAY = 60 * _TICKS  # by which the first time stamp of a stream may be late

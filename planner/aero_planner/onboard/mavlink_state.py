@@ -26,8 +26,6 @@ from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
-__all__ = ["COORDINATE_LIMIT", "StateReceiver"]
-
 COORDINATE_LIMIT = 1e6
 """Largest coordinate [m] and velocity [m/s]; larger values have no precision left in float32."""
 

@@ -48,8 +48,6 @@ from aero_planner.onboard.watchdog import Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
 
-__all__ = ["Node"]
-
 _log = logging.getLogger(__name__)
 
 _SWITCH_INTERVAL = 0.0005

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DeadlineStatistics", "PeriodicLoop", "run_step"]
-
 _log = logging.getLogger(__name__)
 
 _KEPT = 30_000

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.plan import PlanStatus
 
-__all__ = ["PlanSchedule", "ScheduledPlan"]
-
 _ROUNDING = 1e-9
 
 

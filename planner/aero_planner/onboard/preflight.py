@@ -33,8 +33,6 @@ from aero_planner.onboard.px4_parameters import (
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.telemetry import listen
 
-__all__ = ["check_thrust", "preflight"]
-
 T = TypeVar("T")
 
 _TIMED_PLANS = 10

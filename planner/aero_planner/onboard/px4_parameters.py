@@ -11,15 +11,6 @@ from aero_planner.check_report import Check
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.settings import OnboardConfig
 
-__all__ = [
-    "ParameterChange",
-    "check_parameters",
-    "find_changes",
-    "parameter_names",
-    "read_parameters",
-    "write_parameters",
-]
-
 _TIMEOUT = 2.0  # [s] for an answer
 _RETRY_PERIOD = 0.4  # [s] between two requests
 _POLL_PERIOD = 0.01  # [s]

@@ -6,8 +6,6 @@ import logging
 import math
 from collections.abc import Sequence
 
-__all__ = ["ReadinessLog"]
-
 _log = logging.getLogger(__name__)
 
 _SETTLING_TIME = 1.0

@@ -23,8 +23,6 @@ from aero_planner.plan import Goal, PlanStatus, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.sweeps import Sweeps
 
-__all__ = ["ControlSnapshot", "Replanner"]
-
 _log = logging.getLogger(__name__)
 
 _ARRIVALS = 4096

@@ -16,11 +16,6 @@ from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 
-__all__ = [
-    "BODY", "DEFINITIONS", "PLAN", "PLAN_DEFINITION", "WORLD", "Encoded", "goal_message", "plan_messages",
-    "pose_messages", "safety_change", "sweep",
-]  # fmt: skip
-
 WORLD, BODY = "world", "body"
 """Names of the coordinate frames: the fixed frame, and the body frame, in which points are logged."""
 

@@ -23,8 +23,6 @@ from aero_planner.onboard.settings import OnboardConfig, config_on_drone
 from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.planner import Planner
 
-__all__ = ["fly_until_signal", "run_node"]
-
 _log = logging.getLogger("aero_planner")
 
 _STOP_MARGIN = 3.0

@@ -22,8 +22,6 @@ from aero_planner.onboard.failsafe_table import (
 )
 from aero_planner.onboard.settings import OnboardConfig
 
-__all__ = ["format_diagram", "format_failsafes", "format_states"]
-
 
 def format_diagram() -> str:
     """Return the machine as a Mermaid state diagram, in which "any fault" stands for all of `FAULTS`."""

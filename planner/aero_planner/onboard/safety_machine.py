@@ -21,8 +21,6 @@ from aero_planner.onboard.failsafe_table import (
 )
 from aero_planner.onboard.settings import LimitSettings
 
-__all__ = ["SafetyMachine", "StateChange"]
-
 
 @dataclass(frozen=True)
 class StateChange:

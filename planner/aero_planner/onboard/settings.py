@@ -12,26 +12,6 @@ from aero_planner.config.field_of_view import mounted_view
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
 
-__all__ = [
-    "BrakeSettings",
-    "LidarSettings",
-    "LimitSettings",
-    "MavlinkSettings",
-    "OnboardConfig",
-    "RateSettings",
-    "ResponseSettings",
-    "TelemetrySettings",
-    "ThrustSettings",
-    "check_together",
-    "config_on_drone",
-    "flight_config_from_name",
-    "format_onboard",
-    "load_any",
-    "load_flight_config",
-    "load_onboard",
-]
-
-
 _ADDRESS = r"[A-Za-z0-9_.:-]+"
 _SENDER = rf"(?:vehicle|[0-9]{{1,3}}@{_ADDRESS})"
 

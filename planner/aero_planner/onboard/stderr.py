@@ -8,8 +8,6 @@ import os
 
 from aero_planner.mailbox import Mailbox
 
-__all__ = ["StderrHandler", "log_to_stderr"]
-
 _CAPACITY = 1000
 """Largest number of lines that wait; the oldest are dropped."""
 

@@ -14,8 +14,6 @@ from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.settings import BrakeSettings
 from aero_planner.quaternions import conjugate, multiply, rotate
 
-__all__ = ["StopCommand", "StopController"]
-
 Array = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])

@@ -13,9 +13,6 @@ from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
 from aero_planner.sweeps import Sweeps
 
-__all__ = ["SweepBuffer", "make_sweep_buffer"]
-
-
 _POSES = 512
 """Poses that are kept: 5 s at 100 Hz."""
 

@@ -27,8 +27,6 @@ from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
 from aero_planner.onboard.telemetry_protocol import Kind, encode
 from aero_planner.plan import VehicleState
 
-__all__ = ["POINT_STEP", "Telemetry", "encode_plan", "listen"]
-
 _log = logging.getLogger(__name__)
 
 POINT_STEP = 0.01

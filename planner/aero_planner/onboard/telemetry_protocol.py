@@ -20,8 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["VERSION", "Kind", "Message", "MessageReader", "encode"]
-
 VERSION = 1
 """Increased whenever a reader of the previous version would misread a message."""
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["ThrustModel", "calibrate_hover_thrust"]
-
 
 @dataclass(frozen=True)
 class ThrustModel:

@@ -13,8 +13,6 @@ from aero_planner.onboard.settings import ThrustSettings
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.quaternions import rotate
 
-__all__ = ["ThrustEstimate"]
-
 _log = logging.getLogger(__name__)
 
 _TIME_CONSTANT = 2.0

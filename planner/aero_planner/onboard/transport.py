@@ -11,8 +11,6 @@ from typing import Protocol
 
 from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 
-__all__ = ["Transport", "open_transport"]
-
 _log = logging.getLogger(__name__)
 
 _CHUNK = 4096

@@ -16,8 +16,6 @@ from aero_planner.onboard.interfaces import CommandSink
 from aero_planner.onboard.settings import ResponseSettings
 from aero_planner.onboard.stop_controller import StopController
 
-__all__ = ["UPCOMING_MAX", "Heartbeat", "Watchdog"]
-
 _log = logging.getLogger(__name__)
 
 UPCOMING_MAX = 16
