@@ -46,8 +46,8 @@ _STYLE = "".join(
         ".mantine-ScrollArea-content div:has(>[role=tab])+div"
         "{max-height:calc(100vh - 19rem);overflow-y:auto!important;overflow-x:hidden}",
         # All tabs fit in one row without their icons.
-        ".mantine-ScrollArea-content [role=tab] svg{display:none}",
-        ".mantine-ScrollArea-content [role=tab]{padding:0 0.6em!important}",
+        ".mantine-ScrollArea-content [role=tab]>:has(svg){display:none!important}",
+        ".mantine-ScrollArea-content [role=tab]{padding:0 0.8em!important}",
         # A number or a checkbox needs little room, its label much.
         f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
         # A slider without a label belongs to the number field above it: it takes the whole row and has no number.

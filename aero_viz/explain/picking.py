@@ -88,7 +88,7 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
     facts = [
         ("range", f"{distance:.2f} m"),
         ("position", ", ".join(f"{value:.2f}" for value in point)),
-        ("obstacle", obstacle_name(frame.source.world, point)),
+        ("obstacle", obstacle_name(frame.world, point)),
     ]
     sweeps = list(seen.sweeps)
     gaps = [float(np.linalg.norm(sweep - point, axis=1).min(initial=np.inf)) for sweep in sweeps]

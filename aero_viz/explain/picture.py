@@ -59,7 +59,7 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
 
 def _section(evidence: Evidence, drone: NDArray[np.float64], cells: int = 100) -> str:
     """Return the cells of a grid at the height of the drone whose centres lie inside an obstacle, row by row."""
-    world = evidence.frame.source.world
+    world = evidence.frame.world
     if world is None:
         return ""
     offsets = (np.arange(cells) + 0.5) * 2.0 * _HALF / cells - _HALF

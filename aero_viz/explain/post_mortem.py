@@ -97,7 +97,7 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
 
 def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence | None]:
     last, end = trace.last, trace.end_position
-    world = last.source.world
+    world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
     place, obstacle = _contact(last, world, end)
     seen = find_seen(frames, place)

@@ -29,7 +29,7 @@ def closest(evidence: Evidence, instance: int, steps: slice = slice(None)) -> tu
     distance = evidence.distance[instance, steps]
     step = int(distance.argmin()) + (steps.start or 0)
     position = np.asarray(evidence.plan.positions[instance, step + 1], dtype=np.float64)
-    name = obstacle_name(evidence.frame.source.world, evidence.problem.obstacles.nearest_point(position))
+    name = obstacle_name(evidence.frame.world, evidence.problem.obstacles.nearest_point(position))
     return float(distance.min()), (step + 1) * evidence.frame.config.sampling.dt, name
 
 

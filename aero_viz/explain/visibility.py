@@ -74,7 +74,7 @@ def find_seen(frames: Sequence[Frame], place: Array) -> Seen:
 
 def _reason(frames: Sequence[Frame], place: Array, total: int) -> tuple[str, str]:
     """Return the most frequent reason for which the sensor did not see a place, and a part of a sentence."""
-    source, model = frames[0].source, _lidar(frames[0])
+    model = _lidar(frames[0])
     states = [frame.observation.actual_state for frame in frames]
     q = np.stack([np.asarray(state.quaternion, dtype=np.float64) for state in states])
     p = np.stack([np.asarray(state.position, dtype=np.float64) for state in states])
@@ -84,7 +84,7 @@ def _reason(frames: Sequence[Frame], place: Array, total: int) -> tuple[str, str
     body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
     elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
     reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
-    hidden = _occluders(source.world, eyes, offset / distance[:, None], distance)
+    hidden = _occluders(frames[-1].world, eyes, offset / distance[:, None], distance)
     reasons, names = [], Counter[str]()
     for i in range(len(frames)):
         if distance[i] > reach:

@@ -129,20 +129,24 @@ class World:
             content["bounds"] = self.bounds.tolist()
         return content
 
-    def save(self, path: str | Path) -> None:
-        """Write the world to a JSON file, one primitive per line.
-
-        Raises:
-            UserError: the file cannot be written.
-        """
+    def to_json(self) -> str:
+        """Return the text of the JSON file, one primitive per line."""
         lines = []
         for key, value in self.to_dict().items():
             text = json.dumps(value)
             if key in _COLUMNS and value:
                 text = "[\n" + ",\n".join(f"    {json.dumps(row)}" for row in value) + "\n  ]"
             lines.append(f'  "{key}": {text}')
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+
+    def save(self, path: str | Path) -> None:
+        """Write the world to a JSON file.
+
+        Raises:
+            UserError: the file cannot be written.
+        """
         try:
-            Path(path).write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+            Path(path).write_text(self.to_json(), encoding="utf-8")
         except OSError as error:
             raise UserError(f"Cannot write the world {path}: {error.strerror or error}.") from error
 

@@ -13,8 +13,10 @@ from aero_viz.explain.picture import draw_map
 from aero_viz.explain.post_mortem import PostMortem, explain_flight
 from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
 from aero_viz.explain.visibility import find_seen
-from aero_viz.flight import FlightRules, fly
+from aero_viz.flight import FlightRules, FlightSource, fly
 from aero_viz.scenes import World, scene
+from aero_viz.scenes.obstacles import new_obstacle, with_obstacle
+from aero_viz.session import Session
 from tests.explain.conftest import OPEN_ABOVE
 
 GROUND = [0.0, 0.0, -0.5, 80.0, 80.0, 1.0, 0.0]
@@ -148,3 +150,18 @@ def test_a_surface_that_left_the_cloud_is_forgotten(standing):
     ]
     seen = find_seen([*frames[:10], *empty], place)
     assert seen.reason == "forgotten" and seen.forgotten_s == frames[9].time
+
+
+def test_an_obstacle_that_was_added_during_the_flight_is_named():
+    source = FlightSource(world_of([20, 0, 2], [10, 9, 2, 1, 1, 1, 0]))
+    session, trace = Session(source), FlightTrace()
+    for _ in range(40):
+        trace.write(session.tick())
+    wall = new_obstacle("box", np.add(source.observe().actual_state.position, (1.0, 0.0, 0.0)), [0.5, 4.0, 4.0])
+    session.alter(lambda flight: flight.set_world(with_obstacle(flight.observe().world, wall))).result()
+    while session.frame is not None and session.frame.outcome is None:
+        trace.write(session.tick())
+    session.close()
+    report, evidence = explain_flight(trace)
+    assert report.outcome == "collision" and report.obstacle == "box 2"
+    assert evidence is not None and evidence.frame.world is not evidence.frame.source.world

@@ -13,6 +13,7 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, to_see
 from aero_viz.scenes import Instances, Mesh, SightLines, World, world_instances, world_meshes
 from aero_viz.scenes.mesh import SHAPES, joined_mesh
+from aero_viz.scenes.obstacles import ObstacleKey
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -33,11 +34,14 @@ class ObstacleLayer(Layer):
     keys = (ColorKey("obstacles", palette.OBSTACLE),)
 
     def create(self, scene: viser.SceneApi) -> None:
+        self.selected: ObstacleKey | None = None
+        """Obstacle in the colour of a selection, which is never faint."""
         self._world: World | None = None
         self._sight: SightLines | None = None
         self._instances: dict[str, Instances] = {}
         self._surface = _NO_MESH
         self._faded: dict[str, NDArray[np.int64]] = {}
+        self._marked: dict[str, NDArray[np.int64]] = {}
         style: Any = {"material": "toon5", "visible": False}
         self.solids: dict[str, viser.BatchedMeshHandle] = {
             kind: scene.add_batched_meshes_simple(
@@ -59,6 +63,7 @@ class ObstacleLayer(Layer):
         # The triangles of a mesh may face either way.
         self.triangles = scene.add_mesh_simple("/obstacles/triangles", *_NO_FACES, side="double", **style)
         self.faint = scene.add_mesh_simple("/obstacles/faint", *_NO_FACES, opacity=_FAINT, **style)
+        self.marked = scene.add_mesh_simple("/obstacles/marked", *_NO_FACES, **style | {"color": palette.SELECTED})
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self.available = source.world is not None
@@ -67,12 +72,13 @@ class ObstacleLayer(Layer):
     def _show(self, world: World | None) -> list[Change]:
         """Return the changes that show the obstacles of a world."""
         self._world = world
-        self._faded = {}
+        self._faded, self._marked = {}, {}
         self._sight = None if world is None else SightLines(world)
         self._instances = {} if world is None else world_instances(world)
         self._surface = _NO_MESH if world is None else world_meshes(world).get("triangles", _NO_MESH)
         changes: list[Change] = [
             (self.faint, "visible", False),
+            (self.marked, "visible", False),
             (self.triangles, "visible", len(self._surface.faces) > 0),
             (self.triangles, "vertices", self._surface.vertices),
             (self.triangles, "faces", self._surface.faces.astype(np.uint32)),
@@ -98,36 +104,53 @@ class ObstacleLayer(Layer):
             return []
         targets, radii = to_see(frame)
         found = [self._sight.blocked_by(eye, targets, radii) for eye in self.eyes]
-        faded = {kind: np.unique(np.concatenate([rows[kind] for rows in found])) for kind in found[0]} if found else {}
-        if all(np.array_equal(rows, self._faded.get(kind, _NO_ROWS)) for kind, rows in faded.items()):
+        kinds = (*self._instances, "triangles")
+        faded = {kind: np.unique(np.concatenate([_NO_ROWS, *(rows[kind] for rows in found)])) for kind in kinds}
+        marked = self._selected_rows()
+        faded |= {kind: np.setdiff1d(faded[kind], rows) for kind, rows in marked.items()}
+        if _equal(faded, self._faded) and _equal(marked, self._marked):
             return []
-        self._faded = faded
-        return [*self._remaining(faded), *self._replaced(faded)]
+        self._faded, self._marked = faded, marked
+        hidden = {kind: np.append(rows, marked.get(kind, _NO_ROWS)) for kind, rows in faded.items()}
+        return [*self._remaining(hidden), *self._drawn(self.faint, faded), *self._drawn(self.marked, marked)]
 
-    def _remaining(self, faded: dict[str, NDArray[np.int64]]) -> list[Change]:
+    def _selected_rows(self) -> dict[str, NDArray[np.int64]]:
+        """Return the row of the selected obstacle among the instances of its kind; nothing if it is not there."""
+        if self.selected is None or self._world is None or self.selected.kind not in self._instances:
+            return {}
+        kind, row = self.selected
+        is_drawn = ~self._world.ground if kind == "boxes" else np.ones(len(getattr(self._world, kind)), dtype=bool)
+        return {kind: np.flatnonzero(np.flatnonzero(is_drawn) == row)}
+
+    def _remaining(self, hidden: dict[str, NDArray[np.int64]]) -> list[Change]:
         changes: list[Change] = []
         for kind, instances in self._instances.items():
             scales = instances.scales
-            scales[faded[kind]] = 0.0
+            scales[hidden[kind]] = 0.0
             changes.append((self.solids[kind], "batched_scales", scales))
         faces = self._surface.faces.astype(np.uint32)
-        faces[faded["triangles"]] = 0
+        faces[hidden["triangles"]] = 0
         return [*changes, (self.triangles, "faces", faces)]
 
-    def _replaced(self, faded: dict[str, NDArray[np.int64]]) -> list[Change]:
-        parts = [instances.merged(faded[kind]) for kind, instances in self._instances.items()]
-        rows = self._surface.faces[faded["triangles"]]
+    def _drawn(self, node: viser.MeshHandle, shown: dict[str, NDArray[np.int64]]) -> list[Change]:
+        """Return the changes that let a node show these obstacles."""
+        parts = [self._instances[kind].merged(rows) for kind, rows in shown.items() if kind != "triangles"]
+        rows = self._surface.faces[shown.get("triangles", _NO_ROWS)]
         parts.append(
             Mesh(self._surface.vertices[rows.reshape(-1)], np.arange(rows.size, dtype=np.int32).reshape(-1, 3))
         )
         mesh = joined_mesh(parts)
         if not len(mesh.faces):
-            return [(self.faint, "visible", False)]
+            return [(node, "visible", False)]
         return [
-            (self.faint, "vertices", mesh.vertices),
-            (self.faint, "faces", mesh.faces.astype(np.uint32)),
-            (self.faint, "visible", True),
+            (node, "vertices", mesh.vertices),
+            (node, "faces", mesh.faces.astype(np.uint32)),
+            (node, "visible", True),
         ]
+
+
+def _equal(rows: dict[str, NDArray[np.int64]], others: dict[str, NDArray[np.int64]]) -> bool:
+    return all(np.array_equal(rows.get(k, _NO_ROWS), others.get(k, _NO_ROWS)) for k in {*rows, *others})
 
 
 class GroundLayer(Layer):

@@ -15,6 +15,7 @@ from aero_viz.dashboard.panels.compare import ComparePanel
 from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
+from aero_viz.dashboard.panels.obstacles import ObstaclePanel
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
@@ -59,6 +60,9 @@ def build(
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))
+    if controls is not None:
+        with tabs.add_tab("World", viser.Icon.TREES):
+            panels.append(ObstaclePanel(page, controls))
     with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
         panels.append(ChartPanel(page))
     if controls is not None:  # the frames of a drone hold too little to explain them

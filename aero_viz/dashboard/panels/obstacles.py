@@ -1,0 +1,270 @@
+"""Controls that add, throw, move, resize and remove obstacles while a flight goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+
+from aero_planner.mailbox import Mailbox
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.layers.scenery import ObstacleLayer
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.errors import UserError
+from aero_viz.scenes.obstacles import (
+    Obstacle,
+    ObstacleKey,
+    new_obstacle,
+    obstacle_at,
+    pick_obstacle,
+    with_obstacle,
+)
+from aero_viz.session.base import SessionControls
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import SourceInfo
+
+__all__ = ["ObstaclePanel"]
+
+_HOLD = 1.0
+"""Longest time after a user's change for which the controls are not overwritten [s]."""
+_PAUSE = 0.4
+"""Time for which a number that is typed must stay the same [s]: 12 begins with 1."""
+_SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
+_ADDED_AT = (6.0, 3.0)
+"""Place of an added obstacle from the drone, towards the goal and to the left [m]."""
+_THROWN_FARTHER_THAN = 3.0
+"""Least distance from the drone to a thrown obstacle [m]."""
+_ABSENT = "Open a scene or a world to change its obstacles: a recording holds none."
+_NOTHING = "Click an obstacle in the scene to select it."
+
+
+@dataclass(frozen=True)
+class _Edit:
+    """Change of an obstacle that waits."""
+
+    key: ObstacleKey | None
+    change: Callable[[Obstacle], Obstacle]
+    typed_at: float | None = None
+    """Time of a number that was typed [s]."""
+    is_dragged: bool = False
+
+
+class ObstaclePanel(Panel):
+    """Buttons that add obstacles, and the size, the arrows and the removal of the one that is selected.
+
+    Args:
+        page: page of the panel.
+        controls: commands of the session, which holds the world; every edit belongs to the tick at which it is made.
+    """
+
+    def __init__(self, page: Page, controls: SessionControls) -> None:
+        self._controls = controls
+        self._selected: ObstacleKey | None = None
+        super().__init__(page)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._touched = self._dragged = -_HOLD
+        self._absence = gui.add_html(markup.note(_ABSENT), visible=False)
+        with gui.add_folder(None) as self._folder:
+            self._create_controls(gui)
+        self._arrows = self.page.server.scene.add_transform_controls(
+            "/obstacle_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
+        )
+        self._edits = Mailbox(self._edit, name="aero-viz-obstacles")
+        self._connect()
+
+    def _create_controls(self, gui: viser.GuiApi) -> None:
+        hint = "Put a sphere where the drone is going to be at the end of its plan."
+        self._throw = gui.add_button("Throw an obstacle", icon=viser.Icon.METEOR, hint=hint)
+        self._kinds = gui.add_button_group("Add", tuple(_SIZES), hint="Add one ahead of the drone, on its left.")
+        hint = "Select an obstacle by a click in the scene, to move it by its arrows, to resize or to remove it."
+        self._switch = gui.add_checkbox("Edit obstacles", False, hint=hint)
+        self._name = gui.add_html(markup.note(_NOTHING), visible=False)
+        self._center = gui.add_vector3("Centre", (0.0, 0.0, 0.0), step=0.5, visible=False, hint="x, y, z [m].")
+        hint = "Width, depth and height along its own axes [m]. Those of a round obstacle follow each other."
+        self._size = gui.add_vector3("Size", (1.0, 1.0, 1.0), step=0.1, visible=False, hint=hint)
+        self._yaw = gui.add_number("Heading", 0.0, step=5.0, visible=False, hint="Rotation of the box about z [deg].")
+        self._center.precision = self._size.precision = self._yaw.precision = 3
+        self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
+        hint = "Download the world as it is now, as JSON that `aero-viz fly` and Open path read."
+        self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
+
+    def _connect(self) -> None:
+        @self._throw.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.throw()
+
+        @self._kinds.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self._add(self._kinds.value, _beside)
+
+        @self._remove.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.remove()
+
+        @self._save.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            frame = self.session.frame
+            if event.client is not None and frame is not None and frame.world is not None:
+                content = frame.world.to_json().encode()
+                event.client.send_file_download(f"{frame.world.name}.json", content, save_immediately=True)
+
+        self._on_input(self._center, Obstacle.moved)
+        self._on_input(self._size, Obstacle.resized)
+        self._on_input(self._yaw, lambda obstacle, degrees: obstacle.turned(np.radians(degrees)))
+
+        @self._arrows.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._dragged, place = time.monotonic(), tuple(self._arrows.position)
+            is_over = event.phase == "end"
+            self._edits.put(_Edit(self._selected, lambda obstacle: obstacle.moved(place), is_dragged=not is_over))
+
+        @self._switch.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            scene = self.page.server.scene
+            scene.remove_click_callback(self._click)
+            if self._switch.value:
+                scene.on_click()(self._click)
+                self.page.refresh()
+            else:
+                self._select(None)
+
+    def _on_input(self, control: Any, change: Callable[[Obstacle, Any], Obstacle]) -> None:
+        @control.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._touched, value = time.monotonic(), control.value
+                if control is self._size and 0.0 in value:
+                    return  # somebody begins to type 0.4
+                self._edits.put(_Edit(self._selected, lambda obstacle: change(obstacle, value), typed_at=self._touched))
+
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        # viser's outline around a clickable node under the mouse fails in a scene with fog, and a faint obstacle is no
+        # node of its own: the world is asked instead.
+        frame = self.session.frame
+        if frame is not None and frame.world is not None:
+            self._select(pick_obstacle(frame.world, event.ray_origin, event.ray_direction))
+
+    @property
+    def selected(self) -> ObstacleKey | None:
+        """The obstacle with the arrows."""
+        return self._selected
+
+    def _select(self, key: ObstacleKey | None) -> None:
+        self._selected, self._touched, self._dragged = key, -_HOLD, -_HOLD
+        if isinstance(layer := self.page.layers.get("obstacles"), ObstacleLayer):
+            layer.selected = key
+        if key is not None:
+            self._switch.value = True
+        self.page.refresh()
+
+    def throw(self) -> None:
+        """Put a sphere where the drone is going to be, and select it."""
+        self._add("sphere", _ahead)
+
+    def remove(self) -> None:
+        """Remove the selected obstacle."""
+        key = self.selected
+        if key is not None:
+            self._controls.alter(lambda source: source.set_world(with_obstacle(_world(source), None, key)))
+            self._select(None)
+
+    def _add(self, kind: str, place: Callable[[Frame], np.ndarray]) -> None:
+        """Add an obstacle at a place that is computed when it is added, and select it."""
+
+        def change(source: Any) -> None:
+            frame = self.session.frame
+            assert frame is not None
+            obstacle = new_obstacle(kind, place(frame), _SIZES[kind])
+            source.set_world(with_obstacle(_world(source), obstacle))
+            self._select(ObstacleKey(obstacle.kind, len(getattr(_world(source), obstacle.kind)) - 1))
+
+        if self._folder.visible:
+            self._controls.alter(change)
+
+    def _edit(self, edit: _Edit) -> None:
+        """Change an obstacle, on the mailbox's thread. While it is dragged, a refusal is not reported."""
+        if edit.typed_at is not None:
+            time.sleep(_PAUSE)
+            if self._touched != edit.typed_at:  # the number was not complete
+                return
+
+        def alter(source: Any) -> None:
+            world, key = _world(source), edit.key
+            if key is None or (obstacle := obstacle_at(world, key)) is None:
+                raise UserError("Select an obstacle first: the one that was selected is not in this world.")
+            source.set_world(with_obstacle(world, edit.change(obstacle), key))
+
+        is_refused = self._controls.alter(alter, quiet=edit.is_dragged).exception() is not None
+        if edit.typed_at is not None and self._touched == edit.typed_at:
+            self._touched = -_HOLD  # show what is in the world now
+        if is_refused and not edit.is_dragged:
+            self._dragged = -_HOLD
+        self.page.refresh()
+
+    def close(self) -> None:
+        self._edits.close()
+
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        is_offered = source.closed_loop and source.world is not None
+        return [
+            (self._folder, "visible", is_offered),
+            (self._absence, "visible", not is_offered),
+            (self._switch, "value", False),
+        ]
+
+    def update(self, frame: Frame) -> list[Change]:
+        """Show the selected obstacle. At a tick at which it does not exist, none is selected."""
+        key, world = self._selected, frame.world
+        obstacle = None if key is None or world is None else obstacle_at(world, key)
+        controls = (self._center, self._size, self._remove, self._arrows)
+        changes: list[Change] = [(control, "visible", obstacle is not None) for control in controls]
+        changes.append((self._name, "visible", self._switch.value))
+        if key is None or obstacle is None:
+            return [*changes, (self._yaw, "visible", False), (self._name, "content", markup.note(_NOTHING))]
+        changes += [
+            (self._yaw, "visible", obstacle.kind == "boxes"),
+            (self._name, "content", markup.note(f"Selected: {key.name}")),
+        ]
+        if time.monotonic() - self._touched >= _HOLD:
+            changes += [
+                (self._center, "value", _rounded(obstacle.center)),
+                (self._size, "value", _rounded(obstacle.size)),
+                (self._yaw, "value", round(float(np.degrees(obstacle.yaw)), 3)),
+            ]
+        if time.monotonic() - self._dragged >= _HOLD:
+            changes.append((self._arrows, "position", obstacle.center))
+        return changes
+
+
+def _world(source: Any) -> Any:
+    return source.observe().world
+
+
+def _rounded(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(round(value, 3)) for value in values)
+
+
+def _drone_and_heading(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Return the position of the drone [m] and the horizontal unit vector to the goal, each of shape [3]."""
+    drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    across = np.asarray(frame.observation.goal.position, dtype=np.float64) - drone
+    across[2] = 0.0
+    return drone, across / max(float(np.linalg.norm(across)), 1e-9)
+
+
+def _ahead(frame: Frame) -> np.ndarray:
+    """Return the end of the plan, or a place beyond it so that the drone is not in the obstacle [m], shape [3]."""
+    drone, heading = _drone_and_heading(frame)
+    end = np.asarray(frame.plan.positions[int(frame.plan.best), -1], dtype=np.float64)
+    return end if np.linalg.norm(end - drone) >= _THROWN_FARTHER_THAN else drone + _THROWN_FARTHER_THAN * heading
+
+
+def _beside(frame: Frame) -> np.ndarray:
+    drone, heading = _drone_and_heading(frame)
+    return drone + _ADDED_AT[0] * heading + _ADDED_AT[1] * np.array((-heading[1], heading[0], 0.0))

@@ -1,0 +1,149 @@
+"""Single solids of a world: found, added, changed and removed. Every edit returns another world."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aero_viz.scenes.primitives import DISTANCES
+from aero_viz.scenes.world import World
+
+__all__ = ["KINDS", "Obstacle", "ObstacleKey", "new_obstacle", "obstacle_at", "pick_obstacle", "with_obstacle"]
+
+KINDS = {"cylinder": "cylinders", "box": "boxes", "sphere": "spheres"}
+"""Tables of `World` by the name of a solid."""
+_ROUND = {"cylinders": 2, "boxes": 0, "spheres": 3}
+"""Number of the sizes of a solid that are one diameter."""
+_ROUNDING = 1e-3
+"""Largest difference between a size and its text on a page [m]."""
+_ON_SURFACE, _FARTHEST, _STEPS = 1e-3, 1000.0, 500
+
+
+class ObstacleKey(NamedTuple):
+    """Which solid of a world."""
+
+    kind: str
+    """Table of `World`: "cylinders", "boxes" or "spheres"."""
+    row: int
+
+    @property
+    def name(self) -> str:
+        """Name for the user, such as "box 7", as in `World.nearest`."""
+        return f"{next(name for name, kind in KINDS.items() if kind == self.kind)} {self.row}"
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """A cylinder, box or sphere: a row of a table of `World`."""
+
+    kind: str
+    values: NDArray[np.float64]
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """Centre [m], shape [3], world frame."""
+        center = self.values[:3].copy()
+        return center + 0.5 * self.values[7] * self.values[3:6] if self.kind == "cylinders" else center
+
+    @property
+    def size(self) -> NDArray[np.float64]:
+        """Width, depth and height along its own axes [m], shape [3]; of a round solid, diameters."""
+        if self.kind == "boxes":
+            return self.values[3:6].copy()
+        diameter = 2.0 * self.values[6 if self.kind == "cylinders" else 3]
+        return np.array([diameter, diameter, self.values[7] if self.kind == "cylinders" else diameter])
+
+    @property
+    def yaw(self) -> float:
+        """Rotation of a box about z [rad]; zero for the others."""
+        return float(self.values[6]) if self.kind == "boxes" else 0.0
+
+    def moved(self, center: ArrayLike) -> Obstacle:
+        """Return the obstacle with another centre [m], shape [3], world frame."""
+        values = self.values.copy()
+        values[:3] += np.asarray(center, dtype=np.float64) - self.center
+        return Obstacle(self.kind, values)
+
+    def resized(self, size: ArrayLike) -> Obstacle:
+        """Return the obstacle with another `size` [m]; a cylinder keeps its base, the others keep their centre.
+
+        Of the sizes that are one diameter, the one that differs from the present one counts.
+        """
+        values, new, count = self.values.copy(), np.array(size, dtype=np.float64), _ROUND[self.kind]
+        differing = new[:count][np.abs(new[:count] - self.size[:count]) > _ROUNDING]
+        new[:count] = differing[0] if len(differing) else new[:count]
+        if self.kind == "boxes":
+            values[3:6] = new
+        elif self.kind == "cylinders":
+            values[6:8] = 0.5 * new[0], new[2]
+        else:
+            values[3] = 0.5 * new[0]
+        return Obstacle(self.kind, values)
+
+    def turned(self, yaw: float) -> Obstacle:
+        """Return a box with another `yaw` [rad], another solid unchanged."""
+        return Obstacle(self.kind, np.append(self.values[:6], yaw)) if self.kind == "boxes" else self
+
+
+def new_obstacle(kind: str, center: ArrayLike, size: ArrayLike) -> Obstacle:
+    """Return an upright obstacle of a kind in `KINDS`, with this centre and size [m], each of shape [3]."""
+    unit = {"cylinders": [0, 0, -0.5, 0, 0, 1, 0.5, 1], "boxes": [0, 0, 0, 1, 1, 1, 0], "spheres": [0, 0, 0, 0.5]}
+    table = KINDS[kind]
+    return Obstacle(table, np.array(unit[table], dtype=np.float64)).resized(size).moved(center)
+
+
+def obstacle_at(world: World, key: ObstacleKey) -> Obstacle | None:
+    """Return a solid of a world, None if the world has no such row."""
+    table = getattr(world, key.kind)
+    return Obstacle(key.kind, table[key.row].copy()) if key.row < len(table) else None
+
+
+def with_obstacle(world: World, obstacle: Obstacle | None, key: ObstacleKey | None = None) -> World:
+    """Return the world with an obstacle in place of the solid `key`, or in addition; without that solid for None.
+
+    Raises:
+        ValueError: a size or a position is not a number that a world can have; names the row.
+    """
+    if obstacle is None:
+        return world if key is None else _with_table(world, key.kind, np.delete(getattr(world, key.kind), key.row, 0))
+    table = getattr(world, obstacle.kind).copy()
+    if key is None:
+        table = np.vstack([table, obstacle.values])
+    else:
+        table[key.row] = obstacle.values
+    return _with_table(world, obstacle.kind, table)
+
+
+def _with_table(world: World, kind: str, table: NDArray[np.float64]) -> World:
+    return dataclasses.replace(world, **{kind: table})
+
+
+def pick_obstacle(world: World, origin: ArrayLike, direction: ArrayLike) -> ObstacleKey | None:
+    """Return the first solid on a ray, without the ground; None if it meets none within a kilometre.
+
+    Args:
+        world: obstacles.
+        origin: start of the ray [m], shape [3].
+        direction: unit vector, shape [3].
+    """
+    tables = {kind: np.arange(len(getattr(world, kind))) for kind in KINDS.values()}
+    tables["boxes"] = np.flatnonzero(~world.ground)
+    ray, reach = np.asarray(direction, dtype=np.float64), 0.0
+    for _ in range(_STEPS):
+        point = np.asarray(origin, dtype=np.float64) + reach * ray
+        near = [
+            (float(distances.min()), ObstacleKey(kind, int(rows[distances.argmin()])))
+            for kind, rows in tables.items()
+            if len(rows) and len(distances := DISTANCES[kind](point, getattr(world, kind)[rows]))
+        ]
+        distance, key = min(near, default=(np.inf, None))
+        if distance < _ON_SURFACE:
+            return key
+        reach += distance
+        if reach > _FARTHEST:
+            break
+    return None

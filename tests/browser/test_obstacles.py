@@ -1,0 +1,170 @@
+"""Obstacles that are added, thrown, dragged, resized, removed and saved on the page of a flight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_viz.catalog import open_source
+from aero_viz.scenes import World, scene
+from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, obstacle_at
+from tests.browser.desk import Desk, open_desk
+
+FOREST = scene("forest", seed=0)
+GROUND = (600.0, 650.0)
+"""A place on the page with nothing but ground."""
+
+
+@pytest.fixture(scope="module")
+def page(browser):
+    """A flight through the forest with its obstacles and the tab that changes them."""
+    with open_desk(browser, ticks=10, size=(1280, 720), layers=["obstacles", "drone"]) as desk:
+        desk.open_tab("World")
+        yield desk
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
+@pytest.fixture
+def desk(page):
+    """The page 0.2 s into the flight, with the forest as it was."""
+    page.session.seek(0.0).result()
+    page.session.step(10).result()
+    return page
+
+
+def world_of(desk: Desk) -> World:
+    return desk.session.frame.world  # type: ignore[union-attr, return-value]
+
+
+def added(desk: Desk, kind: str) -> Obstacle | None:
+    """The obstacle of a kind that was added on the page."""
+    return obstacle_at(world_of(desk), ObstacleKey(KINDS[kind], len(getattr(FOREST, KINDS[kind]))))
+
+
+def present(desk: Desk, kind: str) -> Obstacle:
+    obstacle = added(desk, kind)
+    assert obstacle is not None
+    return obstacle
+
+
+def throw(desk: Desk) -> str:
+    """Throw an obstacle and return its name."""
+    desk.click("Throw an obstacle")
+    name = f"sphere {len(FOREST.spheres)}"
+    desk.page.get_by_text(f"Selected: {name}").wait_for()
+    return name
+
+
+def magenta(desk: Desk) -> int:
+    """Number of pixels in the hue of a selection, in light and in shade."""
+    red, green, blue = np.moveaxis(desk.screenshot().astype(int), 2, 0)
+    return int(((red > 110) & (blue > 90) & (green < 0.6 * red)).sum())
+
+
+def test_a_thrown_obstacle_lies_on_the_plan_and_a_click_on_it_selects_it(desk):
+    plan = desk.session.frame.plan
+    name = throw(desk)
+    assert present(desk, "sphere").center == pytest.approx(plan.positions[int(plan.best), -1], abs=1e-4)
+    desk.checkbox("Edit obstacles").click()
+    desk.page.get_by_text("Selected:").wait_for(state="hidden")
+    desk.wait_for(lambda: magenta(desk) < 50, "no selection in the scene")
+    desk.checkbox("Edit obstacles").click()
+    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.mouse.click(*desk.place_on_page(present(desk, "sphere").center))
+    desk.page.get_by_text(f"Selected: {name}").wait_for()
+    desk.wait_for(lambda: magenta(desk) > 500, "the selection in the scene")
+    desk.page.mouse.click(*GROUND)
+    desk.page.get_by_text("Click an obstacle").wait_for()
+
+
+def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_removed(desk):
+    for kind in KINDS:
+        desk.page.get_by_role("button", name=kind, exact=True).click()
+        desk.wait_for(lambda kind=kind: added(desk, kind) is not None, f"the {kind}")
+        size = present(desk, kind).size
+        desk.wait_for(lambda size=size: values(desk, "Size") == pytest.approx(size), "the size in numbers")
+    desk.page.mouse.click(*GROUND)
+    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_role("button", name="box", exact=True).click()
+    row = len(FOREST.boxes) + 1
+    desk.page.get_by_text(f"Selected: box {row}").wait_for()
+
+    def box() -> Obstacle:
+        obstacle = obstacle_at(world_of(desk), ObstacleKey("boxes", row))
+        assert obstacle is not None
+        return obstacle
+
+    for label, column, value, read in (
+        ("Size", 2, 2.5, lambda: box().size[2]),
+        ("Centre", 0, 7.0, lambda: box().center[0]),
+        ("Heading", 0, 45.0, lambda: np.degrees(box().yaw)),
+    ):
+        field = desk.control(label).locator("input").nth(column)
+        field.fill(str(value))
+        field.press("Enter")
+        desk.wait_for(lambda read=read, value=value: abs(read() - value) < 1e-3, f"{label} {value}")
+    assert box().size == pytest.approx([1.0, 1.0, 2.5])
+    desk.click("Remove")
+    desk.wait_for(lambda: len(world_of(desk).boxes) == row, "the removal")
+    desk.page.get_by_text("Click an obstacle").wait_for()
+
+
+def test_one_diameter_of_a_sphere_changes_all_and_a_size_that_cannot_be_is_refused(desk):
+    throw(desk)
+    field = desk.control("Size").locator("input").nth(1)
+    field.select_text()
+    field.press_sequentially("0.4", delay=150)
+    desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.4] * 3), "a smaller sphere")
+    desk.wait_for(lambda: values(desk, "Size") == pytest.approx([0.4] * 3), "the other sizes")
+    field.fill("-3")
+    field.press("Enter")
+    refusal = desk.refusal("radius = -1.5")
+    refusal.wait_for()
+    desk.dismiss(refusal)
+    desk.wait_for(lambda: values(desk, "Size") == pytest.approx([0.4] * 3), "the size that stays")
+
+
+def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world(desk):
+    desk.page.get_by_role("button", name="sphere", exact=True).click()
+    desk.wait_for(lambda: added(desk, "sphere") is not None, "the sphere")
+    before, start = present(desk, "sphere").center, desk.session.frame.index
+    desk.wait_for(lambda: magenta(desk) > 100, "the selection in the scene")
+    desk.click("free")
+    desk.session.set_speed(0.1)
+    desk.session.play()
+    desk.wait_for(lambda: desk.session.frame.index > start, "the flight")
+    desk.drag(desk.place_on_page(np.add(before, (0.0, 0.0, 1.2))), (0.0, -60.0))
+    desk.wait_for(lambda: present(desk, "sphere").center[2] > before[2] + 0.3, "a higher sphere")
+    assert desk.session.playing
+    desk.session.pause()
+    desk.session.set_speed(1.0)
+    desk.page.wait_for_timeout(1000)  # the last move of the mouse
+    after, time = present(desk, "sphere").center, desk.session.frame.time
+    np.testing.assert_allclose(after[:2], before[:2], atol=1e-3)
+    desk.session.seek(0.1).result()
+    assert added(desk, "sphere") is None
+    desk.page.get_by_text("Selected:").wait_for(state="hidden")
+    desk.session.seek(time).result()
+    np.testing.assert_array_equal(present(desk, "sphere").center, after)
+    desk.click("follow")
+
+
+def test_the_saved_world_opens_again_with_what_was_added(desk, tmp_path):
+    throw(desk)
+    with desk.page.expect_download() as download:
+        desk.click("Save world")
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    assert path.suffix == ".json"
+    source = open_source(str(path), seed=0)
+    world, saved = source.info.world, world_of(desk)
+    source.close()
+    assert world is not None
+    for kind in KINDS.values():
+        np.testing.assert_array_equal(getattr(world, kind), getattr(saved, kind))
+    np.testing.assert_array_equal(world.bounds, saved.bounds)
+
+
+def values(desk: Desk, label: str) -> list[float]:
+    """Numbers in the fields of a row of the panel."""
+    return [float(field.input_value() or "nan") for field in desk.control(label).locator("input").all()]
