@@ -19,7 +19,9 @@ _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
 
 
 class FoxgloveServer:
-    """Sends frames to all clients. A client that subscribes to a topic gets its last message at once.
+    """Sends frames to all clients. As soon as a client subscribes to a topic, its last message is sent again.
+
+    All subscribers get it: the SDK does not say which of its sinks belongs to a client.
 
     Clients can only watch: the server offers no service, no parameter and no channel to publish on.
 
@@ -76,20 +78,20 @@ class FoxgloveServer:
                 )
             self._channels[message.topic].log(message.data, log_time=stamp)
 
-    def _send_last(self, client: Any, channel: Any) -> None:
-        """Send the last message of a channel to one client. Runs on a thread of the server."""
-        data, stamp = self._last[channel.topic]
-        if channel.topic in self._channels:  # or else the first message follows at once
-            self._channels[channel.topic].log(data, log_time=stamp, sink_id=client.id)
+    def _send_last(self, topic: str) -> None:
+        """Send the last message of a topic. Runs on a thread of the server."""
+        data, stamp = self._last[topic]
+        if topic in self._channels:  # or else the first message follows at once
+            self._channels[topic].log(data, log_time=stamp)
 
 
-def _listener(subscribed: Callable[[Any, Any], None]) -> Any:
-    """Return a listener of the server that calls a function with each client and the channel that it subscribes to."""
+def _listener(subscribed: Callable[[str], None]) -> Any:
+    """Return a listener of the server that calls a function with each topic that a client subscribes to."""
     from foxglove.websocket import ServerListener
 
     class Listener(ServerListener):
         def on_subscribe(self, client: Any, channel: Any) -> None:
-            subscribed(client, channel)
+            subscribed(channel.topic)
 
     return Listener()
 

@@ -86,6 +86,16 @@ def test_a_client_reads_the_topics_of_the_flight_log_and_what_came_before(sessio
         assert read(connection, channels, {"/odometry", "/plan"})["/odometry"][0] > stamp
 
 
+def test_a_client_that_joins_late_gets_the_last_messages(session: Session, tmp_path: Path):
+    import foxglove
+
+    session.tick()
+    with foxglove.open_mcap(tmp_path / "other.mcap"), serve_foxglove(session, "127.0.0.1", 0) as server:
+        for _ in range(2):
+            with client(server.url) as (connection, channels):
+                read(connection, channels, TOPICS)
+
+
 def test_a_port_in_use_is_refused_with_its_number():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
