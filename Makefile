@@ -1,5 +1,5 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-lowest check format bench rig fuzz soak audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-lowest check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 
@@ -45,6 +45,9 @@ fuzz: setup-dev   ## read damaged files of every format for an hour
 
 soak: setup-dev   ## fly for two hours before two browsers, one of them slow, and look for growth and freezes
 	PYTHONPATH=tests $(PYTHON_BIN) -m soak $(ARGS)
+
+gallery: setup-dev ## take a picture of every view of the page, into build/gallery
+	$(PYTHON_BIN) -m tests.gallery $(ARGS)
 
 rig: setup-dev    ## run the tests that fly the onboard node over sockets, in real time
 	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)

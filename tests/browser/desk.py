@@ -145,6 +145,7 @@ def open_desk(
     size: tuple[int, int] = (1000, 600),
     layers: Sequence[str] | None = None,
     opener: Opener = open_source,
+    opened: str = "",
 ) -> Iterator[Desk]:
     """Open the page of a paused session.
 
@@ -156,6 +157,7 @@ def open_desk(
         size: width and height of the page.
         layers: names of the visible layers; None shows those that are on by default.
         opener: opens other sources.
+        opened: name of the source for the opener; by default that of the forest.
     """
     session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
     for _ in range(ticks):
@@ -166,6 +168,7 @@ def open_desk(
         session,
         port=0,
         open_source=opener,
+        opened=opened,
         choices=choices,
         folders=["/"],
         conditions=Conditions(),

@@ -65,7 +65,7 @@ CURVES = (
         (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", is_log=True,
     ),
     Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f"),
-    Curve("safe candidates", ("safe",), (palette.GOOD,), ".0f"),
+    Curve("candidates with clearance", ("safe",), (palette.GOOD,), ".0f"),
     Curve("effective samples", ("samples",), (palette.RECORDED,), ".1f"),
 )  # fmt: skip
 

@@ -110,7 +110,7 @@ def tick_table(a: Frame, b: Frame) -> str:
     """Return the plans of A and B for the same tick in figures, as HTML."""
     labels = (
         "chosen instance", "S2", "goal cost", "collision cost", "speed limit and blocked path",
-        "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates", "plan time [ms]",
+        "clearance of the plan [m]", "speed at its end [m/s]", "candidates with clearance", "plan time [ms]",
     )  # fmt: skip
     return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), zip(labels, _plan(a), _plan(b), strict=True))
 
