@@ -74,6 +74,11 @@ def _compare(desk: Desk) -> None:
     desk.page.get_by_text("speed at its end [m/s]").wait_for()
 
 
+def _curves(desk: Desk) -> None:
+    desk.open_tab("Curves")
+    desk.session.step(100).result()
+
+
 def _end(desk: Desk) -> None:
     """Fly on to the end of the flight, and show its report."""
     desk.open_tab("Why")
@@ -87,7 +92,7 @@ VIEWS = {
     "top": View("The same from above", act=_top),
     "layers": View("Cells of the partition, anchors and guides, with their legend", act=_legend,
                    layers=["coarse_cells", "fine_cells", "anchors", "guides", "drone"]),
-    "curves": View("Curves of every tick with the events of the flight", seconds=3.0, act=_tab("Curves")),
+    "curves": View("Curves of every tick with the events of the flight", seconds=0.2, act=_curves),
     "why": View("Why an instance lost: terms by step, samples and controls", act=_explain),
     "tune": View("Parameters with search, presets and what differs from them", act=_tab("Tune")),
     "compare": View("Two configurations on the same tick", act=_compare),
