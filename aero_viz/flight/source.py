@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -21,40 +20,11 @@ from aero_viz.flight.explanation import goal_problem
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Setting, Simulator
+from aero_viz.flight.sweep_cache import Cloud, Pose, Scan, Sweep, SweepCache, join_returns
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LIDARS, LidarModel
 from aero_viz.session.source import Observation, SourceInfo
-
-Cloud = NDArray[np.float32]
-Pose = NDArray[np.float32]
-
-CACHED_BYTES = 32_000_000
-"""Size of the sweeps that are cached, the newest ones. Older sweeps are measured again when a checkpoint needs them."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scan:
-    """Inputs of the measurement of points first .. end - 1 of a sweep; with the seed, they reproduce it bit for bit."""
-
-    sweep: int
-    first: int
-    end: int
-    before: Pose
-    """True and estimated pose at the beginning: position [m] and quaternion w, x, y, z, float32 [2, 7]."""
-    after: Pose
-    """True and estimated pose at the end."""
-    setting: Setting
-    """World and LiDAR of the measurement."""
-
-
-@dataclass(eq=False, slots=True)
-class _Sweep:
-    """A complete sweep."""
-
-    scans: tuple[_Scan, ...]
-    points: Cloud | None
-    """Returns [m], [P, 3], world frame; None if they are not cached."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,8 +32,8 @@ class _Checkpoint:
     tick: int
     state: bytes
     """The arrays of the simulator, one after the other."""
-    sweeps: tuple[_Sweep, ...]
-    scans: tuple[_Scan, ...]
+    sweeps: tuple[Sweep, ...]
+    scans: tuple[Scan, ...]
     """Scans of the sweep in progress."""
     goal: NDArray[np.float64]
     setting: Setting
@@ -133,21 +103,18 @@ class FlightSource:
         """Setting of the simulator."""
         self._seed, self._goal = seed, world.goal
         self._owner = object()
-        self._adopted: dict[int, tuple[_Sweep, _Sweep]] = {}
-        """Sweeps of another source by their id, each with its copy."""
+        self._cache = SweepCache(self._measure)
         with wp.ScopedDevice(self.simulator.device):
             self._never_finished = wp.zeros(1, dtype=int)
             self._poses = [(wp.zeros(1, dtype=wp.vec3), wp.zeros(1, dtype=wp.vec4)) for _ in range(4)]
-        self._cache: deque[_Sweep] = deque()
-        self._cached_bytes = 0
         # The sweep in progress: its scans and their points.
-        self._scans: tuple[_Scan, ...] = ()
+        self._scans: tuple[Scan, ...] = ()
         self._parts: list[Cloud] = []
         self._read_state()
         size = self.simulator.lidar.model.points_per_sweep
         # Before the start, the drone has hovered for as long as the cloud of the planner reaches back.
-        scans = [_Scan(sweep, 0, size, self._pose, self._pose, self._setting) for sweep in range(-SWEEPS, 0)]
-        self._set_sweeps(tuple(_Sweep((scan,), None) for scan in scans))
+        scans = [Scan(sweep, 0, size, self._pose, self._pose, self._setting) for sweep in range(-SWEEPS, 0)]
+        self._set_sweeps(tuple(Sweep((scan,), None) for scan in scans))
 
     @property
     def explanation(self) -> str | None:
@@ -179,12 +146,12 @@ class FlightSource:
             sweep, first, end = self.simulator.advance(commands, phase=phase)
             self._read_state()
             if self.outcome is None:  # the LiDAR of a finished flight measures nothing
-                self._scans = (*self._scans, _Scan(sweep, first, end, before, self._pose, self._setting))
+                self._scans = (*self._scans, Scan(sweep, first, end, before, self._pose, self._setting))
                 self._parts.append(self._new_points(first, end))
             if end == self.simulator.lidar.model.points_per_sweep and self._scans:
-                complete = _Sweep(self._scans, _join_returns(self._parts))
+                complete = Sweep(self._scans, join_returns(self._parts))
                 self._scans, self._parts = (), []
-                self._add_to_cache(complete)
+                self._cache.add(complete)
                 self._set_sweeps((*self._sweeps[1:], complete))
 
     def checkpoint(self) -> object:
@@ -196,7 +163,7 @@ class FlightSource:
     def restore(self, checkpoint: object) -> None:
         """Continue from a checkpoint of this source or its twin. The same plans then give the same flight, bit for bit.
 
-        This takes a few milliseconds if the sweeps are cached, see `CACHED_BYTES`, and otherwise as long as measuring
+        This takes a few milliseconds if the sweeps are cached, see `SweepCache`, and otherwise as long as measuring
         30 sweeps.
 
         Raises:
@@ -215,7 +182,7 @@ class FlightSource:
         self._parts = [self._measure(scan) for scan in self._scans]
         self._use(self._setting)
         is_own = checkpoint.owner is self._owner
-        self._set_sweeps(checkpoint.sweeps if is_own else self._adopt(checkpoint.sweeps))
+        self._set_sweeps(checkpoint.sweeps if is_own else self._cache.adopt(checkpoint.sweeps))
         self._use(self._setting)
         self._read_state()
 
@@ -233,17 +200,6 @@ class FlightSource:
             seed=s["seed"],
             device=s["device"],
         )
-
-    def _adopt(self, sweeps: tuple[_Sweep, ...]) -> tuple[_Sweep, ...]:
-        """Return copies of another source's sweeps, whose cache this one must not touch; of the same, the same."""
-        known, self._adopted = self._adopted, {}
-        for sweep in sweeps:
-            if id(sweep) not in known:
-                known[id(sweep)] = (sweep, _Sweep(sweep.scans, sweep.points))
-                if known[id(sweep)][1].points is not None:
-                    self._add_to_cache(known[id(sweep)][1])
-            self._adopted[id(sweep)] = known[id(sweep)]
-        return tuple(self._adopted[id(sweep)][1] for sweep in sweeps)
 
     def seek(self, time: float) -> None:
         """Refuse: a flight has no recorded times to go to.
@@ -356,7 +312,7 @@ class FlightSource:
         points: Any = self.simulator.lidar.points.numpy()
         return points[0, first:end].copy()
 
-    def _measure(self, scan: _Scan) -> Cloud:
+    def _measure(self, scan: Scan) -> Cloud:
         """Measure the points of a scan again, including rays without return."""
         self._use(scan.setting)
         for (position, quaternion), pose in zip(self._poses, (*scan.before, *scan.after), strict=True):
@@ -375,30 +331,13 @@ class FlightSource:
         )
         return self._new_points(scan.first, scan.end)
 
-    def _set_sweeps(self, sweeps: tuple[_Sweep, ...]) -> None:
+    def _set_sweeps(self, sweeps: tuple[Sweep, ...]) -> None:
         """Make the cloud of these sweeps, oldest first."""
         self._sweeps = sweeps
-        self._cloud = Sweeps((self._sweep_points(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
+        self._cloud = Sweeps((self._cache.points_of(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
         numbers = np.array([sweep.scans[-1].sweep for sweep in sweeps])
         self._sweep_times = (numbers + 1) / self.simulator.lidar.model.sweep_rate
         self._observation = None
-
-    def _sweep_points(self, sweep: _Sweep) -> Cloud:
-        if sweep.points is None:
-            sweep.points = _join_returns([self._measure(scan) for scan in sweep.scans])
-            self._add_to_cache(sweep)
-        return sweep.points
-
-    def _add_to_cache(self, sweep: _Sweep) -> None:
-        """Cache the points of a sweep, and drop those of the sweeps that were cached first."""
-        assert sweep.points is not None
-        self._cache.append(sweep)
-        self._cached_bytes += sweep.points.nbytes
-        while self._cached_bytes > CACHED_BYTES and len(self._cache) > SWEEPS:
-            oldest = self._cache.popleft()
-            assert oldest.points is not None
-            self._cached_bytes -= oldest.points.nbytes
-            oldest.points = None
 
 
 def _settings(simulator: Simulator) -> dict[str, Any]:
@@ -414,11 +353,3 @@ def _settings(simulator: Simulator) -> dict[str, Any]:
         "device": simulator.device.alias,
         **{name: None if model is None else dataclasses.asdict(model) for name, model in models.items()},
     }
-
-
-def _join_returns(parts: list[Cloud]) -> Cloud:
-    """Join the parts of a sweep without the rays that have no return."""
-    points: Any = np.concatenate(parts)
-    returns: Any = np.compress(~np.isnan(points[:, 0]), points, axis=0)
-    returns.flags.writeable = False
-    return returns

@@ -197,11 +197,6 @@ class Px4Autopilot:
         for connection in (self._station, self._side_of_px4, self._side_of_node):
             connection.close()
 
-    @property
-    def clock_rate(self) -> float:
-        """PX4's simulated time per time of the rig: less than 1 where PX4 was too slow."""
-        return (self._tracker.time - self._start_time) / self._now if self._now else 1.0
-
     # --- PX4's messages ---------------------------------------------------------------------------------------------
 
     def _wait_for_truth(self) -> None:

@@ -71,3 +71,16 @@ class Notice:
     """"failure": a flight did not arrive; "error": something that was asked for did not work."""
     text: str
     """One or more sentences."""
+
+
+def sentence_of_end(name: str, outcome: str, explanation: str | None) -> str:
+    """Return how a source has ended, by its name, its outcome and its explanation."""
+    ending = {
+        "arrived": "arrived at the goal.",
+        "collision": "collided with an obstacle.",
+        "stall": "stalled: no progress toward the goal.",
+        "out_of_bounds": "left the world.",
+        "timeout": "ran out of time.",
+        "end": "end of the recording.",
+    }.get(outcome, outcome)
+    return f"{name}: {ending} {explanation or ''}".rstrip()

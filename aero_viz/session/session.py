@@ -13,18 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig
-from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession, SessionControls
 from aero_viz.session.clock import Clock
+from aero_viz.session.command_queue import USER_MISTAKES, CommandQueue
 from aero_viz.session.comparison import Comparison
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
-from aero_viz.session.frame import Frame
+from aero_viz.session.frame import Frame, sentence_of_end
 from aero_viz.session.source import Source, SourceInfo
 from aero_viz.session.timeline import Checkpoint
 
 _log = logging.getLogger(__name__)
-_USER_MISTAKES = (UserError, ValueError)
 _CATCH_UP = 0.1
 """Delay up to which a flight catches up with the clock [s of wall time], since other processes run in bursts."""
 
@@ -53,17 +52,14 @@ class Session(BaseSession):
         self.comparison = Comparison(self._engine, device=device, seed=seed, config=lambda: self.config)
         """State of the comparison with a pinned configuration, A."""
         self._clock = Clock()
-        self._commands: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._commands = CommandQueue(self._report)
         self._thread: threading.Thread | None = None
-        self._closed = False
         # Protects the engine until `start`; from then on only the session's thread uses the engine.
         self._lock = threading.RLock()
         self._samples = False
         """True if the frames shall include samples."""
         self._announced_epoch: int | None = None
         """Epoch of the last frame whose outcome was announced."""
-
-    # --- state ------------------------------------------------------------------------------------------------------
 
     @property
     def controls(self) -> SessionControls:
@@ -267,23 +263,7 @@ class Session(BaseSession):
 
     def _post(self, command: Callable[[], Any], *, quiet: bool = False) -> Future[Any]:
         """Run `command` between two ticks: immediately if the session has no thread and nobody is ticking it."""
-        future: Future[Any] = Future()
-
-        def run() -> None:
-            if self._closed:
-                future.cancel()
-            if not future.set_running_or_notify_cancel():
-                return
-            try:
-                future.set_result(command())
-            except Exception as error:
-                future.set_exception(error)
-                if not (quiet and isinstance(error, _USER_MISTAKES)):
-                    self._report(error)
-
-        self._commands.put(run)
-        if self._closed:
-            future.cancel()
+        future = self._commands.put(command, quiet=quiet)
         self._run_commands()
         return future
 
@@ -298,14 +278,14 @@ class Session(BaseSession):
                 while self._thread is None and not self._commands.empty():
                     if (command := self._commands.get()) is not None:
                         command()
-                        while self.comparison.has_work and not self._playing and not self._closed:
+                        while self.comparison.has_work and not self._playing and not self._commands.closed:
                             self._compare()
             finally:
                 self._lock.release()
 
     def _report(self, error: Exception) -> None:
         self.notify(str(error) or type(error).__name__, level="error")
-        _log.error("%s", error, exc_info=None if isinstance(error, _USER_MISTAKES) else error)
+        _log.error("%s", error, exc_info=None if isinstance(error, USER_MISTAKES) else error)
 
     def _replan_if_changed(self) -> None:
         # After many changes in a row, only the last one is planned.
@@ -324,7 +304,7 @@ class Session(BaseSession):
         """
         try:
             with self._lock:
-                if self._closed:
+                if self._commands.closed:
                     raise RuntimeError("the session is closed; create another one.")
                 if self._thread is not None:
                     raise RuntimeError("the session was started and ticks by itself; use step(), play() and pause().")
@@ -340,8 +320,7 @@ class Session(BaseSession):
             self._set_playing(False)
             if self._announced_epoch != frame.epoch:
                 self._announced_epoch = frame.epoch
-                sentences = [f"{self.source.name}: {_OUTCOMES.get(outcome, outcome)}"]
-                text = " ".join(sentences if frame.explanation is None else [*sentences, frame.explanation])
+                text = sentence_of_end(self.source.name, outcome, frame.explanation)
                 self.notify(text, level="info" if outcome in ("arrived", "end") else "failure")
         return frame
 
@@ -352,8 +331,8 @@ class Session(BaseSession):
             RuntimeError: the session was started before, or it is closed.
         """
         with self._lock:
-            if self._thread is not None or self._closed:
-                raise RuntimeError(f"the session {'is closed' if self._closed else 'was already started'}.")
+            if self._thread is not None or self._commands.closed:
+                raise RuntimeError(f"the session {'is closed' if self._commands.closed else 'was already started'}.")
             self._thread = threading.Thread(target=self._run, args=(play,), name="aero-viz-session", daemon=True)
             self._thread.start()
 
@@ -409,22 +388,12 @@ class Session(BaseSession):
     def close(self) -> None:
         """Stop the thread and close the sinks, the source and the planner."""
         with self._lock:
-            self._closed = True
+            self._commands.closed = True
         self._run_commands()
         if self._thread is not None:
-            self._commands.put(None)
+            self._commands.stop()
             self._thread.join(timeout=10.0)
         self.close_sinks()
         if self._thread is None or not self._thread.is_alive():
             self.comparison.close()
             self._engine.close()  # never while a thread still plans with it
-
-
-_OUTCOMES = {
-    "arrived": "arrived at the goal.",
-    "collision": "collided with an obstacle.",
-    "stall": "stalled: no progress toward the goal.",
-    "out_of_bounds": "left the world.",
-    "timeout": "ran out of time.",
-    "end": "end of the recording.",
-}

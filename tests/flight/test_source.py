@@ -10,7 +10,7 @@ import pytest
 from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, FlightSource, StateNoise
-from aero_viz.flight.source import CACHED_BYTES
+from aero_viz.flight.sweep_cache import CACHED_BYTES
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 from aero_viz.session.source import Source
@@ -90,8 +90,9 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
 @pytest.mark.parametrize("noise", [None, StateNoise(position=0.2, velocity=0.1, attitude=1.0)], ids=["exact", "noisy"])
 @pytest.mark.parametrize("ticks", [0, 33])  # looking back to before the start, and within the seventh sweep
 def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
-    monkeypatch.setattr("aero_viz.flight.source.SWEEPS", 10)
-    monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)  # only the last ten sweeps
+    for module in ("source", "sweep_cache"):
+        monkeypatch.setattr(f"aero_viz.flight.{module}.SWEEPS", 10)
+    monkeypatch.setattr("aero_viz.flight.sweep_cache.CACHED_BYTES", 0)  # only the last ten sweeps
     mounted = LidarModel(
         "mounted", points_per_sweep=2000, mount_position=(0.1, 0.0, 0.05), mount_angles=(0.0, 20.0, 0.0)
     )
@@ -108,7 +109,7 @@ def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monk
 
 
 def test_checkpoints_of_ten_minutes_fit_in_256_megabytes(planner, monkeypatch):
-    monkeypatch.setattr("aero_viz.flight.source.CACHED_BYTES", 0)
+    monkeypatch.setattr("aero_viz.flight.sweep_cache.CACHED_BYTES", 0)
     tracemalloc.start()
     try:
         source, checkpoints = FlightSource(scene("forest", seed=2, count=40), lidar=LIDAR, seed=4), []
