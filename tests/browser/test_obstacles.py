@@ -1,7 +1,5 @@
 """Obstacles that are added, thrown, dragged, resized, removed and saved on the page of a flight."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

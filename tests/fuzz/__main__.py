@@ -1,7 +1,5 @@
 """Run the fuzzer: `make fuzz` for an hour, `make fuzz ARGS="--seconds 60 --only pcd"` for less."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib.util

@@ -1,7 +1,5 @@
 """All kinds of input, and the case of each number."""
 
-from __future__ import annotations
-
 import shutil
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Coverage-guided fuzzing of one parser by atheris. Usage: python -m fuzz.guided TARGET SEED SECONDS"""
 
-from __future__ import annotations
-
 import importlib
 import shutil
 import sys

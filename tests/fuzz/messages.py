@@ -1,7 +1,5 @@
 """Messages for the page's websocket: those that a page may send, with random fields, values and damage."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec

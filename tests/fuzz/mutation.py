@@ -1,7 +1,5 @@
 """Seeded damage to bytes: cuts, flipped bits, impossible numbers, and blocks that are lost, repeated or exchanged."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Sequence

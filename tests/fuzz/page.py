@@ -1,7 +1,5 @@
 """A page whose session flies, and what must hold whatever its visitors send."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import logging

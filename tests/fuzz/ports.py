@@ -3,8 +3,6 @@
 Nothing here needs more than the planner's package, so that its lowest versions are fuzzed as well.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

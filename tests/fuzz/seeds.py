@@ -1,7 +1,5 @@
 """Whole files of every format, written by the libraries that others write them with."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -3,8 +3,6 @@
 Each target takes a path, and raises, or returns what was read and what was said about it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """What a hostile node sends to `aero-viz connect`, and what must come of it."""
 
-from __future__ import annotations
-
 import json
 import math
 import socket

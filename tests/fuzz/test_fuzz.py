@@ -1,7 +1,5 @@
 """The first cases of the fuzzer; `make fuzz` runs them for an hour."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -22,7 +20,7 @@ def worker():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_hostile_input_is_used_or_refused_within_the_limits(worker: Worker, tmp_path: Path, name: str) -> None:
+def test_hostile_input_is_used_or_refused_within_the_limits(worker: Worker, tmp_path: Path, name: str):
     seeds, target = tmp_path / "seeds", TARGET[name]
     seeds.mkdir()
     if (whole := write_seed(name, seeds)) is not None:
@@ -33,7 +31,7 @@ def test_hostile_input_is_used_or_refused_within_the_limits(worker: Worker, tmp_
         assert not outcome.is_failure, f"case {number}: {outcome.kind}: {outcome.text}"
 
 
-def test_the_harness_finds_what_it_looks_for(worker: Worker, tmp_path: Path) -> None:
+def test_the_harness_finds_what_it_looks_for(worker: Worker, tmp_path: Path):
     text = worker.run("traceback", tmp_path)
     assert text.kind == "traceback" and "ZeroDivisionError" in text.text
     assert worker.run("memory", tmp_path).kind == "memory"

@@ -1,7 +1,5 @@
 """Damaged and hostile flight logs."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Decoding of PointCloud2 and Livox messages."""
 
-from __future__ import annotations
-
 import bags
 import numpy as np
 import pytest

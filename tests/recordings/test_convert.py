@@ -1,7 +1,5 @@
 """Conversion to MCAP, read back with this project's reader, mcap's and rosbags'."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,7 +26,7 @@ def recorded(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
 
 def test_every_format_converts_to_the_same_sweeps_and_poses(
     written: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     source = written([*bags.drive(), bags.text(0.05)])
     target = tmp_path / "converted.mcap"
     report = run_json(capsys, "convert", str(source), str(target))
@@ -39,7 +37,7 @@ def test_every_format_converts_to_the_same_sweeps_and_poses(
 
 def test_the_file_opens_with_the_readers_of_mcap_and_rosbags(
     mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     source, target = mcap_of([*bags.drive(), bags.text(0.05)]), tmp_path / "converted.mcap"
     run_json(capsys, "convert", str(source), str(target))
     with target.open("rb") as file:
@@ -58,7 +56,7 @@ def test_the_file_opens_with_the_readers_of_mcap_and_rosbags(
 
 def test_a_cut_keeps_stamps_and_drops_points_and_topics_as_asked(
     mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     source, target = mcap_of([*bags.drive(), bags.text(0.5)]), tmp_path / "cut.mcap"
     arguments = ("--start", "0.25", "--end", "0.65", "--topics", "/points", "/odom", "--decimate", "4")
     report = run_json(capsys, "convert", str(source), str(target), *arguments)
@@ -72,7 +70,7 @@ def test_a_cut_keeps_stamps_and_drops_points_and_topics_as_asked(
 
 def test_livox_clouds_become_point_clouds_with_their_times(
     written: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     offsets = np.arange(50) * 2_000_000
     source = written([bags.odometry(0.0, (0, 0, 0)), bags.livox(0.0, bags.wall(50), offsets)])
     target = tmp_path / "converted.mcap"
@@ -96,13 +94,13 @@ def test_livox_clouds_become_point_clouds_with_their_times(
 )
 def test_mistakes_leave_no_file(
     mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
-) -> None:
+):
     target = tmp_path / "out.mcap"
     assert message in run_refused(capsys, "convert", str(mcap_of(bags.drive())), str(target), *arguments)
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest.CaptureFixture[str]):
     source = mcap_of(bags.drive())
     before = source.read_bytes()
     assert "is the recording itself" in run_refused(capsys, "convert", str(source), str(source))

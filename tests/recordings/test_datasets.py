@@ -1,7 +1,5 @@
 """Real recordings, if the folder of shared datasets is beside the checkout."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Every problem with a file is reported in one sentence."""
 
-from __future__ import annotations
-
 import bags
 import numpy as np
 import pytest

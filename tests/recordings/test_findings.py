@@ -1,7 +1,5 @@
 """The check-up on recordings that have exactly one fault, made from a simulated flight, and on good ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -80,7 +78,7 @@ def evidence(path: Path, code: str) -> str:
     return next(finding.evidence for finding in inspect(path).findings if finding.code == code)
 
 
-def test_a_good_flight_has_no_findings(build: Build) -> None:
+def test_a_good_flight_has_no_findings(build: Build):
     report = inspect(build())
     assert report.findings == ()
     measured = report.measured
@@ -91,30 +89,30 @@ def test_a_good_flight_has_no_findings(build: Build) -> None:
     assert measured.elevation_deg == pytest.approx((-7.0, 52.0), abs=3.0) and measured.azimuth_deg == 360.0
 
 
-def test_shipped_recordings_have_no_findings() -> None:
+def test_shipped_recordings_have_no_findings():
     for path, _ in shipped_recordings().values():
         assert codes(path) == []
 
 
 @pytest.mark.parametrize(("name", "expected"), [("ouster_os1_128_mcap", []), ("hilti_os0_A_mcap", ["twist-zero"])])
-def test_real_recordings_have_no_faults(shared_datasets: Path, name: str, expected: list[str]) -> None:
+def test_real_recordings_have_no_faults(shared_datasets: Path, name: str, expected: list[str]):
     report = inspect(shared_datasets / name)
     assert [finding.code for finding in report.findings] == expected
     assert not any(finding.is_fault for finding in report.findings)
 
 
-def test_a_cloud_in_the_world_frame(build: Build, flight: Flight) -> None:
+def test_a_cloud_in_the_world_frame(build: Build, flight: Flight):
     sweeps = [(time, cloud, at) for (time, _, at), cloud in zip(flight.sweeps, flight.world, strict=True)]
     assert codes(build(sweeps=sweeps)) == ["world-frame"]
 
 
-def test_a_twist_that_is_zero(build: Build, flight: Flight) -> None:
+def test_a_twist_that_is_zero(build: Build, flight: Flight):
     path = build(twists=np.zeros_like(flight.velocities))
     assert codes(path) == ["twist-zero"]
     assert not inspect(path).findings[0].is_fault
 
 
-def test_a_twist_in_the_world_frame(mcap_of: Callable[[list[bags.Item]], Path]) -> None:
+def test_a_twist_in_the_world_frame(mcap_of: Callable[[list[bags.Item]], Path]):
     # A straight flight to the left while the nose points along x: body and world differ by the heading.
     turned = quaternion_from_angles(0.0, 0.0, 90.0)
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall(seed=k))) for k in range(20)]
@@ -124,12 +122,12 @@ def test_a_twist_in_the_world_frame(mcap_of: Callable[[list[bags.Item]], Path]) 
     assert "twist-frame" not in codes(mcap_of(items))
 
 
-def test_a_twist_in_a_wrong_unit(build: Build, flight: Flight) -> None:
+def test_a_twist_in_a_wrong_unit(build: Build, flight: Flight):
     assert codes(build(twists=3.6 * rotate(conjugate(flight.quaternions), flight.velocities))) == ["twist-wrong"]
 
 
 @pytest.mark.parametrize("late", [0.05, -0.05])
-def test_a_time_offset_is_measured(build: Build, late: float) -> None:
+def test_a_time_offset_is_measured(build: Build, late: float):
     path = build(late=late)
     assert codes(path) == ["time-offset"]
     text = evidence(path, "time-offset")
@@ -137,14 +135,14 @@ def test_a_time_offset_is_measured(build: Build, late: float) -> None:
     assert abs(float(text.split("stamped ")[1].split(" ms")[0]) - 50.0) < 6.0
 
 
-def test_a_wrong_mounting_is_measured(build: Build, flight: Flight) -> None:
+def test_a_wrong_mounting_is_measured(build: Build, flight: Flight):
     turn = rotation_matrix(quaternion_from_angles(0.0, 5.0, 0.0))
     path = build(sweeps=[(time, points @ turn.T, at) for time, points, at in flight.sweeps])
     assert codes(path) == ["extrinsic"]
     assert abs(abs(float(evidence(path, "extrinsic").split("pitch ")[1].split(",")[0])) - 5.0) < 1.0
 
 
-def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight) -> None:
+def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight):
     random = np.random.default_rng(0)
     box = np.array([0.21, 0.06, -0.14]), np.array([0.34, 0.14, -0.06])
     sweeps = []
@@ -157,20 +155,20 @@ def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight) -> None:
     np.testing.assert_allclose(corners, np.concatenate(box), atol=0.06)
 
 
-def test_poses_that_jump(build: Build, flight: Flight) -> None:
+def test_poses_that_jump(build: Build, flight: Flight):
     jumped = flight.positions + np.outer(flight.times > 2.0, [0.0, 1.5, 0.0])
     path = build(positions=jumped)
     assert "pose-jumps" in codes(path)
     assert "1.5" in evidence(path, "pose-jumps") and "at 2.0 s" in evidence(path, "pose-jumps")
 
 
-def test_dropped_sweeps_are_counted(build: Build, flight: Flight) -> None:
+def test_dropped_sweeps_are_counted(build: Build, flight: Flight):
     path = build(sweeps=flight.sweeps[:10] + flight.sweeps[13:30] + flight.sweeps[31:])
     assert codes(path) == ["dropped-sweeps"]
     assert evidence(path, "dropped-sweeps").startswith(f"about 4 of {len(flight.sweeps)} sweeps are missing: 2 gaps")
 
 
-def test_findings_are_printed_with_their_next_step(build: Build, capsys: pytest.CaptureFixture[str]) -> None:
+def test_findings_are_printed_with_their_next_step(build: Build, capsys: pytest.CaptureFixture[str]):
     path = str(build(late=0.05))
     code, text, _ = run(capsys, "inspect", path)
     assert code == 0 and "FAULT (time-offset): the sweeps are stamped" in text and "Next: synchronize" in text

@@ -1,7 +1,5 @@
 """Every format gives the same sweeps, poses and report."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

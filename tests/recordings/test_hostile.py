@@ -1,7 +1,5 @@
 """Small files that expand to gigabytes or never end, files that shrink or are none, and damage without a trace."""
 
-from __future__ import annotations
-
 import bz2
 import os
 import sqlite3

@@ -1,7 +1,5 @@
 """Smoothing of noisy poses on a motion that is known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -54,14 +52,14 @@ def errors(times: np.ndarray, positions: np.ndarray, attitudes: np.ndarray) -> t
     return float(np.sqrt(squares[0].mean())), float(np.degrees(np.sqrt(squares[1].mean())))
 
 
-def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, noisy: Noisy) -> None:
+def test_the_noise_of_the_poses_falls_and_the_motion_stays(imu: ImuSamples, noisy: Noisy):
     raw = errors(*noisy)
     positions, attitudes = smooth_motion(*noisy, imu, IDENTITY, START)
     smooth = errors(noisy[0], positions, attitudes)
     assert smooth[0] < 0.6 * raw[0] and smooth[1] < 0.5 * raw[1]
 
 
-def test_a_bias_may_add_up_to_more_than_half_a_turn() -> None:
+def test_a_bias_may_add_up_to_more_than_half_a_turn():
     times = np.arange(0.0, 20.0, 0.1)
     biased = measure(np.arange(-0.1, 20.1, 0.01), rate_bias=0.2)  # 4 rad about each axis in the end
     smooth = smooth_motion(times, *motion(times), biased, IDENTITY, START)
@@ -70,7 +68,7 @@ def test_a_bias_may_add_up_to_more_than_half_a_turn() -> None:
 
 
 @pytest.mark.parametrize("kept", [slice(600), slice(100, None), np.r_[0:300, 400:1240]])
-def test_an_imu_with_gaps_changes_nothing(imu: ImuSamples, noisy: Noisy, kept: slice) -> None:
+def test_an_imu_with_gaps_changes_nothing(imu: ImuSamples, noisy: Noisy, kept: slice):
     cut = imu._replace(times=imu.times[kept], forces=imu.forces[kept], rates=imu.rates[kept])
     positions, attitudes = smooth_motion(*noisy, cut, IDENTITY, START)
     assert positions is noisy[1] and attitudes is noisy[2]

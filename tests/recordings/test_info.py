@@ -1,7 +1,5 @@
 """The report of `inspect`."""
 
-from __future__ import annotations
-
 import json
 
 import bags

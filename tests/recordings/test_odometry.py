@@ -1,7 +1,5 @@
 """Estimated motion of simulated flights against the true poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bags
@@ -54,7 +52,7 @@ def error(estimated: Recording, flight: Path) -> float:
 
 
 @pytest.mark.parametrize("method", ["rko-lio", "kiss-icp"])
-def test_the_estimate_follows_the_true_motion_and_is_cached(blind: Path, flight: Path, method: str) -> None:
+def test_the_estimate_follows_the_true_motion_and_is_cached(blind: Path, flight: Path, method: str):
     done: list[int] = []
     limit = 0.05 if method == "rko-lio" else 0.2  # kiss-icp has no IMU: it lags behind the first acceleration
     with open_recording(blind, odometry=method, progress=lambda i, _: done.append(i)) as recording:  # type: ignore[arg-type]
@@ -68,9 +66,7 @@ def test_the_estimate_follows_the_true_motion_and_is_cached(blind: Path, flight:
     assert len(done) == 20
 
 
-def test_auto_takes_the_imu_where_there_is_one_and_recorded_poses_first(
-    blind: Path, flight: Path, tmp_path: Path
-) -> None:
+def test_auto_takes_the_imu_where_there_is_one_and_recorded_poses_first(blind: Path, flight: Path, tmp_path: Path):
     with open_recording(blind, odometry="auto") as recording:
         assert recording.pose_topic == "odometry by rko-lio"
     with open_recording(flight, odometry="auto") as recording:
@@ -82,7 +78,7 @@ def test_auto_takes_the_imu_where_there_is_one_and_recorded_poses_first(
         assert any("level at the start" in problem for problem in recording.problems)
 
 
-def test_a_damaged_cache_is_replaced(blind: Path, tmp_path: Path) -> None:
+def test_a_damaged_cache_is_replaced(blind: Path, tmp_path: Path):
     with open_recording(blind, odometry="auto"):
         pass
     (kept,) = (tmp_path / "cache").rglob("*.npz")
@@ -94,7 +90,7 @@ def test_a_damaged_cache_is_replaced(blind: Path, tmp_path: Path) -> None:
 
 def test_the_estimate_is_exported_with_the_sweeps(
     blind: Path, flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     target = tmp_path / "posed.mcap"
     report = run_json(capsys, "convert", str(blind), str(target), "--odometry", "auto")
     assert report["topics"]["/odometry"] == 20
@@ -102,13 +98,13 @@ def test_the_estimate_is_exported_with_the_sweeps(
         assert recording.pose_topic == "/odometry" and error(recording, flight) < 0.1
 
 
-def test_without_poses_the_notice_names_the_option(blind: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_poses_the_notice_names_the_option(blind: Path, capsys: pytest.CaptureFixture[str]):
     assert "--odometry auto" in NO_POSES
     code, text, _ = run(capsys, "inspect", str(blind))
     assert code == 0 and "--odometry auto" in text
 
 
-def test_rko_lio_without_an_imu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rko_lio_without_an_imu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = bags.write_mcap(tmp_path / "a.mcap", [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(3)])
     arguments = ("convert", str(path), str(tmp_path / "b.mcap"), "--odometry", "rko-lio")
     assert "needs an IMU" in run_refused(capsys, *arguments)
@@ -116,7 +112,7 @@ def test_rko_lio_without_an_imu_is_refused(tmp_path: Path, capsys: pytest.Captur
 
 def test_a_sensor_that_is_moved_at_once_is_reported_as_failure(
     tmp_path: Path, flight: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     with open_recording(flight) as recording:
         items = []

@@ -1,7 +1,5 @@
 """Recordings that are not bags, written by the libraries that define their formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -45,7 +43,7 @@ WRITERS: dict[str, Callable[[Path, np.ndarray], object]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_single_cloud_is_one_sweep(tmp_path: Path, name: str) -> None:
+def test_a_single_cloud_is_one_sweep(tmp_path: Path, name: str):
     path = tmp_path / name
     WRITERS[name](path, WALL)
     with open_recording(path) as recording:
@@ -56,7 +54,7 @@ def test_a_single_cloud_is_one_sweep(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_folder_of_clouds_plays_with_tum_poses(tmp_path: Path, name: str) -> None:
+def test_a_folder_of_clouds_plays_with_tum_poses(tmp_path: Path, name: str):
     suffix = Path(name).suffix
     for k in range(4):
         WRITERS[name](tmp_path / f"{1_700_000_000 + k}.{500_000_000:09d}{suffix}", WALL - [0.5 * k, 0, 0])
@@ -71,7 +69,7 @@ def test_a_folder_of_clouds_plays_with_tum_poses(tmp_path: Path, name: str) -> N
             np.testing.assert_allclose(world, WALL + np.array([10, 2, 3]), atol=1e-3)
 
 
-def test_kitti_with_times_and_one_pose_per_sweep(tmp_path: Path) -> None:
+def test_kitti_with_times_and_one_pose_per_sweep(tmp_path: Path):
     (tmp_path / "velodyne").mkdir()
     for k in range(3):
         WRITERS["cloud.bin"](tmp_path / "velodyne" / f"{k:06d}.bin", WALL)
@@ -88,7 +86,7 @@ def test_kitti_with_times_and_one_pose_per_sweep(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("code", "unit"), [(9002, 0.3048), (9003, 1200 / 3937)])
-def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path: Path, code: int, unit: float) -> None:
+def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path: Path, code: int, unit: float):
     path = tmp_path / "forest.las"
     write_las(path, WALL / unit + [1_500_000.0, 4_600_000.0, 300.0], unit=code)
     with open_recording(path) as recording:
@@ -102,7 +100,7 @@ def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path:
 @pytest.mark.parametrize(("heights", "factor"), [("US survey foot", 1200 / 3937), ("metre", 1.0)])
 def test_units_of_a_well_known_text_are_those_of_the_plane_and_of_the_heights(
     tmp_path: Path, heights: str, factor: float
-) -> None:
+):
     foot = 1200 / 3937
     wkt = (
         'COMPD_CS["Washington North",PROJCS["NAD83 (ftUS)",GEOGCS["NAD83",UNIT["degree",0.0174532925199433]],'
@@ -117,7 +115,7 @@ def test_units_of_a_well_known_text_are_those_of_the_plane_and_of_the_heights(
     np.testing.assert_allclose(points - points.mean(axis=0), WALL - WALL.mean(axis=0), atol=2e-3)
 
 
-def test_withheld_points_and_noise_of_las_are_left_out(tmp_path: Path) -> None:
+def test_withheld_points_and_noise_of_las_are_left_out(tmp_path: Path):
     path = tmp_path / "plot.laz"
     write_las(path, np.vstack([WALL, [[0.0, 0.0, 9000.0], [0.0, 0.0, -9000.0], [9000.0, 0.0, 0.0]]]))
     content = laspy.read(path)
@@ -138,7 +136,7 @@ def check_livox(path: Path, name: str) -> None:
         assert sweep.point_times[50] == pytest.approx(0.005) and len(sweep.points) == 1000
 
 
-def test_a_capture_of_a_mid360(tmp_path: Path) -> None:
+def test_a_capture_of_a_mid360(tmp_path: Path):
     path = write_mid360(tmp_path / "mid360.pcap")
     check_livox(path, "livox-pcap")
     whole = path.read_bytes()
@@ -147,14 +145,14 @@ def test_a_capture_of_a_mid360(tmp_path: Path) -> None:
         assert 1 <= len(recording.sweep_times) <= 2
 
 
-def test_an_lvx2_file(tmp_path: Path) -> None:
+def test_an_lvx2_file(tmp_path: Path):
     check_livox(write_lvx2(tmp_path / "mid360.lvx2", livox_packets(3)), "lvx2")
     (tmp_path / "old.lvx").write_bytes(b"livox_tech".ljust(16, b"\0") + bytes([1, 1, 0, 0]) + bytes(20))
     with pytest.raises(UserError, match="Livox Viewer 2"):
         open_recording(tmp_path / "old.lvx")
 
 
-def test_a_capture_of_a_velodyne(tmp_path: Path) -> None:
+def test_a_capture_of_a_velodyne(tmp_path: Path):
     with open_recording(write_vlp16(tmp_path / "vlp16.pcap")) as recording:
         assert recording.format == "velodyne-pcap" and len(recording.sweep_times) >= 3
         sweep = recording.sweep(1)
@@ -179,14 +177,14 @@ def test_a_capture_of_a_velodyne(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_played_names_the_next_step(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes, message: str
-) -> None:
+):
     path = tmp_path / name
     path.write_bytes(content)
     error = run_refused(capsys, "inspect", str(path))
     assert message in error and name in error
 
 
-def test_a_cloud_of_foxglove(tmp_path: Path) -> None:
+def test_a_cloud_of_foxglove(tmp_path: Path):
     foxglove = pytest.importorskip("foxglove", reason="foxglove-sdk is not installed")
     from foxglove.channels import PointCloudChannel
     from foxglove.messages import PackedElementField, PackedElementFieldNumericType, PointCloud, Timestamp
@@ -206,7 +204,7 @@ def test_a_cloud_of_foxglove(tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.sweep(2).points, WALL + 0.2, atol=1e-5)
 
 
-def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]) -> None:
+def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]):
     items = [bags.transform(0.0, "base", "laser", (0.5, 0.0, 0.2), topic="/tf_static")]
     for k in range(5):
         items += [bags.transform(0.1 * k, "odom", "base", (float(k), 0.0, 0.0)), laser_scan(0.1 * k)]
@@ -217,7 +215,7 @@ def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]) -> None
         assert sweep.point_times is not None and float(np.ptp(sweep.point_times)) == pytest.approx(0.087, abs=2e-3)
 
 
-def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callable[[list[bags.Item]], Path]) -> None:
+def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callable[[list[bags.Item]], Path]):
     path = mcap_of([bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(20)])
     log = write_ulog(tmp_path / "flight.ulg", 200, utc=bags.START * 1e-9 - 5.5)
     with open_recording(path, poses=log) as recording:
@@ -243,7 +241,7 @@ def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callab
         ("", "holds no poses"),
     ],
 )
-def test_texts_without_poses_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_texts_without_poses_are_refused(tmp_path: Path, text: str, message: str):
     path = tmp_path / "poses.txt"
     path.write_text(text)
     with pytest.raises(UserError, match=message):
@@ -252,7 +250,7 @@ def test_texts_without_poses_are_refused(tmp_path: Path, text: str, message: str
 
 def test_mounting_and_mask_are_applied(
     mcap_of: Callable[[list[bags.Item]], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+):
     path = mcap_of(bags.drive())
     with open_recording(path, extrinsic=(1, 0, 0.5, 0, 0, 90), mask=(-9, 3, -9, 9, 9, 9)) as recording:
         turned = recording.sweep(0).points
@@ -266,7 +264,7 @@ def test_mounting_and_mask_are_applied(
     assert code == 0 and "--extrinsic takes six finite numbers" in text
 
 
-def test_clouds_and_packets_convert_to_mcap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clouds_and_packets_convert_to_mcap(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = write_lvx2(tmp_path / "mid360.lvx2", livox_packets(3))
     run_json(capsys, "convert", str(path), str(tmp_path / "out.mcap"))
     with open_recording(path) as before, open_recording(tmp_path / "out.mcap") as after:
@@ -275,7 +273,7 @@ def test_clouds_and_packets_convert_to_mcap(tmp_path: Path, capsys: pytest.Captu
         np.testing.assert_allclose(before.sweep(1).point_times, after.sweep(1).point_times)  # type: ignore[arg-type]
 
 
-def test_the_imu_of_a_mid360_is_read_and_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_imu_of_a_mid360_is_read_and_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = write_mid360(tmp_path / "mid360.pcap")
     topics = {topic["name"]: topic for topic in run_json(capsys, "inspect", str(path))["topics"]}
     assert topics["/livox/imu"]["count"] == 60 and topics["/livox/imu"]["type"] == "sensor_msgs/msg/Imu"

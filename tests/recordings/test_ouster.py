@@ -1,7 +1,5 @@
 """Captures of an Ouster, written by ouster-sdk in another process, because it changes modules of its own."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 from pathlib import Path
@@ -37,7 +35,7 @@ def capture(written: Path, tmp_path: Path) -> Path:
 
 @needs_sdk
 @pytest.mark.parametrize(("suffix", "name"), [(".pcap", "ouster-pcap"), (".osf", "osf")])
-def test_sweeps_have_points_and_times(capture: Path, suffix: str, name: str) -> None:
+def test_sweeps_have_points_and_times(capture: Path, suffix: str, name: str):
     with open_recording(capture.with_suffix(suffix)) as recording:
         assert recording.format == name
         np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2], atol=1e-9)
@@ -48,7 +46,7 @@ def test_sweeps_have_points_and_times(capture: Path, suffix: str, name: str) -> 
 
 
 @needs_sdk
-def test_the_imu_of_a_capture_is_read(capture: Path) -> None:
+def test_the_imu_of_a_capture_is_read(capture: Path):
     storage = open_storage(capture)
     imu = read_imu(storage.files)
     storage.close()
@@ -58,7 +56,7 @@ def test_the_imu_of_a_capture_is_read(capture: Path) -> None:
 
 
 @needs_sdk
-def test_a_capture_converts_to_mcap(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_capture_converts_to_mcap(capture: Path, capsys: pytest.CaptureFixture[str]):
     run_json(capsys, "convert", str(capture), str(capture.with_suffix(".mcap")))
     with open_recording(capture) as before, open_recording(capture.with_suffix(".mcap")) as after:
         np.testing.assert_array_equal(before.sweep(1).points, after.sweep(1).points)
@@ -67,7 +65,7 @@ def test_a_capture_converts_to_mcap(capture: Path, capsys: pytest.CaptureFixture
 
 @needs_sdk
 @pytest.mark.parametrize("share", [0.4, 0.9])
-def test_a_truncated_capture_plays_up_to_the_cut(capture: Path, share: float) -> None:
+def test_a_truncated_capture_plays_up_to_the_cut(capture: Path, share: float):
     content = capture.read_bytes()
     capture.write_bytes(content[: int(share * len(content))])
     report = inspect(capture)
@@ -79,7 +77,7 @@ def test_a_truncated_capture_plays_up_to_the_cut(capture: Path, share: float) ->
 @pytest.mark.parametrize(("suffix", "share"), [(".pcap", 0.001), (".osf", 0.01), (".osf", 0.5)])
 def test_a_file_without_a_whole_sweep_is_refused(
     capture: Path, capsys: pytest.CaptureFixture[str], suffix: str, share: float
-) -> None:
+):
     path = capture.with_suffix(suffix)
     content = path.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
@@ -88,7 +86,7 @@ def test_a_file_without_a_whole_sweep_is_refused(
 
 
 @needs_sdk
-def test_the_metadata_are_the_json_file_with_the_most_similar_name(capture: Path) -> None:
+def test_the_metadata_are_the_json_file_with_the_most_similar_name(capture: Path):
     capture.with_suffix(".json").rename(capture.with_name("hall_0.json"))
     capture.with_name("hal.json").write_text('{"beam_altitude_angles": []}')
     capture.with_name("hall.pcap.json").write_text("{}")
@@ -97,7 +95,7 @@ def test_the_metadata_are_the_json_file_with_the_most_similar_name(capture: Path
 
 
 @needs_sdk
-def test_metadata_of_another_sensor_are_named(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_metadata_of_another_sensor_are_named(capture: Path, capsys: pytest.CaptureFixture[str]):
     metadata = capture.with_suffix(".json")
     metadata.write_text(metadata.read_text().replace("7502", "7602"))
     error = run_refused(capsys, "inspect", str(capture))
@@ -105,7 +103,7 @@ def test_metadata_of_another_sensor_are_named(capture: Path, capsys: pytest.Capt
 
 
 @needs_sdk
-def test_missing_metadata_are_named(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_metadata_are_named(capture: Path, capsys: pytest.CaptureFixture[str]):
     capture.with_suffix(".json").unlink()
     error = run_refused(capsys, "inspect", str(capture))
     assert "hall.pcap needs the metadata of the sensor" in error and "hall.json" in error
@@ -113,7 +111,7 @@ def test_missing_metadata_are_named(capture: Path, capsys: pytest.CaptureFixture
 
 def test_the_library_to_install_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     write_pcap(tmp_path / "os.pcap", [(0.0, 7502, bytes(8448))])
     (tmp_path / "os.osf").write_bytes(b"\x34\0\0\0\x14\0\0\0OSF$" + bytes(40))

@@ -1,7 +1,5 @@
 """A recording in a session: indices of frames, skipped ticks, and notices about damage."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -40,7 +38,7 @@ def engine(source: RecordingSource) -> Iterator[Engine]:
     engine.close()
 
 
-def test_index_of_a_frame_is_its_row_in_the_recording(session: Session, source: RecordingSource) -> None:
+def test_index_of_a_frame_is_its_row_in_the_recording(session: Session, source: RecordingSource):
     times = source.info.times
     assert times is not None
     assert [session.tick().index for _ in range(5)] == [0, 1, 2, 3, 4]
@@ -51,7 +49,7 @@ def test_index_of_a_frame_is_its_row_in_the_recording(session: Session, source: 
     assert session.frame.index == 1
 
 
-def test_index_and_time_after_skipped_ticks_are_those_of_the_row(engine: Engine) -> None:
+def test_index_and_time_after_skipped_ticks_are_those_of_the_row(engine: Engine):
     times = engine.source.info.times
     assert times is not None
     engine.tick()
@@ -60,7 +58,7 @@ def test_index_and_time_after_skipped_ticks_are_those_of_the_row(engine: Engine)
     assert frame.index == 9 and frame.time == times[9]
 
 
-def test_skipped_ticks_are_counted_until_the_source_changes(engine: Engine, path: Path) -> None:
+def test_skipped_ticks_are_counted_until_the_source_changes(engine: Engine, path: Path):
     times = engine.source.info.times
     assert times is not None
     engine.tick()
@@ -72,7 +70,7 @@ def test_skipped_ticks_are_counted_until_the_source_changes(engine: Engine, path
     assert engine.frame.dropped_ticks == 0
 
 
-def test_sweeps_damaged_during_playback_are_reported(session: Session, source: RecordingSource, path: Path) -> None:
+def test_sweeps_damaged_during_playback_are_reported(session: Session, source: RecordingSource, path: Path):
     notices: list[str] = []
     sink = session.subscribe_notices(lambda notice: notices.append(notice.text))
     assert session.tick().explanation is None

@@ -1,7 +1,5 @@
 """Recorded poses, TF chains, and the choice of the pose topic."""
 
-from __future__ import annotations
-
 import bags
 import numpy as np
 import pytest

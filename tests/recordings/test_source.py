@@ -1,7 +1,5 @@
 """A recording as a source: ticks, accumulated cloud, goal."""
 
-from __future__ import annotations
-
 import bags
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Single solids of a world: what a ray meets first, and edits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a search minimises."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import statistics
@@ -23,7 +21,7 @@ def mean_cost(flights: list[FlightResult], objective: Objective) -> float:
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
-def test_arrivals_count_before_every_objective(objective: Objective) -> None:
+def test_arrivals_count_before_every_objective(objective: Objective):
     slow = dataclasses.replace(ARRIVED, flight_time_s=60.0, smoothness=9000.0, min_clearance=0.0)
     assert mean_cost([slow] * 99 + [slow], objective) < mean_cost([ARRIVED] * 99 + [COLLIDED], objective)
 
@@ -32,12 +30,12 @@ def test_arrivals_count_before_every_objective(objective: Objective) -> None:
     ("objective", "better"),
     [("time", {"flight_time_s": 7.9}), ("clearance", {"min_clearance": 0.5}), ("smoothness", {"smoothness": 299.0})],
 )
-def test_the_objective_decides_between_equal_arrivals(objective: Objective, better: dict[str, float]) -> None:
+def test_the_objective_decides_between_equal_arrivals(objective: Objective, better: dict[str, float]):
     improved = dataclasses.replace(ARRIVED, **better)  # type: ignore[arg-type]
     assert mean_cost([improved, COLLIDED], objective) < mean_cost([ARRIVED, COLLIDED], objective)
 
 
-def test_a_front_has_the_share_of_failures_and_means_over_arrivals() -> None:
+def test_a_front_has_the_share_of_failures_and_means_over_arrivals():
     smooth = dataclasses.replace(ARRIVED, smoothness=100.0)
     assert front_values([ARRIVED, smooth, COLLIDED, COLLIDED], ("time", "smoothness")) == [0.5, 8.0, 200.0]
     assert front_values([COLLIDED], ("clearance",)) == [1.0, math.inf]

@@ -1,7 +1,5 @@
 """Searches with a few short flights."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 from pathlib import Path
@@ -40,7 +38,7 @@ def search(world: World, *, flights: int = 2, check: int = 1, **options: Any) ->
     return tune(CRIPPLED, ranges, [world] * flights, [world] * check, search=how, flight=flight, **options)
 
 
-def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World) -> None:
+def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World):
     result = search(poles, check=6, seed=1)
     assert result.best and result.best.trial is not None and result.chosen.vehicle.speed_limit > 2.0
     assert result.check is not None and result.check.verdict == "better" and result.check.paired.faster_b == 6
@@ -51,7 +49,7 @@ def test_a_better_value_is_found_and_holds_in_fresh_worlds(poles: World) -> None
     assert result.front == (result.best,) and not result.interrupted
 
 
-def test_worse_candidates_are_given_up_after_a_rung(poles: World) -> None:
+def test_worse_candidates_are_given_up_after_a_rung(poles: World):
     """The incumbent is good here, and most values of a wide range are bad."""
     good = small_config().replace({"vehicle.speed_limit": 7.0})
     ranges = [ParameterRange("vehicle.speed_limit", 0.5, 7.0)]
@@ -63,7 +61,7 @@ def test_worse_candidates_are_given_up_after_a_rung(poles: World) -> None:
     assert all(candidate.score.flight_time_s is None or candidate.score.flight_time_s > 2.0 for candidate in given_up)
 
 
-def test_results_do_not_depend_on_the_batch_size(poles: World) -> None:
+def test_results_do_not_depend_on_the_batch_size(poles: World):
     calls: list[tuple[int, int]] = []
 
     def note(finished: int, total: int, text: str) -> None:
@@ -85,19 +83,19 @@ def without_timing(result: TuningResult) -> Any:
     return strip, result.check
 
 
-def test_the_incumbent_stays_the_best_if_no_candidate_is_better(poles: World) -> None:
+def test_the_incumbent_stays_the_best_if_no_candidate_is_better(poles: World):
     result = search(poles, rules=SHORT)
     assert result.best is not None and result.best.trial is None
     assert result.check is None and result.chosen == CRIPPLED
     assert all(candidate.score.arrived == 0 for candidate in result.candidates)
 
 
-def test_an_incumbent_outside_the_ranges_is_compared_too(poles: World) -> None:
+def test_an_incumbent_outside_the_ranges_is_compared_too(poles: World):
     result = search(poles, ranges=[ParameterRange("vehicle.speed_limit", 2.0, 8.0)], trials=2, generation=2)
     assert result.candidates[0].config == CRIPPLED and result.best is not None and result.best.trial is not None
 
 
-def test_several_objectives_give_a_front_that_no_candidate_dominates(poles: World) -> None:
+def test_several_objectives_give_a_front_that_no_candidate_dominates(poles: World):
     result = search(poles, objectives=("time", "smoothness"), trials=6, generation=6, seed=2)
     assert len(result.candidates) == 7 and all(candidate.is_complete for candidate in result.candidates)
     for point in result.front:
@@ -110,7 +108,7 @@ def test_several_objectives_give_a_front_that_no_candidate_dominates(poles: Worl
 
 
 @pytest.mark.parametrize("sampler", ["cmaes", "random", "nsga2"])
-def test_every_sampler_proposes_candidates_within_the_ranges(poles: World, sampler: str) -> None:
+def test_every_sampler_proposes_candidates_within_the_ranges(poles: World, sampler: str):
     ranges = [RANGE, ParameterRange("costs.q_track", 1.0, 100.0)]
     result = search(poles, ranges=ranges, sampler=sampler, trials=6, generation=3, flights=1, rules=SHORT)
     values = {tuple(result.values(candidate.config).values()) for candidate in result.candidates[1:]}
@@ -118,7 +116,7 @@ def test_every_sampler_proposes_candidates_within_the_ranges(poles: World, sampl
     assert all(1.0 <= speed <= 8.0 and 1.0 <= q <= 100.0 for speed, q in values)
 
 
-def test_contradictory_values_are_proposed_again(poles: World) -> None:
+def test_contradictory_values_are_proposed_again(poles: World):
     ranges = [ParameterRange("costs.distance_min", 0.1, 1.0), ParameterRange("costs.distance_max", 0.1, 1.0)]
     result = search(poles, ranges=ranges, flights=1, rules=SHORT)
     assert len(result.candidates) == 5
@@ -127,7 +125,7 @@ def test_contradictory_values_are_proposed_again(poles: World) -> None:
         search(poles, ranges=[ParameterRange("costs.distance_min", 2.0, 3.0)], flights=1, rules=SHORT)
 
 
-def test_a_study_on_disk_is_continued_and_holds_the_same_candidates(poles: World, tmp_path: Path) -> None:
+def test_a_study_on_disk_is_continued_and_holds_the_same_candidates(poles: World, tmp_path: Path):
     storage = f"sqlite:///{tmp_path}/below/tune.db"
     first = search(poles, rules=SHORT, storage=storage, trials=4)
     flights: list[int] = []
@@ -140,7 +138,7 @@ def test_a_study_on_disk_is_continued_and_holds_the_same_candidates(poles: World
     assert same.candidates == more.candidates
 
 
-def test_a_study_with_other_options_is_refused(poles: World, tmp_path: Path) -> None:
+def test_a_study_with_other_options_is_refused(poles: World, tmp_path: Path):
     options: dict[str, Any] = {"storage": f"sqlite:///{tmp_path}/tune.db", "study_name": "mine", "rules": SHORT}
     search(poles, flights=1, **options)
     with pytest.raises(UserError, match=r"'mine' in sqlite:.* was made with other options \(search\)"):
@@ -148,7 +146,7 @@ def test_a_study_with_other_options_is_refused(poles: World, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("pressed_at", "candidates"), [(0, 0), (2, 1), (4, 1), (10, 5)])
-def test_ctrl_c_keeps_the_candidates_that_have_flown(poles: World, pressed_at: int, candidates: int) -> None:
+def test_ctrl_c_keeps_the_candidates_that_have_flown(poles: World, pressed_at: int, candidates: int):
     """The incumbent has two flights, and the generation eight; then comes the check."""
 
     def press(finished: int, total: int, text: str) -> None:
@@ -160,7 +158,7 @@ def test_ctrl_c_keeps_the_candidates_that_have_flown(poles: World, pressed_at: i
     assert (result.chosen != CRIPPLED) == (candidates == 5)
 
 
-def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path) -> None:
+def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path):
     storage = f"sqlite:///{tmp_path}/tune.db"
 
     def press(finished: int, total: int, text: str) -> None:
@@ -186,13 +184,13 @@ def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path) -> None
         ({"storage": "sqlite:////dev/null/below/tune.db"}, "Cannot open the storage sqlite:////dev/null/below/tune.db"),
     ],
 )
-def test_options_out_of_range_are_refused(poles: World, options: dict[str, Any], message: str) -> None:
+def test_options_out_of_range_are_refused(poles: World, options: dict[str, Any], message: str):
     with pytest.raises(UserError) as caught:
         search(poles, **options)
     assert message in str(caught.value)
 
 
-def test_a_world_in_which_no_flight_can_arrive_is_refused_before_the_first_flight(poles: World) -> None:
+def test_a_world_in_which_no_flight_can_arrive_is_refused_before_the_first_flight(poles: World):
     buried = dataclasses.replace(poles, goal=poles.cylinders[0, :3] + (0.0, 0.0, 2.0))
     with pytest.raises(UserError, match="inside an obstacle"):
         tune(CRIPPLED, [RANGE], [poles] * 3, [buried])

@@ -1,7 +1,5 @@
 """Ranges of parameters."""
 
-from __future__ import annotations
-
 import pytest
 
 from aero_planner import PlannerConfig
@@ -24,7 +22,7 @@ CONFIG = PlannerConfig().replace({"costs.q_track": 4.0, "costs.q_speed": 0.0})
         ("vehicle.gravity=9:9.5", ParameterRange("vehicle.gravity", 9.0, 9.5)),
     ],
 )
-def test_range_is_explicit_or_follows_from_the_value(text: str, expected: ParameterRange) -> None:
+def test_range_is_explicit_or_follows_from_the_value(text: str, expected: ParameterRange):
     assert parse_ranges([text], CONFIG) == (expected,)
 
 
@@ -47,13 +45,13 @@ def test_range_is_explicit_or_follows_from_the_value(text: str, expected: Parame
         (["costs.q_track", "costs.q-track=1:2"], "costs.q_track is named twice"),
     ],
 )
-def test_invalid_ranges_are_refused(texts: list[str], message: str) -> None:
+def test_invalid_ranges_are_refused(texts: list[str], message: str):
     with pytest.raises((UserError, ValueError)) as caught:
         parse_ranges(texts, CONFIG)
     assert message in str(caught.value)
 
 
-def test_wide_ranges_are_logarithmic_and_values_have_four_digits() -> None:
+def test_wide_ranges_are_logarithmic_and_values_have_four_digits():
     wide, narrow = ParameterRange("costs.q_track", 1.0, 100.0), ParameterRange("costs.q_track", 1.0, 9.0)
     assert wide.is_logarithmic and not narrow.is_logarithmic
     assert not ParameterRange("costs.q_speed", 0.0, 9.0).is_logarithmic

@@ -1,7 +1,5 @@
 """Scores, the check and the conclusions."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 
@@ -26,7 +24,7 @@ def check(incumbent: list[float | None], best: list[float | None]) -> Check:
     return Check.from_results([flight(time) for time in incumbent], [flight(time) for time in best])
 
 
-def test_a_score_counts_arrivals_and_their_mean_time() -> None:
+def test_a_score_counts_arrivals_and_their_mean_time():
     score, none = Score.from_results(map(flight, [2.0, 3.0, None])), Score.from_results([flight(None)])
     assert (score.flights, score.arrived, score.flight_time_s) == (3, 2, 2.5) and none.flight_time_s is None
     assert (score.to_dict()["success_low"], score.to_dict()["success_high"]) == wilson_interval(2, 3)
@@ -47,7 +45,7 @@ def test_a_score_counts_arrivals_and_their_mean_time() -> None:
         ([5.0] * 9 + [None], [4.0] * 9 + [None], "better"),
     ],
 )
-def test_verdict_is_that_of_a_sign_test(incumbent: list[float | None], best: list[float | None], verdict: str) -> None:
+def test_verdict_is_that_of_a_sign_test(incumbent: list[float | None], best: list[float | None], verdict: str):
     assert check(incumbent, best).verdict == verdict
 
 
@@ -66,7 +64,7 @@ def tuning(check: Check | None, **changes: object) -> TuningResult:
     return dataclasses.replace(result, **changes)  # type: ignore[arg-type]
 
 
-def test_candidate_that_is_worse_in_fresh_worlds_is_not_chosen() -> None:
+def test_candidate_that_is_worse_in_fresh_worlds_is_not_chosen():
     for outcome, value in (
         (check([5.0] * 6, [None] * 6), 5.0),
         (check([None] * 6, [5.0] * 6), 7.5),
@@ -76,7 +74,7 @@ def test_candidate_that_is_worse_in_fresh_worlds_is_not_chosen() -> None:
         assert tuning(outcome).chosen.costs.q_track == value
 
 
-def test_table_shows_incumbent_and_best_and_warns() -> None:
+def test_table_shows_incumbent_and_best_and_warns():
     text = tuning(check([None, 8.0, 8.0], [7.0, 7.0, None])).format_table()
     assert [" ".join(line.split()) for line in text.splitlines()[1:5]] == [
         "incumbent 4 2 15 to 85 % 8.00 s ± 0.00 5",
@@ -93,7 +91,7 @@ def test_table_shows_incumbent_and_best_and_warns() -> None:
     assert "No conclusion" in tuning(None, best=None, candidates=(), front=(), interrupted=True).format_table()
 
 
-def test_result_is_plain_json() -> None:
+def test_result_is_plain_json():
     content = tuning(check([None], [5.0])).to_dict()
     assert json.loads(json.dumps(content)) == content
     assert content["chosen"] == {"costs.q_track": 7.5} and content["check"]["verdict"] == "noise"

@@ -1,7 +1,5 @@
 """A few thousand inputs of the fuzzer for the node's ports; `make fuzz` runs more."""
 
-from __future__ import annotations
-
 import resource
 from pathlib import Path
 
@@ -14,7 +12,7 @@ GROWTH = 64
 
 
 @pytest.mark.parametrize("name", PORTS)
-def test_no_input_from_the_network_breaks_a_parser(name: str, tmp_path: Path) -> None:
+def test_no_input_from_the_network_breaks_a_parser(name: str, tmp_path: Path):
     port, path = PORTS[name], tmp_path / name
     count, accepted, start = 14 if port.inputs > 1 else 1000, 0, 0.0
     for number in range(count):
