@@ -168,7 +168,7 @@ class _SensorLog:
         settings.pop("plan_ms_median", None)
         rounded = _rounded(world.to_dict())
         for name, content in (("world.json", rounded), ("outcome.json", settings)):
-            text = json.dumps(content, allow_nan=False).encode()
+            text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
             self._writer.add_attachment(self._stamp, self._options.start, name, "application/json", text)
         self._writer.finish()
 
