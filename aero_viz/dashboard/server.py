@@ -31,6 +31,8 @@ from aero_viz.errors import UserError
 
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter has 8 kB."""
+CLIENTS_MAX = 64
+"""Largest number of open pages; each takes about 1 MB."""
 _QUEUED_FRAMES = 2
 """Messages of a client that wait; the largest, a rendering, has 50 MB."""
 
@@ -75,6 +77,7 @@ _NOTIFICATIONS: dict[str, tuple[str, Any, float]] = {
     "error": ("That did not work", "red", 12.0),
 }
 """Title, colour and duration [s] of a notification by level."""
+_FULL = "There is no room for another page: too many are open."
 _NO_TOKEN = "This page needs a link with a token; the terminal in which AERO-Viz was started shows it."
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 
@@ -141,7 +144,11 @@ class LocalServer(viser.ViserServer):
         refusal = self._access.refusal(request.headers)
         if refusal is not None:
             return connection.respond(403, f"{refusal}\n")
-        return None if self._tokens is None else self._check_token(self._tokens, connection, request)
+        answer = None if self._tokens is None else self._check_token(self._tokens, connection, request)
+        is_full = len(self._websock_server._live_connections) >= CLIENTS_MAX
+        if answer is None and is_full and "Upgrade" in request.headers:
+            return connection.respond(503, f"{_FULL}\n")
+        return answer
 
     def _check_token(self, tokens: Tokens, connection: PageConnection, request: Request) -> Response | None:
         """Answer a request without a valid token, and a link; note the role of the others."""

@@ -157,8 +157,7 @@ def read_log(path: str | Path, read: Reader | None = None) -> LogContents:
     except ReadCancelled:
         raise
     except (UserError, OSError) as error:
-        reason = str(error)
-        raise UserError(f"The flight in {path} cannot be read: {reason[:1].lower()}{reason[1:]}") from error
+        raise UserError(f"{path} cannot be read as a flight log: {str(error).rstrip('.')}.") from error
 
 
 def _read(path: str) -> LogContents:

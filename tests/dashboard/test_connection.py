@@ -5,6 +5,7 @@ import threading
 
 import pytest
 import viser
+from websockets.exceptions import InvalidStatus
 
 from aero_viz.dashboard.server import LocalServer
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
@@ -204,3 +205,14 @@ def test_a_message_that_is_sent_just_before_the_server_waits_is_not_forgotten(se
     monkeypatch.setattr(asyncio.Event, "_get_loop", get_loop)
     button.label = "first"
     read_until(client, labels[-1])
+
+
+def test_no_more_pages_are_open_at_once_than_there_is_room_for(server, client, monkeypatch):
+    monkeypatch.setattr("aero_viz.dashboard.server.CLIENTS_MAX", 2)
+    with join(server):
+        wait_for(lambda: len(server._websock_server._live_connections) == 2, "the second page")
+        with pytest.raises(InvalidStatus, match="503"):
+            join(server)
+    wait_for(lambda: len(server._websock_server._live_connections) == 1, "room")
+    with join(server) as third:
+        read_until(third, "AERO-Viz")
