@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
+from aero_viz.errors import UserError
 
 _RECORDING = RecordingFlags()
 
@@ -39,6 +40,7 @@ def convert(
     end: float = float("inf"),
     topics: tuple[str, ...] = (),
     decimate: int = 1,
+    to: Literal["mcap", "rrd"] = "mcap",
     recording_flags: Inline[RecordingFlags] = _RECORDING,
     json: bool = False,
 ) -> None:
@@ -53,12 +55,19 @@ def convert(
         end: Leave out what follows this time after the first message [s].
         topics: Write these topics only.
         decimate: Keep one of so many points of every cloud.
+        to: Format to write. Rerun opens MCAP itself; rrd says how it is converted.
         recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
         json: Print one JSON object.
     """
     from aero_viz.recordings import open_recording
     from aero_viz.recordings.convert import convert as convert_recording
 
+    if to == "rrd" or output.suffix.lower() == ".rrd":
+        mcap, rrd = output.with_suffix(".mcap"), output.with_suffix(".rrd")
+        raise UserError(
+            f"AERO-Viz does not write {rrd}: write {mcap}, which Rerun opens (`rerun {mcap}`) or converts "
+            f"(`rerun mcap convert {mcap} -o {rrd}`)"
+        )
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:
 

@@ -90,6 +90,7 @@ def test_livox_clouds_become_point_clouds_with_their_times(
         (("--start", "5"), "is left to write: the recording lasts 0.9 s"),
         (("--start", "2", "--end", "1"), "--start 2 must be before --end 1"),
         (("--decimate", "0"), "--decimate must be at least 1, not 0"),
+        (("--to", "rrd"), "out.rrd: write "),
     ],
 )
 def test_mistakes_leave_no_file(

@@ -14,6 +14,8 @@ from aero_viz.catalog import shipped_recordings
 from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
 from aero_viz.recordings import inspect, open_recording
 from aero_viz.recordings.alignment import place
+from aero_viz.recordings.misalignment import estimate_misalignment
+from aero_viz.recordings.transforms import Transform
 from aero_viz.scenes import scene
 
 
@@ -30,12 +32,16 @@ class Flight(NamedTuple):
     velocities: np.ndarray
 
 
+def fly(folder: Path, *, seed: int) -> Path:
+    path = folder / "flight.mcap"
+    options = SensorLogOptions(every=4, plan_period=None, duration=4.0)
+    write_sensor_log(scene("forest", seed=seed), path, seed=seed, speed=5.0, options=options)
+    return path
+
+
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    path = tmp_path_factory.mktemp("flight") / "flight.mcap"
-    options = SensorLogOptions(every=4, plan_period=None, duration=4.0)
-    write_sensor_log(scene("forest", seed=5), path, seed=5, speed=5.0, options=options)
-    with open_recording(path) as recording:
+    with open_recording(fly(tmp_path_factory.mktemp("flight"), seed=5)) as recording:
         poses = recording.poses
         assert poses is not None
         found = [recording.sweep(i) for i in range(len(recording.sweep_times))]
@@ -140,6 +146,22 @@ def test_a_wrong_mounting_is_measured(build: Build, flight: Flight):
     path = build(sweeps=[(time, points @ turn.T, at) for time, points, at in flight.sweeps])
     assert codes(path) == ["extrinsic"]
     assert abs(abs(float(evidence(path, "extrinsic").split("pitch ")[1].split(",")[0])) - 5.0) < 1.0
+
+
+@pytest.mark.parametrize("seed", [3, 6])  # a long way of the search, and few surfaces
+def test_estimates_do_not_depend_on_the_flight(tmp_path: Path, seed: int):
+    with open_recording(fly(tmp_path, seed=seed)) as recording:
+        poses = recording.poses
+        assert poses is not None
+        for late in (0.05, -0.045):
+            estimate = estimate_misalignment(recording, poses.shifted(-late))
+            assert estimate is not None
+            assert estimate.time_offset == pytest.approx(late, abs=3e-3)
+            assert np.degrees(np.abs(estimate.rotation)).max() < 1.0
+        recording.mount(Transform(np.zeros(3), quaternion_from_angles(0.0, 5.0, 0.0)))
+        estimate = estimate_misalignment(recording, poses)
+        assert estimate is not None and abs(estimate.time_offset) < 3e-3
+        np.testing.assert_allclose(np.degrees(estimate.rotation), [0.0, -5.0, 0.0], atol=1.0)
 
 
 def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight):
