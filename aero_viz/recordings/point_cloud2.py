@@ -107,13 +107,17 @@ def decode_points(cloud: RawCloud) -> DecodedPoints:
         return DecodedPoints(np.empty((0, 3), np.float32), None, 0)
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1).astype(np.float32, copy=False)
-        # NaN compares false, so the largest coordinate answers all three questions.
-        largest = np.abs(points).max(axis=1)
+        # NaN compares false, so the largest coordinate answers all three questions. A maximum along the axis of three
+        # takes twenty times as long.
+        largest = np.abs(points[:, 0])
+        for axis in (1, 2):
+            np.maximum(largest, np.abs(points[:, axis]), out=largest)
         valid = (largest > 0) & (largest < _MAX_RANGE)
     times = _point_times(rows["time"].reshape(-1), cloud.stamp) if "time" in (rows.dtype.names or ()) else None
     if valid.all():
         return DecodedPoints(np.ascontiguousarray(points), times, 0)
-    return DecodedPoints(points[valid], None if times is None else times[valid], int(len(valid) - valid.sum()))
+    kept = np.flatnonzero(valid)
+    return DecodedPoints(points.take(kept, axis=0), None if times is None else times[kept], len(valid) - len(kept))
 
 
 def encode_point_cloud2(
