@@ -9,6 +9,8 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel
 from aero_viz.session.source import SourceInfo
 
+_FACTS = ("partition.view_min", "partition.view_max", "vehicle.delay", "costs.height_max")
+
 
 def config_for_drone(
     config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None
@@ -42,11 +44,13 @@ def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfi
     return config_for_drone(config, lidar=lidar, vehicle=vehicle, world=flight.world)
 
 
+def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
+    """Return `config` with the default values where it has what `config_for_flight` sets: the inverse of that."""
+    default = PlannerConfig()
+    known = config_for_flight(config.replace({path: default.get(path) for path in _FACTS}), flight)
+    return config.replace({path: default.get(path) for path in _FACTS if config.get(path) == known.get(path)})
+
+
 def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: SourceInfo) -> PlannerConfig:
-    """Return `config` with the field of view and the top of the flight `after` where it has those of `before`."""
-    default = PlannerConfig().replace({"costs.use_ground": config.costs.use_ground})
-    old, new = config_for_flight(default, before), config_for_flight(default, after)
-    for paths in (("partition.view_min", "partition.view_max"), ("costs.height_max",)):
-        if all(config.get(path) == old.get(path) for path in paths):  # not chosen by the user
-            config = config.replace({path: new.get(path) for path in paths})
-    return config
+    """Return `config` with what is known about the flight `after` where it has what was known about `before`."""
+    return config_for_flight(config_without_facts(config, before), after)

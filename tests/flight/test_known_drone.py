@@ -6,7 +6,12 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.flight import FlightSource, VehicleModel
-from aero_viz.flight.known_drone import config_for_drone, config_for_flight, config_for_next_flight
+from aero_viz.flight.known_drone import (
+    config_for_drone,
+    config_for_flight,
+    config_for_next_flight,
+    config_without_facts,
+)
 from aero_viz.scenes import scene
 from aero_viz.sensors.lidar import LIDARS
 
@@ -42,3 +47,14 @@ def test_the_top_of_the_world_is_the_greatest_height():
     moved = config_for_next_flight(config, before=wall, after=forest)
     assert moved == config_for_flight(PlannerConfig(), forest)
     assert config_for_next_flight(chosen, before=wall, after=forest) == chosen
+
+
+@pytest.mark.parametrize("preset", ["default", "paper", "px4"])
+def test_a_configuration_without_the_facts_of_its_flight_is_the_preset(preset: str):
+    flight = FlightSource(scene("wall", seed=0), lidar=MID360, vehicle=VehicleModel(latency=0.02)).info
+    config = PlannerConfig.preset(preset)
+    known = config_for_flight(config, flight)
+    assert known.partition.view_min == MID360.elevation_min and known != config
+    assert config_without_facts(known, flight) == config
+    chosen = known.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})
+    assert config_without_facts(chosen, flight) == config.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})

@@ -17,6 +17,7 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.preset_store import PresetStore
+from aero_viz.flight.known_drone import config_for_flight, config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -30,7 +31,10 @@ _COPY = (
 
 @dataclass
 class Baseline:
-    """Preset that the page compares the configuration with: the one that was chosen last."""
+    """Preset that the page compares the configuration with: the one that was chosen last.
+
+    What the planner knows about a flight, see `config_for_flight`, is no difference from a preset.
+    """
 
     name: str
     config: PlannerConfig
@@ -41,6 +45,10 @@ class Baseline:
         names = PlannerConfig.presets()
         name = next((name for name in names if PlannerConfig.preset(name) == config), "default")
         return cls(name, PlannerConfig.preset(name))
+
+    def config_for(self, frame: Frame | None) -> PlannerConfig:
+        """Return the configuration of the preset for the flight of a frame."""
+        return self.config if frame is None else config_for_flight(self.config, frame.source)
 
 
 class ConfigurationPanel(Panel):
@@ -67,6 +75,8 @@ class ConfigurationPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._onboard = OnboardConfig()
+        self._shown: tuple[object, ...] = (None,) * 5
+        self._changes: list[Change] = []
         hint = " ".join(f"{name}: {help}" for name, help in PlannerConfig.presets().items())
         self._preset = gui.add_dropdown("Preset", self._names(), initial_value=_CHANGED, hint=hint)
         self.differences = gui.add_html("")
@@ -88,7 +98,7 @@ class ConfigurationPanel(Panel):
             actions = {
                 "undo": self._controls.undo,
                 "redo": self._controls.redo,
-                "reset all": lambda: self._controls.configure(self._baseline.config),
+                "reset all": lambda: self._controls.configure(self._baseline.config_for(self.session.frame)),
             }
             self.page.attempt(actions[steps.value], event.client)
 
@@ -139,7 +149,7 @@ class ConfigurationPanel(Panel):
         @save.on_click
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                content = format_config(self.session.config)
+                content = format_config(self._config())
                 if self._onboard != OnboardConfig():
                     content += f"\n{format_onboard(self._onboard)}"
                 event.client.send_file_download("aero-planner.yaml", content.encode(), save_immediately=True)
@@ -162,12 +172,12 @@ class ConfigurationPanel(Panel):
             saved = self._store.load(name)
             config, goal = saved.config, saved.goal
         self._baseline.name, self._baseline.config = name, config
-        self._controls.configure(config)
+        self._controls.configure(self._baseline.config_for(self.session.frame))
         if goal is not None:
             self._controls.set_goal(goal)  # if it cannot be flown to here, the session says so
 
     def _save(self, name: str) -> None:
-        config, frame = self.session.config, self.session.frame
+        config, frame = self._config(), self.session.frame
         self._store.save(name, config, None if frame is None else np.asarray(frame.observation.goal.position).tolist())
         self._saved = self._store.names()
         self._baseline.name, self._baseline.config = name, config
@@ -183,8 +193,18 @@ class ConfigurationPanel(Panel):
         self._controls.configure(config)
         self._onboard = onboard
 
+    def _config(self) -> PlannerConfig:
+        """Return the configuration without what is known about this flight: another one has other facts."""
+        frame = self.session.frame
+        return self.session.config if frame is None else config_without_facts(self.session.config, frame.source)
+
     def update(self, frame: Frame) -> list[Change]:
-        config, baseline = self.session.config, self._baseline
+        shown = (self.session.config, self._baseline.config, self._baseline.name, self._saved, frame.source)
+        if any(new is not old for new, old in zip(shown, self._shown, strict=True)):
+            self._shown, self._changes = shown, self._show(self._config(), self._baseline)
+        return self._changes
+
+    def _show(self, config: PlannerConfig, baseline: Baseline) -> list[Change]:
         names = self._names()
         name = next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), _CHANGED)
         if baseline.config == config and baseline.name in names:

@@ -94,11 +94,10 @@ class ParameterPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         config, query, level = self.session.config, self._search.value.strip(), self._level.value
-        preset = self._baseline.config
-        shown = (config, preset, query, level)
+        shown = (config, self._baseline.config, frame.source.settings, query, level)
         if shown == self._shown:
             return []
-        self._shown = shown
+        self._shown, preset = shown, self._baseline.config_for(frame)
         changes: list[Change] = []
         is_any = False
         for group in self._groups:
@@ -120,13 +119,14 @@ class ParameterPanel(Panel):
 
     def _reset(self, row: ParameterRow, client: viser.ClientHandle | None) -> None:
         self._refill([row])
-        self._configure([row], {row.info.path: self._baseline.config.get(row.info.path)}, client)
+        preset = self._baseline.config_for(self.session.frame)
+        self._configure([row], {row.info.path: preset.get(row.info.path)}, client)
 
     def _on_reset(self, button: viser.GuiButtonHandle, rows: Sequence[ParameterRow]) -> None:
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
             self._refill(rows)
-            preset = self._baseline.config
+            preset = self._baseline.config_for(self.session.frame)
             self._configure(rows, {row.info.path: preset.get(row.info.path) for row in rows}, event.client)
 
     def _refill(self, rows: Sequence[ParameterRow]) -> None:

@@ -1,0 +1,63 @@
+"""The steps of docs/first_steps.md, on the page alone."""
+
+from aero_planner import PlannerConfig
+from aero_viz.catalog import open_source
+from tests.browser.desk import Desk, open_desk
+
+SCENE = "double_wall_trap"
+
+
+def fly(desk: Desk) -> str:
+    """Press Play and wait for the end of the flight; return its outcome."""
+    desk.click("Play")
+    desk.wait_for(lambda: getattr(desk.session.frame, "outcome", None) is not None, "the end of the flight")
+    return str(getattr(desk.session.frame, "outcome", None))
+
+
+def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_it(browser, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    source, paper = open_source(SCENE, seed=0), PlannerConfig.preset("paper")
+    layers = ["drone", "obstacles"]
+    with open_desk(browser, source, ticks=1, config=paper, size=(1280, 900), layers=layers, opened=SCENE) as desk:
+        assert fly(desk) == "collision"
+        desk.open_tab("Why")
+        report = desk.page.locator(".aero-report")
+        report.wait_for()
+        assert "It hit the ground" in report.inner_text()
+        assert "in the frame of the sensor, which sees -7 to 52 deg" in report.inner_text()
+
+        desk.open_tab("Tune")
+        preset = desk.control("Preset").locator("input").first
+        preset.click()
+        desk.page.get_by_role("option", name="default", exact=True).click()
+        desk.wait_for(lambda: desk.session.config.candidates.prove_stop == "instead", "the default configuration")
+        desk.click("Restart")
+        desk.wait_for(lambda: desk.session.frame is not None and desk.session.frame.index == 0, "the start")
+        assert fly(desk) == "arrived"
+
+        for seed in (1, 3):
+            desk.open_tab("Fly")
+            number = desk.control("Seed").locator("input")
+            number.fill(str(seed))
+            number.press("Enter")
+            before = desk.session.source
+            desk.click("Open")
+            desk.wait_for(lambda: desk.session.source is not before, "another seed")  # noqa: B023
+            desk.wait_for(lambda: getattr(desk.session.frame, "outcome", None) == "arrived", "the end of the flight")
+
+        desk.open_tab("Tune")
+        desk.open_folder("Save as a preset", "Save preset")
+        name = desk.control("Name").locator("input")
+        name.fill("room")
+        name.press("Enter")
+        desk.wait_for(lambda: preset.input_value() == "room", "the saved preset")
+        assert list((tmp_path / "config").rglob("room.yaml"))
+
+        desk.open_tab("Fly")
+        desk.open_folder("Share", "Log")
+        with desk.page.expect_download() as download:
+            desk.click("Log")
+        path = tmp_path / download.value.suggested_filename
+        download.value.save_as(path)
+        assert path.suffix == ".mcap" and SCENE in path.name
+        assert desk.console == []
