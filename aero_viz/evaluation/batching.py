@@ -1,16 +1,44 @@
-"""Batches of flights: their default size and the report of their progress, for benchmarks and tuning."""
+"""Batches of flights: their options, their default size and the report of their progress, for benchmarks and tuning."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import warp as wp
 
+from aero_planner import PlannerConfig
 from aero_planner.warp_init import init_warp
 from aero_viz.errors import UserError
+from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
+from aero_viz.scenes import World
+from aero_viz.sensors import LidarModel
 
 Progress = Callable[[int, int, str], None]
 """Called with the number of finished flights, the total number, and a description of the current work."""
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """What all flights of a batch have in common."""
+
+    device: str = "cpu"
+    lidar: LidarModel | None = None
+    vehicle: VehicleModel | None = None
+    rules: FlightRules | None = None
+    noise: StateNoise | None = None
+
+    def build(
+        self,
+        worlds: Sequence[World],
+        configs: Sequence[PlannerConfig],
+        seeds: Sequence[int],
+        *,
+        threads: int | None,
+        names: Sequence[str] | None = None,
+    ) -> FlightBatch:
+        """Return a batch of flights; see `FlightBatch` for the arguments and errors."""
+        return FlightBatch(worlds, config=configs, seed=seeds, config_names=names, threads=threads, **vars(self))
 
 
 def batch_status(label: str, finished: int, flights: int, seconds: float) -> str:

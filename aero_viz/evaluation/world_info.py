@@ -49,7 +49,7 @@ class WorldInfo:
             return format_table([*rows, ["difficulty", "unknown: no guide from start to goal was found"]])
         rows += [
             ["guide", f"{about['guide_length']:.1f} m"],
-            ["traversability obstruction", f"{about['traversability_obstruction']:.2f}"],
+            ["traversability obstruction", f"{about['traversability_obstruction']:.2f}, the least of 8 corridors"],
             ["view occlusion", f"{about['view_occlusion']:.2f}"],
             ["angle over length", f"{about['angle_over_length']:.2g} /m"],
             ["difficulty", f"{about['difficulty']:.2f}, the sum of the three (FlightBench)"],

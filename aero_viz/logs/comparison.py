@@ -120,6 +120,7 @@ class LogComparison:
                 lines += ["", format_table(cells, header=(name, "A", "B"), right=(1, 2))]
             else:
                 lines += ["", f"No {name} differs."]
+        lines += ["", "These are single flights; aero-viz bench compare says whether many differ significantly."]
         return "\n".join(lines)
 
 

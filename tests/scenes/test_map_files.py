@@ -66,7 +66,7 @@ def pcd(form: str, points=POINTS, size: int = 4) -> bytes:
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS a x y _ z _\n"
         f"SIZE 2 {size} {size} 1 8 1\nTYPE U F F U F U\nCOUNT 1 1 1 2 1 1\n"
-        f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT -0.15 -0.2 -0.06 0.99983 -0.0084 0.00013 0.0163\n"
         f"POINTS {len(points)}\nDATA {form}\n"
     ).encode()
     if form == "ascii":

@@ -46,8 +46,14 @@ def _cells(flights: Sequence[Mapping[str, Any]]) -> list[str]:
     metrics = [[flight[name] for flight in flights] for name in DIFFICULTY[:3]]
     return [
         f"{flights[0]['difficulty']:.2f} to {flights[-1]['difficulty']:.2f}",
-        *(f"{statistics.fmean(values):.3g} ± {statistics.stdev(values):.2g}" for values in metrics),
+        *map(mean_std, metrics),
         f"{arrived}/{len(flights)}",
         f"{100 * arrived / len(flights):.0f} %",
         f"{100 * low:.0f} to {100 * high:.0f} %",
     ]
+
+
+def mean_std(values: Sequence[float]) -> str:
+    """Return the mean, ± one standard deviation of several values."""
+    mean = f"{statistics.fmean(values):.3g}"
+    return f"{mean} ± {statistics.stdev(values):.2g}" if len(values) > 1 else mean

@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import math
-import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.causes import cause_rows
-from aero_viz.evaluation.bench.difficulty_groups import DIFFICULTY, GROUPS_NOTE, format_groups
+from aero_viz.evaluation.bench.difficulty_groups import DIFFICULTY, GROUPS_NOTE, format_groups, mean_std
 from aero_viz.evaluation.bench.external_results import ExternalResults
 from aero_viz.evaluation.bench.plots import plot
 from aero_viz.evaluation.bench.published_results import PUBLISHED
@@ -110,9 +109,9 @@ def format_worlds(run: Run) -> list[str]:
 
 def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool) -> str:
     known = [record for record in records if record["difficulty"] is not None]
-    means = [statistics.fmean(record[name] for record in known) for name in DIFFICULTY[:3]] if known else []
+    values = [[record[name] for record in known] for name in DIFFICULTY[:3]] if known else []
     names = ("traversability obstruction", "view occlusion", "angle over length")
-    difficulty = ", ".join(f"{name} {mean:.3g}" for name, mean in zip(names, means, strict=False))
+    difficulty = ", ".join(f"{name} {mean_std(each)}" for name, each in zip(names, values, strict=False))
     suffix = f"; {difficulty}" if difficulty else ""
     if records[0]["passable"] is None:
         return f"{kind}: {len(records)} worlds, not examined"
@@ -153,7 +152,7 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
     if groups:
         parts += ["## Success over difficulty", GROUPS_NOTE, _markdown_table(groups[0], groups[1:])]
     if benchmark.metric == "throughput":
-        parts += ["## Throughput", _throughput_table(run, own)]
+        parts += ["## Throughput", "Of one batch each.", _throughput_table(run, own)]
         parts += ["## Stages of a tick [ms]", _STAGES_NOTE, _stages_table(run)]
     radius = header["simulation"]["rules"]["radius"]
     parts += [f"## Paths for a radius of {radius:g} m", "\n".join(f"- {line}" for line in format_worlds(run))]
@@ -197,8 +196,9 @@ def _targets_table(benchmark: Benchmark, own: dict[str, Summary]) -> str:
         reached = summary.mean["mean_speed"]
         met = summary.success_rate >= rate and (speed is None or (reached is not None and reached >= speed))
         target = _percent(rate) + ("" if speed is None else f" at {speed:g} m/s")
-        at = "" if reached is None else f" at {_number(reached)} m/s"
-        rows.append([row.label, target, f"{_percent(summary.success_rate)}{at}", "yes" if met else "no"])
+        at = "" if reached is None else f" at {_mean_std(summary, 'mean_speed')} m/s"
+        share = f"{_percent(summary.success_rate)} ({_interval(summary)})"
+        rows.append([row.label, target, f"{share}{at}", "yes" if met else "no"])
     return _markdown_table(["row", "target", "reached", "met"], rows) if rows else ""
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, batch_status, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.suites import Benchmark, Row
@@ -25,7 +25,7 @@ from aero_viz.evaluation.machine import hardware, versions
 from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World, scene
-from aero_viz.sensors import LidarModel, lidar_model
+from aero_viz.sensors import lidar_model
 
 STAGE_FIELD = "stage_ms."
 """Beginning of the names of the fields with the times of the stages of a tick [ms]."""
@@ -169,10 +169,11 @@ def run_benchmark(
     finished = {(flight["row"], flight["index"]) for flight in done}
     pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
     executor = executor or LocalExecutor()
-    common = (noise, rules.radius, examine, device, executor.threads, causes)
-    shards = [
-        _Shard(tuple(part), models[lidar or part[0].row.lidar], *common) for part in _split_into_batches(pending, size)
-    ]
+    shards = []
+    for part in _split_into_batches(pending, size):
+        model = models[lidar or part[0].row.lidar]
+        options = FlightOptions(device, model, part[0].vehicle, part[0].rules, noise)
+        shards.append(_Shard(tuple(part), options, rules.radius, examine, executor.threads, causes))
     _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
     return run
 
@@ -182,12 +183,10 @@ class _Shard:
     """The flights of one batch and everything that they depend on."""
 
     flights: tuple[_PlannedFlight, ...]
-    lidar: LidarModel
-    noise: StateNoise | None
+    options: FlightOptions
     radius: float
     """Radius of the drone, for which a path is searched [m]."""
     examine: bool
-    device: str
     threads: int | None
     causes: bool
 
@@ -277,8 +276,7 @@ def _explain(shard: _Shard, worlds: Sequence[World], records: list[dict[str, Any
         flight, world = flown[record["row"], record["index"]]
         if record["arrived"] or flight.row.batch or not shard.causes:
             continue
-        options = {"config": flight.config, "seed": flight.seed, "device": shard.device, "lidar": shard.lidar}
-        options |= {"vehicle": flight.vehicle, "rules": flight.rules, "noise": shard.noise}
+        options = {"config": flight.config, "seed": flight.seed, **vars(shard.options)}
         try:
             record |= cause_of(world, record["reason"], **options)
         except FlightInterrupted:
@@ -356,18 +354,9 @@ def _split_into_batches(pending: Iterable[_PlannedFlight], size: int) -> Iterato
 
 def _build(shard: _Shard, worlds: Sequence[World]) -> FlightBatch:
     flights = shard.flights
+    configs, seeds = [flight.config for flight in flights], [flight.seed for flight in flights]
+    labels = [flight.row.label for flight in flights]
     try:
-        return FlightBatch(
-            worlds,
-            config=[flight.config for flight in flights],
-            device=shard.device,
-            seed=[flight.seed for flight in flights],
-            lidar=shard.lidar,
-            vehicle=flights[0].vehicle,
-            rules=flights[0].rules,
-            noise=shard.noise,
-            config_names=[flight.row.label for flight in flights],
-            threads=shard.threads,
-        )
+        return shard.options.build(worlds, configs, seeds, threads=shard.threads, names=labels)
     except ValueError as error:
-        raise UserError(f"Cannot fly {flights[0].row.label!r}: {error}") from error
+        raise UserError(f"Cannot fly {labels[0]!r}: {error}") from error

@@ -8,7 +8,7 @@ fresh worlds, because the winner of a search looks better in it than it is.
 
 from __future__ import annotations
 
-from aero_viz.evaluation.tune.candidate_flights import FlightOptions
+from aero_viz.evaluation.batching import FlightOptions
 from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search import SearchOptions, tune
 from aero_viz.evaluation.tune.search_space import ParameterRange, parse_ranges

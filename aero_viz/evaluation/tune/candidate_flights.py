@@ -6,23 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from aero_planner import PlannerConfig
-from aero_viz.evaluation.batching import Progress, batch_status
+from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status
 from aero_viz.evaluation.executor import Executor
-from aero_viz.flight import FlightBatch, FlightResult, FlightRules, StateNoise, VehicleModel
+from aero_viz.flight import FlightResult
 from aero_viz.flight.batch import BatchProgress
 from aero_viz.scenes import World
-from aero_viz.sensors import LidarModel
-
-
-@dataclass(frozen=True)
-class FlightOptions:
-    """What all flights of a search have in common."""
-
-    device: str = "cpu"
-    lidar: LidarModel | None = None
-    vehicle: VehicleModel | None = None
-    rules: FlightRules | None = None
-    noise: StateNoise | None = None
 
 
 @dataclass(frozen=True)
@@ -106,18 +94,7 @@ class CandidateFlights:
 
 def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[FlightResult], bool]:
     """Fly one batch; return the results, and whether Ctrl-C interrupted it."""
-    options = shard.options
-    batch = FlightBatch(
-        shard.worlds,
-        config=shard.configs,
-        seed=shard.seeds,
-        device=options.device,
-        lidar=options.lidar,
-        vehicle=options.vehicle,
-        rules=options.rules,
-        noise=options.noise,
-        threads=shard.threads,
-    )
+    batch = shard.options.build(shard.worlds, shard.configs, shard.seeds, threads=shard.threads)
     results = batch.run(progress=progress)
     batch.planner.close()
     return results, batch.interrupted

@@ -18,6 +18,7 @@ _COSTS: dict[Objective, Callable[[FlightResult], float]] = {
 }
 """Cost of a flight that arrives, by objective; smaller is better."""
 OBJECTIVES = tuple(_COSTS)
+UNITS: dict[Objective, str] = {"time": "s", "clearance": "m", "smoothness": "m²/s⁵"}
 _TIE_BREAK = 1e-6
 """Weight of an objective against the arrival of a flight. It decides only between equal numbers of arrivals."""
 
@@ -40,3 +41,8 @@ def front_values(flights: Sequence[FlightResult], objectives: Sequence[Objective
     arrived = [flight for flight in flights if flight.arrived]
     means = [statistics.fmean(map(_COSTS[name], arrived)) if arrived else math.inf for name in objectives]
     return [1.0 - len(arrived) / len(flights), *means]
+
+
+def measure(flight: FlightResult, objective: Objective) -> float:
+    """Return what an objective measures of a flight that arrives, in its unit; more clearance is better."""
+    return abs(_COSTS[objective](flight))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import statistics
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -13,14 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import Progress, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import versions
-from aero_viz.evaluation.tune.candidate_flights import CandidateFlights, FlightOptions
-from aero_viz.evaluation.tune.objectives import Objective, flight_cost, front_values
+from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
+from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search_space import ParameterRange
-from aero_viz.evaluation.tune.study import Sampler, dump_flights, flights_of, load_flights, open_study, save_flights
-from aero_viz.evaluation.tune.tuning_result import Candidate, Check, TuningResult
+from aero_viz.evaluation.tune.study import INCUMBENT, Sampler, dump_flights, open_study, save_flights
+from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials
+from aero_viz.evaluation.tune.tuning_result import Check, TuningResult
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World
@@ -28,7 +28,6 @@ from aero_viz.scenes import World
 if TYPE_CHECKING:
     import optuna
 
-_INCUMBENT = "incumbent"
 _MAX_CONTRADICTIONS = 1000
 """Number of inconsistent proposals in a row before the search gives up."""
 
@@ -95,8 +94,9 @@ def tune(
     for world in {id(world): world for world in (*worlds, *fresh_worlds)}.values():
         refuse_impossible(world, rules=flight.rules or FlightRules(),
                           speed_limit=max([config.vehicle.speed_limit, *limits]))  # fmt: skip
+    problem = Problem(config, tuple(ranges), search.objectives)
     study = open_study(
-        _definition(config, ranges, worlds, search, flight),
+        _definition(problem, worlds, search, flight),
         objectives=search.objectives,
         sampler=search.sampler,
         generation=search.generation,
@@ -112,23 +112,26 @@ def tune(
         size=batch or default_batch(flight.device),
         report=progress or (lambda finished, total, text: None),
     )
-    searching = _Search(study, config, ranges, range(len(worlds)), search, flights)
     check, interrupted = None, False
     try:
-        searching.run(check_flights=2 * len(fresh_worlds))
-        best = searching.best()
-        if best.trial is not None:
-            check = _compare(flights, config, best.config, range(len(worlds), len(worlds) + len(fresh_worlds)))
+        _Search(study, problem, range(len(worlds)), search, flights).run(check_flights=2 * len(fresh_worlds))
     except KeyboardInterrupt:
         interrupted = True
+    results = StudyResults.read(study, problem)
+    best = results.best
+    if not interrupted and best is not None and best.trial is not None:
+        try:
+            check = _compare(flights, config, best.config, range(len(worlds), len(worlds) + len(fresh_worlds)))
+        except KeyboardInterrupt:
+            interrupted = True
     return TuningResult(
         study=study.study_name,
-        ranges=tuple(ranges),
+        ranges=problem.ranges,
         objectives=search.objectives,
         incumbent=config,
-        candidates=tuple(searching.candidates()),
-        best=searching.best() if searching.candidates() else None,
-        front=tuple(searching.front()),
+        candidates=results.candidates,
+        best=best,
+        front=results.front,
         check=check,
         interrupted=interrupted,
     )
@@ -146,11 +149,7 @@ def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequenc
 
 
 def _definition(
-    config: PlannerConfig,
-    ranges: Sequence[ParameterRange],
-    worlds: Sequence[World],
-    search: SearchOptions,
-    flight: FlightOptions,
+    problem: Problem, worlds: Sequence[World], search: SearchOptions, flight: FlightOptions
 ) -> dict[str, Any]:
     """Return everything that the flights of a candidate depend on. The number of trials may grow."""
     digest = hashlib.sha256()
@@ -159,10 +158,10 @@ def _definition(
     return {
         "world": worlds[0].name,
         "worlds": digest.hexdigest(),
-        "over": [dataclasses.asdict(parameter) for parameter in ranges],
+        "over": [dataclasses.asdict(parameter) for parameter in problem.ranges],
         "search": {key: value for key, value in dataclasses.asdict(search).items() if key != "trials"},
         "flight": dataclasses.asdict(flight),
-        "config": config.to_dict(),
+        "config": problem.incumbent.to_dict(),
         "versions": versions(),
     }
 
@@ -177,8 +176,7 @@ class _Search:
 
     Args:
         study: finished candidates, and the sampler of new ones.
-        config: the incumbent.
-        ranges: parameters to tune.
+        problem: the incumbent, the parameters and the objectives.
         worlds: indices of the worlds.
         options: how to search.
         flights: flies candidates.
@@ -187,15 +185,15 @@ class _Search:
     def __init__(
         self,
         study: optuna.Study,
-        config: PlannerConfig,
-        ranges: Sequence[ParameterRange],
+        problem: Problem,
         worlds: Sequence[int],
         options: SearchOptions,
         flights: CandidateFlights,
     ) -> None:
-        self._study, self._config, self._ranges, self._worlds = study, config, ranges, worlds
+        self._study, self._problem, self._worlds = study, problem, worlds
         self._options, self._flights = options, flights
         self._single = len(options.objectives) == 1
+        self._distributions = {parameter.path: _distribution(parameter) for parameter in problem.ranges}
 
     def run(self, *, check_flights: int) -> None:
         """Fly the incumbent and generations of candidates until the study has all trials.
@@ -203,57 +201,33 @@ class _Search:
         Raises:
             KeyboardInterrupt: Ctrl-C was pressed. Candidates of the generation in flight are marked as failed.
         """
-        missing = self._options.trials - len(self._finished())
-        size = len(self._worlds)
-        self._flights.total = max(missing, 0) * size + check_flights + size * (not self._has_incumbent())
-        if not self._has_incumbent():
+        has_incumbent = INCUMBENT in self._study.user_attrs
+        size, missing = len(self._worlds), self._missing()
+        self._flights.total = max(missing, 0) * size + check_flights + size * (not has_incumbent)
+        if not has_incumbent:
             self._fly_incumbent()
-        while (missing := self._options.trials - len(self._finished())) > 0:
+        while (missing := self._missing()) > 0:
             self._fly_generation(min(missing, self._options.generation))
 
-    def candidates(self) -> list[Candidate]:
-        """Return the incumbent, if it has flown, and all candidates that have, those given up among them."""
-        incumbent = self._study.user_attrs.get(_INCUMBENT)
-        first = [] if incumbent is None else [self._candidate(None, self._config, load_flights(incumbent))]
-        return first + [self._candidate(t.number, self._config_at(t.params), flights_of(t)) for t in self._finished()]
-
-    def front(self) -> list[Candidate]:
-        """Return the candidates that no other one beats in all objectives; those given up are not among them."""
-        complete = [candidate for candidate in self.candidates() if candidate.is_complete]
-        return [one for one in complete if not any(_dominates(other, one) for other in complete)]
-
-    def best(self) -> Candidate:
-        """Return the best candidate: the incumbent where no other one is better."""
-        complete = [candidate for candidate in self.candidates() if candidate.is_complete]
-        return min(complete, key=lambda candidate: (candidate.values, candidate.trial is not None))
-
-    def _candidate(self, trial: int | None, config: PlannerConfig, flights: dict[int, FlightResult]) -> Candidate:
-        flown = tuple(flights[w] for w in sorted(flights))
-        return Candidate(trial, config, tuple(self._values(flown)), flown, is_complete=len(flown) == len(self._worlds))
-
-    def _finished(self) -> list[optuna.trial.FrozenTrial]:
-        """Return all trials that have flown, without the incumbent."""
-        trials = self._study.get_trials(deepcopy=False)
-        return [t for t in trials if t.state.name in ("COMPLETE", "PRUNED") and not t.user_attrs.get(_INCUMBENT)]
-
-    def _has_incumbent(self) -> bool:
-        return _INCUMBENT in self._study.user_attrs
+    def _missing(self) -> int:
+        return self._options.trials - len(finished_trials(self._study))
 
     def _fly_incumbent(self) -> None:
         """Fly the incumbent. If it lies within the ranges, the sampler and the pruner learn of it."""
         import optuna
 
-        flown = self._flights.fly([self._config], self._worlds, "incumbent")
+        config, ranges = self._problem.incumbent, self._problem.ranges
+        flown = self._flights.fly([config], self._worlds, "incumbent")
         flights = {w: flown[0, w] for w in self._worlds}
-        self._study.set_user_attr(_INCUMBENT, dump_flights(flights))
-        params = {r.path: float(self._config.get(r.path)) for r in self._ranges}
-        if all(r.low <= params[r.path] <= r.high for r in self._ranges):
+        self._study.set_user_attr(INCUMBENT, dump_flights(flights))
+        params = {r.path: float(config.get(r.path)) for r in ranges}
+        if all(r.low <= params[r.path] <= r.high for r in ranges):
             trial = optuna.trial.create_trial(
-                values=self._values(list(flights.values())),
+                values=self._problem.values(list(flights.values())),
                 params=params,
-                distributions={r.path: _distribution(r) for r in self._ranges},
-                intermediate_values=self._costs(flights) if self._single else {},
-                user_attrs={_INCUMBENT: True},
+                distributions=dict(self._distributions),
+                intermediate_values=self._problem.costs(flights) if self._single else {},
+                user_attrs={INCUMBENT: True},
             )
             self._study.add_trial(trial)
 
@@ -272,7 +246,7 @@ class _Search:
                         self._flights.total -= len(self._worlds) - end
                         remaining.pop(trial)
             for trial in remaining:
-                self._study.tell(trial, self._values(list(flights.pop(trial).values())))
+                self._study.tell(trial, self._problem.values(list(flights.pop(trial).values())))
         except BaseException:
             self._abandon(trial for trial in flights if trial in remaining)
             raise
@@ -281,7 +255,7 @@ class _Search:
         """Report the flights of a rung to Optuna; end the trial if it is worse than the best one."""
         import optuna
 
-        for world, cost in self._costs({w: flights[w] for w in worlds}).items():
+        for world, cost in self._problem.costs({w: flights[w] for w in worlds}).items():
             trial.report(cost, world)
         if len(flights) == len(self._worlds) or not trial.should_prune():
             return False
@@ -301,9 +275,9 @@ class _Search:
 
         contradictions = 0
         while count:
-            trial = self._study.ask({r.path: _distribution(r) for r in self._ranges})
+            trial = self._study.ask(dict(self._distributions))
             try:
-                config = self._config_at(trial.params)
+                config = self._problem.config_at(trial.params)
             except ValueError as error:
                 self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
                 contradictions += 1
@@ -315,25 +289,8 @@ class _Search:
             contradictions, count = 0, count - 1
             yield trial, config
 
-    def _config_at(self, params: dict[str, Any]) -> PlannerConfig:
-        return self._config.replace({r.path: r.round(params[r.path]) for r in self._ranges})
-
-    def _costs(self, flights: dict[int, FlightResult]) -> dict[int, float]:
-        return {world: flight_cost(flight, self._options.objectives[0]) for world, flight in flights.items()}
-
-    def _values(self, flights: Sequence[FlightResult]) -> list[float]:
-        if self._single:
-            return [statistics.fmean(flight_cost(flight, self._options.objectives[0]) for flight in flights)]
-        return front_values(flights, self._options.objectives)
-
 
 def _distribution(parameter: ParameterRange) -> optuna.distributions.FloatDistribution:
     from optuna.distributions import FloatDistribution
 
     return FloatDistribution(parameter.low, parameter.high, log=parameter.is_logarithmic)
-
-
-def _dominates(one: Candidate, other: Candidate) -> bool:
-    """Return True if a candidate is at least as good as another one in all objectives, and better in one."""
-    pairs = list(zip(one.values, other.values, strict=True))
-    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)

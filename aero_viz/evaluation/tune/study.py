@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 DEFAULT_STORAGE = "sqlite:///results/tune.db"
 Sampler = Literal["auto", "tpe", "cmaes", "nsga2", "random"]
-_DEFINITION, _FLIGHTS = "definition", "flights"
+DEFINITION, INCUMBENT = "definition", "incumbent"
+"""Attributes of a study: what it searches, and the flights of the incumbent."""
+_FLIGHTS = "flights"
 _SMALLEST_POPULATION = 5
 """Smallest population with which CMA-ES works."""
 _GIVE_UP_AT = 0.1
@@ -50,11 +52,7 @@ def open_study(
     Raises:
         UserError: the storage cannot be opened, or it holds a study of this name with another definition.
     """
-    import optuna
-
-    # The pruner and the names of metrics are marked as experimental; constraints.txt pins the version.
-    warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    optuna = require_optuna()
     definition = json.loads(json.dumps(definition))
     digest = hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()[:8]
     pruner = optuna.pruners.WilcoxonPruner(p_threshold=_GIVE_UP_AT)
@@ -72,9 +70,9 @@ def open_study(
     except Exception as error:  # SQLAlchemy and drivers of databases raise exceptions of their own
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise UserError(f"Cannot open the storage {storage} of Optuna: {reason}") from error
-    previous = study.user_attrs.get(_DEFINITION)
+    previous = study.user_attrs.get(DEFINITION)
     if previous is None:
-        study.set_user_attr(_DEFINITION, definition)
+        study.set_user_attr(DEFINITION, definition)
         study.set_metric_names(
             ["not arrived", *objectives] if len(objectives) > 1 else [f"not arrived, {objectives[0]}"]
         )
@@ -85,6 +83,22 @@ def open_study(
             "choose another --study, or the same options."
         )
     return study
+
+
+def require_optuna() -> Any:
+    """Return the package Optuna, which reports errors only.
+
+    Raises:
+        UserError: it is not installed.
+    """
+    try:
+        import optuna
+    except ModuleNotFoundError:
+        raise UserError("Studies need Optuna, which is not installed: pip install 'optuna>=5,<6'.") from None
+    # The pruner and the names of metrics are marked as experimental; constraints.txt pins the version.
+    warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna
 
 
 def _make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> optuna.samplers.BaseSampler:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
-from aero_viz.evaluation.tune.objectives import Objective
+from aero_viz.evaluation.tune.objectives import OBJECTIVES, UNITS, Objective, measure
 from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.flight import FlightResult
 from aero_viz.text_table import format_table
@@ -28,14 +28,19 @@ class Score:
     """Mean time of the flights that arrived [s], None if none did."""
     flight_time_std_s: float | None = None
     """Sample standard deviation of these times [s], None if fewer than two flights arrived."""
+    others: dict[str, list[float | None]] = field(default_factory=dict)
+    """The same two figures of the other objectives, by name."""
 
     @classmethod
     def from_results(cls, results: Iterable[FlightResult]) -> Score:
         """Return the score of flights."""
         flights = list(results)
-        times = [flight.flight_time_s for flight in flights if flight.arrived]
-        deviation = statistics.stdev(times) if len(times) > 1 else None
-        return cls(len(flights), len(times), statistics.fmean(times) if times else None, deviation)
+        arrived = [flight for flight in flights if flight.arrived]
+        figures: dict[str, list[float | None]] = {
+            name: _mean_std([measure(flight, name) for flight in arrived]) for name in OBJECTIVES
+        }
+        time, deviation = figures.pop("time")
+        return cls(len(flights), len(arrived), time, deviation, figures)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields and the 95 % Wilson interval of the share as plain values for JSON."""
@@ -145,7 +150,8 @@ class TuningResult:
 
     def format_table(self) -> str:
         """Return a table of the incumbent and the best candidates, followed by the conclusions, as text."""
-        header = ["", "flights", "arrived", "Wilson 95 %", "mean time", *(parameter.path for parameter in self.ranges)]
+        means = ["mean time", *(f"mean {name} [{UNITS[name]}]" for name in self.objectives if name != "time")]
+        header = ["", "flights", "arrived", "Wilson 95 %", *means, *(parameter.path for parameter in self.ranges)]
         rows = [self._row("incumbent", c.score, c.config) for c in self.candidates[:1]]
         if len(self.objectives) > 1:
             rows += [self._row(f"front, trial {c.trial}", c.score, c.config) for c in self.front if c.trial is not None]
@@ -163,11 +169,11 @@ class TuningResult:
 
     def _row(self, name: str, score: Score, config: PlannerConfig) -> list[str]:
         low, high = wilson_interval(score.arrived, score.flights)
-        time = "-" if score.flight_time_s is None else f"{score.flight_time_s:.2f} s"
-        time += "" if score.flight_time_std_s is None else f" ± {score.flight_time_std_s:.2f}"
+        means = [_format(score.flight_time_s, score.flight_time_std_s, " s")]
+        means += [_format(mean, std) for mean, std in (score.others[n] for n in self.objectives if n != "time")]
         interval = f"{100.0 * low:.0f} to {100.0 * high:.0f} %"
         values = [f"{value:g}" for value in self.values(config).values()]
-        return [name, str(score.flights), str(score.arrived), interval, time, *values]
+        return [name, str(score.flights), str(score.arrived), interval, *means, *values]
 
     def _conclusions(self) -> list[str]:
         if self.best is None:
@@ -190,3 +196,11 @@ class TuningResult:
             "noise": "Warning: the difference is not significant (sign test, 5 %); fly more flights to find out.",
         }
         return [comparison, verdict[self.check.verdict]]
+
+
+def _mean_std(values: Sequence[float]) -> list[float | None]:
+    return [statistics.fmean(values) if values else None, statistics.stdev(values) if len(values) > 1 else None]
+
+
+def _format(mean: float | None, std: float | None, unit: str = "") -> str:
+    return "-" if mean is None else f"{mean:.2f}{unit}" + ("" if std is None else f" ± {std:.2f}")

@@ -1,4 +1,5 @@
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -95,7 +96,8 @@ def test_report_says_for_every_world_whether_it_has_a_path(capsys, tmp_path, mon
     passable = {seed: is_passable(scene("verticals", count=1000, seed=seed), radius=0.5) for seed in (14, 15, 16)}
     none = ", ".join(str(seed) for seed, found in passable.items() if not found)
     assert code == 0 and none
-    assert "verticals-5, seeds 14 to 16: a path exists in 3 of 3 worlds; traversability obstruction " in text
+    line = "verticals-5, seeds 14 to 16: a path exists in 3 of 3 worlds; traversability obstruction "
+    assert re.search(line + r"[\d.]+ ± [\d.]+, view occlusion [\d.]+ ± ", text)
     line = f"verticals-1000, seeds 14 to 16: a path exists in {sum(passable.values())} of 3 worlds, none with the seeds"
     assert f"{line} {none}\n" in text and f"- {line} {none}\n" in (tmp_path / "a" / "report.md").read_text()
     worlds = (tmp_path / "a" / "worlds.csv").read_text().splitlines()

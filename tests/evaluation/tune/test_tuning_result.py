@@ -27,6 +27,10 @@ def check(incumbent: list[float | None], best: list[float | None]) -> Check:
 def test_a_score_counts_arrivals_and_their_mean_time():
     score, none = Score.from_results(map(flight, [2.0, 3.0, None])), Score.from_results([flight(None)])
     assert (score.flights, score.arrived, score.flight_time_s) == (3, 2, 2.5) and none.flight_time_s is None
+    assert score.others == {"clearance": [0.0, 0.0], "smoothness": [1.0, 0.0]} and none.others["clearance"] == [
+        None,
+        None,
+    ]
     assert (score.to_dict()["success_low"], score.to_dict()["success_high"]) == wilson_interval(2, 3)
 
 
@@ -83,6 +87,8 @@ def test_table_shows_incumbent_and_best_and_warns():
         "best, fresh worlds 3 2 21 to 94 % 7.00 s ± 0.00 7.5",
     ]
     assert "only the best candidate arrives in 1, only the incumbent in 1; where both arrive, the best is" in text
+    front = tuning(None, objectives=("time", "clearance")).format_table()
+    assert "mean clearance [m]" in front and "6.50 s ± 0.41  0.00 ± 0.00" in front
     assert "Warning: the difference is not significant" in text
     assert "Warning: the best candidate is significantly worse" in tuning(check([5.0] * 6, [None] * 6)).format_table()
     assert "Warning" not in tuning(check([None] * 6, [5.0] * 6)).format_table()
