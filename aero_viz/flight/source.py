@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS, WHOLE_SWEEPS
-from aero_viz.flight.conditions import with_live_conditions
+from aero_viz.flight.conditions import live_conditions, with_live_conditions
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import goal_problem
 from aero_viz.flight.metrics import FlightResult, flight_results
@@ -133,6 +133,7 @@ class FlightSource:
                 true_state=self._true_state,
                 sweep_times=self._sweep_times,
                 world=self._setting.world,
+                conditions=live_conditions(self._setting),
             )
         return self._observation
 

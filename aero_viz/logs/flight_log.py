@@ -9,6 +9,7 @@ import logging
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
@@ -33,7 +34,8 @@ class FlightLog:
     """Writes frames to an MCAP file, with the messages of the drone's own log; see `FlightMessages`.
 
     Attachments hold every configuration, and the world and settings of every source: world.json and flight.json for the
-    first, world_1.json and flight_1.json for the next. A log must be used from one thread.
+    first, world_1.json and flight_1.json for the next. Changes during a flight have the stamp of their frame: the whole
+    world is world_change_1.json, wind and faults are conditions_change_2.json. A log must be used from one thread.
 
     Args:
         path: file to write; an existing file is replaced.
@@ -48,7 +50,7 @@ class FlightLog:
         """Number of frames written so far."""
         self._channels: dict[str, int] = {}
         self._messages = FlightMessages()
-        self._sources = 0
+        self._sources = self._changes = 0
         self._failed = False
         try:
             self._file = self.path.open("wb")
@@ -85,6 +87,13 @@ class FlightLog:
         messages = self._messages.encode(frame)
         if last is None or last.source is not frame.source:
             self._attach_source(frame.source)
+            last_world, conditions = frame.source.world, frame.observation.conditions
+        else:
+            last_world, conditions = last.world, last.observation.conditions
+        if frame.world is not last_world and frame.world is not None:
+            self._attach_change("world", frame.world.to_dict())
+        if frame.observation.conditions != conditions:
+            self._attach_change("conditions", frame.observation.conditions)
         if last is None or last.config is not frame.config:
             self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(frame.config))
         for message, stamp in messages:
@@ -123,6 +132,10 @@ class FlightLog:
             self._attach(f"world{suffix}", "application/json", json.dumps(source.world.to_dict(), allow_nan=False))
         settings = {"source": source.name, **source.settings}
         self._attach(f"flight{suffix}", "application/json", json.dumps(settings, allow_nan=False))
+
+    def _attach_change(self, name: str, content: Any) -> None:
+        self._changes += 1
+        self._attach(f"{name}_change_{self._changes}.json", "application/json", json.dumps(content, allow_nan=False))
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
         stamp = self._messages.stamp

@@ -60,6 +60,8 @@ class LogContents:
 
     path: str
     attachments: dict[str, bytes] = field(default_factory=dict)
+    stamps: dict[str, int] = field(default_factory=dict)
+    """Time of each attachment [ns]."""
     outcome: str = ""
     explanation: str = ""
     """How the flight ended, empty if the log does not say."""
@@ -78,13 +80,13 @@ class LogContents:
         """Sentence on what was left out, empty if nothing was."""
         return f"{self.damaged} goals and plans of the log have impossible numbers: left out." if self.damaged else ""
 
-    def world(self) -> World | None:
-        """Return the world of the flight, None if it is not in the log.
+    def world(self, name: str = "world.json") -> World | None:
+        """Return the world of the flight, or another one that is attached by name; None if it is not in the log.
 
         Raises:
             UserError: it is damaged.
         """
-        content = self._json("world.json")
+        content = self._json(name)
         try:
             return None if content is None else World.from_dict(content)
         except ValueError as error:
@@ -164,7 +166,8 @@ def _read(path: str) -> LogContents:
     contents = LogContents(path)
     with open_user_file(path) as file:
         reader = make_reader(file, validate_crcs=True)
-        contents.attachments = {entry.name: entry.data for entry in reader.iter_attachments()}
+        for entry in reader.iter_attachments():
+            contents.attachments[entry.name], contents.stamps[entry.name] = entry.data, entry.log_time
         for entry in reader.iter_metadata():
             if entry.name == "flight_log":
                 contents.outcome = _printable(entry.metadata.get("outcome", ""))

@@ -44,6 +44,8 @@ class FlightReplay(RecordingSource):
         self._goals: list[tuple[float, NDArray[np.float64]]] = []
         self._plans: list[RecordedPlan] = []
         self._world: World | None = None
+        self._changes: list[tuple[float, World]] = []
+        """Times of changes of the world [s], and what it was from then on."""
         self._ending = ""
         settings: dict[str, Any] = {}
         notices = ["Recorded flight: goal and plans are those of the log."]
@@ -71,7 +73,9 @@ class FlightReplay(RecordingSource):
         observation = super().observe()
         if self._world is None:
             return observation
-        return dataclasses.replace(observation, ground_height=self._world.ground_height)
+        row = bisect.bisect_right(self._changes, observation.time + 1e-6, key=lambda change: change[0]) - 1
+        world = self._changes[row][1] if row >= 0 else self._world
+        return dataclasses.replace(observation, ground_height=world.ground_height, world=world)
 
     @property
     def explanation(self) -> str | None:
@@ -97,6 +101,8 @@ class FlightReplay(RecordingSource):
             return (0.0 if first is None else (stamp - first) * 1e-9) + self.start
 
         self._goals = [(source_time(stamp), place) for stamp, place in contents.goals]
+        changes = ((stamp, contents.world(name)) for name, stamp in contents.stamps.items() if "world_change" in name)
+        self._changes = [(source_time(stamp), world) for stamp, world in changes if world is not None]
         self._plans = [
             RecordedPlan(
                 time=source_time(plan.stamp),

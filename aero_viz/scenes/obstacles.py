@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from aero_viz.scenes.primitives import DISTANCES
 from aero_viz.scenes.world import World
 
-__all__ = ["KINDS", "Obstacle", "ObstacleKey", "new_obstacle", "obstacle_at", "pick_obstacle", "with_obstacle"]
-
 KINDS = {"cylinder": "cylinders", "box": "boxes", "sphere": "spheres"}
 """Tables of `World` by the name of a solid."""
 _ROUND = {"cylinders": 2, "boxes": 0, "spheres": 3}

@@ -38,6 +38,8 @@ class Observation:
     """Time at the end of each sweep [s], oldest first; None where it is unknown."""
     world: World | None = None
     """World at this tick, where it can change; None where it is that of the source."""
+    conditions: Mapping[str, Any] | None = None
+    """Wind, noise and faults at this tick by path, such as "drone.gust_speed", where they can change."""
 
     @property
     def points(self) -> NDArray[np.float32]:

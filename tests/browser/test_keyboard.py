@@ -1,12 +1,101 @@
 """Keys of the page."""
 
+from __future__ import annotations
 
-def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(fresh_desk):
-    desk = fresh_desk
+from pathlib import Path
+
+import pytest
+
+from aero_viz.dashboard.panels.keys import rows
+from tests.browser.desk import Desk
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "flights.md"
+
+
+@pytest.fixture
+def desk(fresh_desk: Desk) -> Desk:
+    """A paused flight; the mouse has been in the scene last."""
+    fresh_desk.page.get_by_role("tab", name="Tune").wait_for()
+    fresh_desk.page.mouse.click(500, 200)
+    return fresh_desk
+
+
+def camera(desk: Desk):
+    return next(iter(desk.dashboard.server.get_clients().values())).camera
+
+
+def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(desk):
     before = desk.session.config.costs.q_track
     desk.session.configure({"costs.q_track": 8.0})
-    desk.page.mouse.click(500, 200)
     desk.page.keyboard.press("Control+z")
     desk.wait_for(lambda: desk.session.config.costs.q_track == before, "the weight before")
     desk.page.keyboard.press("Control+Shift+z")
     desk.wait_for(lambda: desk.session.config.costs.q_track == 8.0, "the weight again")
+
+
+def test_arrows_step_without_turning_the_camera_and_the_space_bar_plays_and_presses_no_button(desk):
+    index, eye = desk.session.frame.index, camera(desk).position.copy()
+    desk.click("free")
+    for key, moved in (("Shift+ArrowRight", 10), ("ArrowRight", 11), ("ArrowLeft", 10), ("Shift+ArrowLeft", 0)):
+        desk.page.keyboard.press(key, delay=200)
+        desk.wait_for(lambda moved=moved: desk.session.frame.index == index + moved, key)
+    assert camera(desk).position == pytest.approx(eye)
+    desk.click("+1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 1, "one tick")
+    desk.page.keyboard.press("Space")
+    desk.wait_for(lambda: desk.session.playing and desk.session.frame.index > index + 2, "the flight")
+    desk.page.keyboard.press("Space")
+    desk.wait_for(lambda: not desk.session.playing, "a pause")
+
+
+def test_keys_do_nothing_in_a_field_or_on_a_slider(desk):
+    before, count = desk.session.frame, len(desk.session.frame.world.spheres)
+    field = desk.control("Path").locator("input")
+    field.click()
+    desk.page.keyboard.type(" T.,2")
+    assert field.input_value() == " T.,2"
+    desk.open_tab("Tune")
+    slider = desk.page.get_by_role("slider").last
+    shown = slider.get_attribute("aria-valuenow")
+    slider.focus()
+    desk.page.keyboard.press("ArrowRight")
+    desk.wait_for(lambda: slider.get_attribute("aria-valuenow") != shown, "another value")
+    desk.page.mouse.click(500, 200)
+    desk.page.keyboard.press("t")  # keys are in order: what they did before this one is done
+    desk.wait_for(lambda: len(desk.session.frame.world.spheres) == count + 1, "the obstacle")
+    assert desk.session.frame.index == before.index and not desk.session.playing
+    desk.page.keyboard.press("Delete")
+    desk.wait_for(lambda: len(desk.session.frame.world.spheres) == count, "its removal")
+
+
+def test_the_list_has_every_key_and_so_have_the_docs(desk):
+    desk.page.keyboard.press("Shift+?")
+    table = desk.page.get_by_role("dialog")
+    table.get_by_text("Throw an obstacle").wait_for()
+    words = table.inner_text()
+    text = DOCS.read_text(encoding="utf-8")
+    for shown, label in rows():
+        assert shown in words and label in words
+        assert f"| {shown} | {label} |" in text
+    desk.page.get_by_role("button", name="Close", exact=True).click()
+    table.wait_for(state="hidden")
+
+
+def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_layers(desk, browser):
+    context = browser.new_context(viewport={"width": 1000, "height": 600})
+    second = context.new_page()
+    second.goto(desk.dashboard.url)
+    second.get_by_text("You look on; your camera").wait_for(timeout=90_000)
+    before = desk.session.frame
+    second.mouse.click(500, 200)
+    second.keyboard.press("ArrowRight")
+    second.locator(".mantine-Notification-root", has_text="You look on").wait_for(timeout=90_000)
+    first, other = (client.camera for client in desk.dashboard.server.get_clients().values())
+    second.keyboard.press("2")
+    desk.wait_for(lambda: other.position[2] > 2.0 * first.position[2], "the view from above")
+    numbers = list(desk.dashboard.server.get_clients())
+    layer = desk.dashboard.layers["obstacles"]
+    second.keyboard.press("o")
+    desk.wait_for(lambda: layer.is_visible_to(numbers[1]), "the obstacles")
+    assert not layer.is_visible_to(numbers[0]) and desk.session.frame is before
+    context.close()

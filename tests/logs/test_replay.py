@@ -1,16 +1,19 @@
 """Replays of flight logs: goal, plans, outcome and world as they were."""
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from small_source import small_config, small_source
 
 from aero_viz.catalog import open_source
 from aero_viz.logs import flight_recorder
 from aero_viz.logs.log_contents import is_flight_log
 from aero_viz.logs.replay import FlightReplay
+from aero_viz.scenes.obstacles import new_obstacle, with_obstacle
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 
@@ -66,6 +69,37 @@ def test_goal_and_plan_of_every_tick_are_those_of_the_log(flown, replay):
         goals.add(tuple(np.round(observation.goal.position, 6)))
         assert observation.ground_height == frame.observation.ground_height
     assert goals == {tuple(np.round(frame.observation.goal.position, 6)) for frame in frames[10:] + frames[:9]}
+
+
+def test_the_world_of_every_tick_is_that_of_the_log(tmp_path):
+    path = tmp_path / "flight.mcap"
+    session = Session(small_source(), config=small_config())
+    frames: list[Frame] = []
+    ball = new_obstacle("sphere", [0.0, 30.0, 2.0], [1.0, 1.0, 1.0])
+    with flight_recorder(path) as log:
+        for tick in range(30):
+            frames.append(session.tick())
+            log.write(frames[-1])
+            if tick == 10:
+                session.alter(lambda source: source.set_world(with_obstacle(source.observe().world, ball))).result()
+            if tick == 20:
+                session.alter(lambda source: source.set_conditions({"lidar.dropout": 0.5})).result()
+    session.close()
+    replay = open_source(str(path))
+    assert replay.info.times is not None
+    counts = []
+    for time in replay.info.times:
+        replay.seek(time)
+        counts.append(len(replay.observe().world.spheres))  # type: ignore[union-attr]
+    replay.close()
+    before = len(frames[0].world.spheres)  # type: ignore[union-attr]
+    assert sorted(counts) == counts and set(counts) == {before, before + 1}
+    assert replay.info.times[counts.index(before + 1)] == pytest.approx(frames[11].time, abs=0.11)
+    with path.open("rb") as file:
+        files = {item.name: item.data for item in make_reader(file).iter_attachments()}
+    attached = {name: json.loads(data) for name, data in files.items() if "change" in name}
+    assert list(attached) == ["world_change_1.json", "conditions_change_2.json"]
+    assert attached["conditions_change_2.json"]["lidar.dropout"] == 0.5
 
 
 def test_the_outcome_is_told_at_the_start_and_at_the_end(flown, replay):

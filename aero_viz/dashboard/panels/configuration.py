@@ -102,18 +102,6 @@ class ConfigurationPanel(Panel):
             }
             self.page.attempt(actions[steps.value], event.client)
 
-        undo = gui.add_command("Undo", hotkey="Z", modifier="cmd/ctrl", icon=viser.Icon.ARROW_BACK_UP)
-
-        @undo.on_trigger
-        async def _(_: viser.CommandEvent) -> None:
-            self._controls.undo()
-
-        redo = gui.add_command("Redo", hotkey="Z", modifier="cmd/ctrl+shift", icon=viser.Icon.ARROW_FORWARD_UP)
-
-        @redo.on_trigger
-        async def _(_: viser.CommandEvent) -> None:
-            self._controls.redo()
-
     def _create_saving(self, gui: viser.GuiApi) -> None:
         hint = f"Name of the preset, which is kept with the goal in {self._store.folder}."
         with gui.add_form(None) as form:

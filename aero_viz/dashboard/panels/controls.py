@@ -78,12 +78,18 @@ class SliderControl(Control):
 
     The field has no bounds on the page: the browser would silently replace a value beyond them. The configuration
     refuses such a value and says why.
+
+    Args:
+        gui: where to add it.
+        info: the parameter.
+        value: first value.
+        end: upper end of the slider; None takes a usual one.
     """
 
-    def __init__(self, gui: viser.GuiApi, info: ParameterInfo, value: float) -> None:
+    def __init__(self, gui: viser.GuiApi, info: ParameterInfo, value: float, *, end: float | None = None) -> None:
         super().__init__(info)
         self._is_log = info.scale == "log"
-        low, high = self._to_slider(info.low), self._to_slider(max(_slider_end(info), value))
+        low, high = self._to_slider(info.low), self._to_slider(max(_slider_end(info) if end is None else end, value))
         step = 0.01 if self._is_log else 10.0 ** math.floor(math.log10((high - low) / 90.0))
         self.number = gui.add_number(info.title, float(value), step=_number_step(info, step), hint=_hint(info))
         """The number field."""

@@ -55,12 +55,21 @@ class LayerPanel(Panel):
 
         @switch.on_update
         async def _(event: viser.GuiEvent) -> None:
-            layer.show_to(number, switch.value)
-            if layer.needs_samples and event.client is not None:
-                self.page.update_samples()
-            self.page.refresh()
+            if event.client is not None:
+                self._show(layer, number, switch.value)
 
         return switch
+
+    def _show(self, layer: Layer, number: int, visible: bool) -> None:
+        layer.show_to(number, visible)
+        if layer.needs_samples:
+            self.page.update_samples()
+        self.page.refresh()
+
+    def toggle(self, client: viser.ClientHandle, name: str) -> None:
+        """Show a layer to a visitor, or hide it."""
+        if (layer := self.page.layers.get(name)) is not None and layer.available:
+            self._show(layer, client.client_id, not layer.is_visible_to(client.client_id))
 
     def _add_dropdown(self, gui: viser.GuiApi, layer: Layer, option: Option, order: float) -> None:
         choices = tuple(option.choices(self.session.config))

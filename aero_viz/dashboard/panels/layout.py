@@ -13,6 +13,7 @@ from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.compare import ComparePanel
 from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
+from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
@@ -20,6 +21,7 @@ from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTableP
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
 from aero_viz.dashboard.panels.share import Files, SharePanel
+from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
@@ -45,8 +47,15 @@ def build(
     gui, controls = page.server.gui, page.session.controls
     gui.main_panel.dock_right()
     gui.main_panel.set_width(350)
-    panels: list[Panel] = [VisitorPanel(page), PlaybackPanel(page)]
+    panels: list[Panel] = [VisitorPanel(page), playback := PlaybackPanel(page)]
     camera = CameraPanel(page)
+    actions: dict[str, Action] = {
+        "play": lambda _: playback.toggle(),
+        "step": lambda _, count: playback.step(count),
+        "camera": camera.select,
+    }
+    if controls is not None:
+        actions |= {"undo": lambda _: controls.undo(), "redo": lambda _: controls.redo()}
     tabs = gui.add_tab_group()
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if controls is not None and open_source is not None:
@@ -62,14 +71,18 @@ def build(
                 panels.append(GoalPanel(page, controls))
     if controls is not None:
         with tabs.add_tab("World", viser.Icon.TREES):
-            panels.append(ObstaclePanel(page, controls))
+            panels.append(obstacles := ObstaclePanel(page, controls))
+            actions |= {"throw": lambda _: obstacles.throw(), "remove": lambda _: obstacles.remove()}
+            with gui.add_folder("Wind, faults, drone") as folder:
+                panels.append(DisturbancePanel(page, controls, folder))
     with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
         panels.append(ChartPanel(page))
     if controls is not None:  # the frames of a drone hold too little to explain them
         with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
             panels += [PostMortemPanel(page), WhyPanel(page)]
     with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
-        panels.append(LayerPanel(page, tab))
+        panels.append(layers := LayerPanel(page, tab))
+        actions["layer"] = layers.toggle
     if controls is not None:
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
             baseline = Baseline.of(page.session.config)
@@ -84,4 +97,4 @@ def build(
     with status.add_tab("Legend", viser.Icon.PALETTE):
         state.create_details(gui)
     status.float(x=15, y=-15, width=310)
-    return camera, [*panels, camera]
+    return camera, [*panels, camera, ShortcutPanel(page, actions)]

@@ -28,8 +28,6 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-__all__ = ["ObstaclePanel"]
-
 _HOLD = 1.0
 """Longest time after a user's change for which the controls are not overwritten [s]."""
 _PAUSE = 0.4
@@ -184,8 +182,9 @@ class ObstaclePanel(Panel):
             source.set_world(with_obstacle(_world(source), obstacle))
             self._select(ObstacleKey(obstacle.kind, len(getattr(_world(source), obstacle.kind)) - 1))
 
-        if self._folder.visible:
-            self._controls.alter(change)
+        if not self._folder.visible:
+            raise UserError(_ABSENT)
+        self._controls.alter(change)
 
     def _edit(self, edit: _Edit) -> None:
         """Change an obstacle, on the mailbox's thread. While it is dragged, a refusal is not reported."""
@@ -206,6 +205,7 @@ class ObstaclePanel(Panel):
         if is_refused and not edit.is_dragged:
             self._dragged = -_HOLD
         self.page.refresh()
+        self.page.refresh_after(1.1 * _HOLD)  # while time stands still, no frame would show an earlier tick
 
     def close(self) -> None:
         self._edits.close()

@@ -29,7 +29,7 @@ class PlaybackPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = -_HOLD
-        hint = "Let time run, or stop it. Parameters still change the plan while it stands. Key: P."
+        hint = "Let time run, or stop it. Parameters still change the plan while it stands. Key: Space."
         self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint)
         if self.session.controls is not None:
             self._add_restart(gui)
@@ -70,11 +70,11 @@ class PlaybackPanel(Panel):
     def _connect(self, gui: viser.GuiApi) -> None:
         @self.play_button.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self._toggle()
+            self.toggle()
 
         @self._steps.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self._step(int(self._steps.value))
+            self.step(int(self._steps.value))
 
         @self._time.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -82,15 +82,6 @@ class PlaybackPanel(Panel):
                 self._touched = time.monotonic()
                 self.session.pause()
                 self._seek(float(self._time.value))
-
-        play = gui.add_command("Play or pause", hotkey="P", icon=viser.Icon.PLAYER_PLAY)
-        play.on_trigger(lambda _: self._toggle())
-        forward = gui.add_command(
-            "Step forward", hotkey="arrowright", modifier="shift", icon=viser.Icon.PLAYER_TRACK_NEXT
-        )
-        forward.on_trigger(lambda _: self._step(1))
-        back = gui.add_command("Step back", hotkey="arrowleft", modifier="shift", icon=viser.Icon.PLAYER_TRACK_PREV)
-        back.on_trigger(lambda _: self._step(-1))
 
     def close(self) -> None:
         self._moves.close()
@@ -101,7 +92,7 @@ class PlaybackPanel(Panel):
             self._waiting = (time, 0)
         self._moves.put(None)
 
-    def _step(self, count: int) -> None:
+    def step(self, count: int) -> None:
         """Move by some ticks; while the session is moving, clicks add up to at most `_STEPS_MAX`."""
         with self._lock:
             time, steps = self._waiting
@@ -127,7 +118,8 @@ class PlaybackPanel(Panel):
         times = frame.source.times
         return time + 0.499 * frame.source.period if times is None else float(times[np.abs(times - time).argmin()])
 
-    def _toggle(self) -> None:
+    def toggle(self) -> None:
+        """Play or pause."""
         if self.session.playing:
             self.session.pause()
         else:

@@ -1,0 +1,111 @@
+"""Wind and faults of the sensors as sliders while it flies, and arrows that move the drone while time stands still."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import viser
+
+from aero_planner.mailbox import Mailbox
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.controls import SliderControl
+from aero_viz.flight.conditions import LIVE
+from aero_viz.session.base import SessionControls
+from aero_viz.session.frame import Frame
+from aero_viz.session.source import SourceInfo
+
+_HOLD = 1.0
+"""Time after a user's change for which the controls are not overwritten [s]."""
+_ENDS = {
+    "noise.position": 0.5, "noise.velocity": 1.0, "noise.attitude": 5.0, "drone.drag": 1.0, "drone.gust_speed": 10.0,
+    "lidar.range_noise": 0.5, "lidar.dropout": 1.0,
+}  # fmt: skip
+"""Upper ends of the sliders, in the unit of the parameter."""
+_DRAG = 0.3
+"""Drag of a drone that had none when wind was asked for: wind acts through it [1/s]."""
+
+
+class DisturbancePanel(Panel):
+    """Sliders of the parameters that may change during a flight, and the drone itself.
+
+    Args:
+        page: page of the panel.
+        controls: commands of the session; every change belongs to the tick at which it is made.
+        folder: folder of the controls, which is hidden for a source that is no flight.
+    """
+
+    def __init__(self, page: Page, controls: SessionControls, folder: viser.GuiFolderHandle) -> None:
+        self._controls, self._folder = controls, folder
+        super().__init__(page)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._touched = self._dragged = -_HOLD
+        hint = "Show arrows at the drone that move it. They are there while time stands still."
+        self._drag = gui.add_checkbox("Drag the drone", False, hint=hint)
+        self._sliders = [SliderControl(gui, info, float(info.default), end=_ENDS[info.path]) for info in LIVE]
+        self._arrows = self.page.server.scene.add_transform_controls(
+            "/drone_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
+        )
+        self._waiting: dict[str, Any] = {}
+        self._changes = Mailbox(self._change, name="aero-viz-conditions")
+        self._moves = Mailbox(self._move, name="aero-viz-drone")
+        for slider in self._sliders:
+            slider.number.label += " now"  # unlike that of the next flight, in the Fly tab
+            slider.on_change(lambda _, slider=slider: self._take(slider))
+
+        @self._drag.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            self.page.refresh()
+
+        @self._arrows.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            self._dragged = time.monotonic()
+            if not self.session.playing:
+                self._moves.put((tuple(self._arrows.position), event.phase != "end"))
+
+    def _take(self, slider: SliderControl) -> None:
+        self._touched = time.monotonic()
+        self._waiting[slider.info.path] = slider.value
+        self._changes.put(None)
+
+    def _change(self, _: None) -> None:
+        """Use the values that wait, on the mailbox's thread."""
+        values, self._waiting = self._waiting, {}
+        frame = self.session.frame
+        present = {} if frame is None else frame.observation.conditions or {}
+        if values.get("drone.gust_speed", 0.0) > 0.0 and not values.get("drone.drag", present.get("drone.drag")):
+            values["drone.drag"] = _DRAG
+        if values and self._controls.alter(lambda source: source.set_conditions(values)).exception() is not None:
+            self._touched = -_HOLD  # show the values that stay
+        self.page.refresh()
+        self.page.refresh_after(1.1 * _HOLD)  # while time stands still, no frame would show an earlier tick
+
+    def _move(self, move: tuple[tuple[float, float, float], bool]) -> None:
+        place, is_dragged = move
+        self._controls.alter(lambda source: source.set_position(place), quiet=is_dragged).exception()
+        if not is_dragged:
+            self._dragged = -_HOLD
+        self.page.refresh()
+        self.page.refresh_after(1.1 * _HOLD)
+
+    def close(self) -> None:
+        self._changes.close()
+        self._moves.close()
+
+    def on_new_source(self, source: SourceInfo) -> list[Change]:
+        return [(self._folder, "visible", source.closed_loop and source.world is not None)]
+
+    def update(self, frame: Frame) -> list[Change]:
+        values, now = frame.observation.conditions, time.monotonic()
+        changes: list[Change] = []
+        if values is not None and now - self._touched >= _HOLD:
+            changes = [change for slider in self._sliders for change in slider.show(values[slider.info.path])]
+        is_offered = values is not None and self._drag.value and not self.session.playing
+        changes.append((self._arrows, "visible", is_offered))
+        if now - self._dragged >= _HOLD:
+            place = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+            changes.append((self._arrows, "position", place))
+        return changes

@@ -1,0 +1,71 @@
+"""The keys of the page: one table for the commands, for the help on the page and for the docs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from aero_viz.dashboard.panels.camera import MODES
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of the page."""
+
+    action: str
+    """What it does, for the program."""
+    label: str
+    """What it does, for the user."""
+    shown: str
+    """The key as on a keyboard."""
+    hotkey: Any
+    """The key as viser names it."""
+    modifier: Any = None
+    own: bool = False
+    """True if it concerns the visitor alone, so that one who looks on may use it."""
+    argument: Any = None
+    """What the action is called with, besides the visitor."""
+
+
+_LAYERS = {
+    "O": "obstacles", "C": "cloud", "R": "rollouts", "N": "anchors", "G": "guides", "X": "coarse_cells", "V": "samples"
+}  # fmt: skip
+KEYS: tuple[Key, ...] = (
+    Key("play", "Play or pause", "Space", "space"),
+    Key("step", "One tick back", "← or ,", ",", argument=-1),
+    Key("step", "One tick forward", "→ or .", ".", argument=1),
+    Key("step", "Ten ticks back", "Shift ←", ",", "shift", argument=-10),
+    Key("step", "Ten ticks forward", "Shift →", ".", "shift", argument=10),
+    Key("undo", "Undo a change of parameters", "Ctrl Z", "Z", "cmd/ctrl"),
+    Key("redo", "Redo a change of parameters", "Ctrl Shift Z", "Z", "cmd/ctrl+shift"),
+    Key("throw", "Throw an obstacle", "T", "T"),
+    Key("remove", "Remove the selected obstacle", "Delete", "delete"),
+    *(Key("camera", f"Camera: {mode}", f"{i}", f"{i}", own=True, argument=mode) for i, mode in enumerate(MODES, 1)),
+    *(
+        Key("layer", f"Layer: {name.replace('_', ' ')}", key, key, own=True, argument=name)
+        for key, name in _LAYERS.items()
+    ),
+    Key("help", "Show this list", "?", "?", "shift", own=True),
+)
+LISTENER = """
+if (!window.aeroKeys) {
+  window.aeroKeys = true;
+  addEventListener("keydown", event => {
+    if (!event.isTrusted || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest("input, textarea, select, [contenteditable]")) return;
+    if (event.key === " ") event.target.closest("button")?.blur();
+    const key = {ArrowLeft: ",", ArrowRight: "."}[event.key];
+    if (!key || event.target.closest("[role=slider]")) return;
+    event.stopImmediatePropagation();
+    event.preventDefault();
+    const options = {key, shiftKey: event.shiftKey, bubbles: true};
+    document.documentElement.dispatchEvent(new KeyboardEvent("keydown", options));
+  }, true);
+}
+"""
+"""Script that lets the arrow keys step instead of turning the camera, and the space bar press no button."""
+
+
+def rows() -> list[tuple[str, str]]:
+    """Return each key and what it does."""
+    return [(key.shown, key.label) for key in KEYS]

@@ -1,0 +1,55 @@
+"""The keys of the page, and the list of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import viser
+
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.keys import KEYS, LISTENER, Key, rows
+from aero_viz.dashboard.scripts import run_script
+
+Action = Callable[..., object]
+"""Called with the visitor, and the argument of the key if it has one."""
+
+
+class ShortcutPanel(Panel):
+    """Registers `KEYS` as commands of viser, which ignores keys while a field is being typed in.
+
+    Args:
+        page: page of the panel.
+        actions: actions by name; keys of others are left out.
+    """
+
+    def __init__(self, page: Page, actions: Mapping[str, Action]) -> None:
+        self._actions = {"help": _show_help, **actions}
+        super().__init__(page)
+
+    def create(self, gui: viser.GuiApi) -> None:
+        self._register(gui, own=False)
+
+    def welcome(self, client: viser.ClientHandle) -> None:
+        self._register(client.gui, own=True)
+        run_script(client, LISTENER)
+
+    def _register(self, gui: viser.GuiApi, *, own: bool) -> None:
+        for key in KEYS:
+            if key.own is own and key.action in self._actions:
+                self._add(gui, key)
+
+    def _add(self, gui: viser.GuiApi, key: Key) -> None:
+        action = self._actions[key.action]
+
+        @gui.add_command(key.label, hotkey=key.hotkey, modifier=key.modifier).on_trigger
+        async def _(event: viser.CommandEvent) -> None:
+            arguments = () if key.argument is None else (key.argument,)
+            self.page.attempt(lambda: action(event.client, *arguments), event.client)
+
+
+def _show_help(client: viser.ClientHandle) -> None:
+    modal = client.gui.add_modal("Keys")
+    with modal:
+        client.gui.add_html(markup.block(markup.table([(shown, label, "") for shown, label in rows()])))
+        client.gui.add_button("Close", color="gray").on_click(lambda _: modal.close())
