@@ -65,7 +65,7 @@ def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:
 def _flags_type(name: str, infos: Iterable[ParameterInfo], description: str) -> Any:
     """Return a dataclass with one field per parameter. A field is None where its flag was not set."""
     flags_type = dataclasses.make_dataclass(name, [_flag_field(info) for info in infos], frozen=True)
-    flags_type.__doc__ = description
+    flags_type.__doc__, flags_type.__module__ = description, __name__  # with the module it can be pickled
     return flags_type
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -22,6 +22,7 @@ from aero_viz.cli.flags import (
 from aero_viz.cli.output import progress_bar
 from aero_viz.cli.serving import (
     PageFlags,
+    StudyFlags,
     announce,
     play_when_first_client_connects,
     serve_foxglove,
@@ -40,6 +41,7 @@ _PAGE = PageFlags()
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
 _RECORDING = RecordingFlags()
+_STUDY = StudyFlags()
 _WORLD = WorldFlags()
 
 
@@ -53,6 +55,7 @@ def demo(
     log: OptionalPath = None,
     world_flags: Inline[WorldFlags] = _WORLD,
     page_flags: Inline[PageFlags] = _PAGE,
+    study_flags: Inline[StudyFlags] = _STUDY,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
@@ -67,12 +70,15 @@ def demo(
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
         world_flags: The world.
         page_flags: The page.
+        study_flags: A study of `aero-viz tune`, as a tab of the page.
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
     if tour:
-        if log is not None or world_flags != WorldFlags() or scene != "forest":
-            raise UserError("--tour shows scenes of its own; leave out the scene, the flags of the world and --log.")
+        if log is not None or world_flags != WorldFlags() or scene != "forest" or study_flags.study is not None:
+            raise UserError(
+                "--tour shows scenes of its own; leave out the scene, the flags of the world, --study and --log."
+            )
         if page_flags.paused or page_flags.folder:
             raise UserError("--tour plays by itself and opens no files; leave out --paused and --folder.")
         from aero_viz.cli.tour import serve_tour
@@ -81,7 +87,7 @@ def demo(
         opener = flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device)
         return serve_tour(opener, config, page_flags, seed=seed, device=device)
     flags = (world_flags, flight_flags, config_flags.load(), page_flags)
-    serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log)
+    serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log, study=study_flags)
 
 
 def play(
@@ -92,6 +98,7 @@ def play(
     device: str = "cpu",
     recording_flags: Inline[RecordingFlags] = _RECORDING,
     page_flags: Inline[PageFlags] = _PAGE,
+    study_flags: Inline[StudyFlags] = _STUDY,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Run the planner on a recording, open loop, live in the browser.
@@ -103,6 +110,7 @@ def play(
         device: Warp device of the planner.
         recording_flags: The recording.
         page_flags: The page.
+        study_flags: A study of `aero-viz tune`, as a tab of the page.
         config_flags: The planner's configuration.
     """
     from aero_viz.catalog import open_source, shipped_recordings
@@ -138,7 +146,7 @@ def play(
                 read=read,
             )
 
-    serve(recording, opener, config_flags.load(), page_flags, seed=seed, device=device)
+    serve(recording, opener, config_flags.load(), page_flags, seed=seed, device=device, study=study_flags)
 
 
 def connect(
@@ -183,13 +191,15 @@ def serve_flight(
     seed: int,
     device: str,
     log: OptionalPath,
+    study: StudyFlags = _STUDY,
 ) -> None:
     """Serve the page of a flight until Ctrl-C or SIGTERM. The page offers the conditions of the flags at first."""
     from aero_viz.flight.conditions import conditions_of
 
     opener = flight_opener(spec, world_flags, flight_flags, config, lidar=lidar, device=device)
     conditions = conditions_of(flight_flags.options(config, lidar=lidar), count=world_flags.count)
-    serve(spec, opener, config, page_flags, seed=seed, device=device, log=log, conditions=conditions)
+    options: dict[str, Any] = {"log": log, "conditions": conditions, "study": study}
+    serve(spec, opener, config, page_flags, seed=seed, device=device, **options)
 
 
 def flight_opener(
@@ -244,6 +254,7 @@ def serve(
     device: str,
     log: OptionalPath = None,
     conditions: Conditions | None = None,
+    study: StudyFlags = _STUDY,
 ) -> None:
     """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
     from aero_viz.catalog import shipped_recordings
@@ -255,6 +266,7 @@ def serve(
     from aero_viz.session.source import Conditions
 
     with contextlib.ExitStack() as stack:
+        shown_study = study.open()
         source = opener(spec, seed=seed)
         session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
         stack.callback(session.close)
@@ -274,6 +286,7 @@ def serve(
             folders=_folders(spec, page_flags),
             allowed_hosts=page_flags.allow_host,
             files=FlightFiles(),
+            study=shown_study,
         )
         stack.callback(dashboard.close)
         if log is not None:

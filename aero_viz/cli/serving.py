@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from aero_viz.cli.flags import FoxgloveFlag
+from aero_viz.cli.flags import FoxgloveFlag, OptionalText
 from aero_viz.errors import UserError
 
 if TYPE_CHECKING:
     from aero_viz.dashboard import Dashboard
+    from aero_viz.evaluation.tune import StoredStudy
     from aero_viz.session import Session
     from aero_viz.session.base import BaseSession
 
@@ -56,6 +57,28 @@ class PageFlags:
         if rest or not 0 <= port < 1 << 16:
             raise UserError(f"--foxglove takes one port from 0 to 65535, not {' '.join(map(str, self.foxglove))}.")
         return port
+
+
+@dataclass(frozen=True)
+class StudyFlags:
+    """A study of `aero-viz tune`, as a tab of the page."""
+
+    study: OptionalText = None
+    """Name of a study, whose candidates can be compared with the present configuration."""
+    storage: str = "sqlite:///results/tune.db"
+    """Database of the study, as a URL that Optuna understands."""
+
+    def open(self) -> StoredStudy | None:
+        """Return the study, None without one.
+
+        Raises:
+            UserError: there is no such study, or it cannot be read.
+        """
+        if self.study is None:
+            return None
+        from aero_viz.evaluation.tune import StoredStudy
+
+        return StoredStudy(self.storage, self.study)
 
 
 def shutdown_event() -> threading.Event:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,11 +23,13 @@ from aero_viz.cli.flags import (
     WorldName,
 )
 from aero_viz.cli.output import print_json, progress_bar
+from aero_viz.cli.serving import PageFlags, StudyFlags
 from aero_viz.errors import UserError
 
 ObjectiveName = Literal["time", "clearance", "smoothness"]
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
+_PAGE = PageFlags()
 _WORLD = WorldFlags()
 
 
@@ -50,8 +54,10 @@ def tune(
     device: str = "cpu",
     batch: OptionalInt = None,
     ray: RayFlag = None,
+    page: bool = False,
     json: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
+    page_flags: Inline[PageFlags] = _PAGE,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
@@ -83,12 +89,15 @@ def tune(
         device: Warp device, such as cpu or cuda:0.
         batch: Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
         ray: Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS.
+        page: Show the study on the page: progress, Pareto front, importance. It stays until a second Ctrl-C.
         json: Print one JSON object.
         world_flags: The world.
+        page_flags: The page.
         flight_flags: The flight.
         config_flags: The planner's configuration, where the search starts.
     """
     from aero_planner.config.file import save_config
+    from aero_viz.cli.study_page import StudyPage
     from aero_viz.evaluation.executor import open_executor
     from aero_viz.evaluation.tune import FlightOptions, SearchOptions, parse_ranges
     from aero_viz.evaluation.tune import tune as search_parameters
@@ -99,43 +108,56 @@ def tune(
         raise UserError("--flights and --check must be at least 1.")
     if output is not None:
         _check_output(output, overwrite=overwrite)
+    if page and storage == "memory":
+        raise UserError("--page reads the study from its storage; leave out --storage memory.")
     config = config_flags.load(speed=speed)
     ranges = parse_ranges(over, config)
     fixed_world = None if world in SCENES else world_flags.load(world, seed=seed)
     worlds = [fixed_world or world_flags.load(world, seed=seed + i) for i in range(flights + check_flights)]
     options = flight_flags.options(config, lidar=lidar)
-    executor = open_executor(ray, device=device)
-    try:
-        with progress_bar() as update_bar:
-            tuning = search_parameters(
-                config,
-                ranges,
-                worlds[:flights],
-                worlds[flights:],
-                search=SearchOptions(trials, generation, rungs, objective or ("time",), sampler, seed),
-                flight=FlightOptions(device=device, **options),
-                storage=None if storage == "memory" else storage,
-                study_name=study,
-                batch=batch,
-                executor=executor,
-                progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
-            )
-    except RuntimeError as error:
-        raise UserError(f"The flights cannot run on {device}: {error}") from error
-    finally:
-        executor.close()
-    if json:
-        content = {"scene": world, "seed": seed, "device": device, "flights": flights, "storage": storage}
-        content["simulation"] = {name: value and dataclasses.asdict(value) for name, value in options.items()}
-        print_json({**content, **tuning.to_dict(), "config": tuning.chosen.to_dict()})
-    else:
-        changed = {path: value for path, value in tuning.values(tuning.chosen).items() if value != config.get(path)}
-        as_flags = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]
-        print(tuning.format_table(), *([f"As flags: {' '.join(as_flags)}"] if as_flags else []), sep="\n")
-    if output is not None and tuning.best is not None:
-        save_config(tuning.chosen, output)
-        if not json:
-            print(output)
+    with contextlib.ExitStack() as stack:
+        executor = open_executor(ray, device=device)
+        stack.callback(executor.close)
+        shown = None
+        if page:
+            flags = (world, world_flags, flight_flags, config, page_flags)
+            shown = StudyPage(*flags, lidar=lidar, seed=seed, device=device)
+            stack.callback(shown.close)
+        try:
+            with progress_bar() as update_bar:
+                tuning = search_parameters(
+                    config,
+                    ranges,
+                    worlds[:flights],
+                    worlds[flights:],
+                    search=SearchOptions(trials, generation, rungs, objective or ("time",), sampler, seed),
+                    flight=FlightOptions(device=device, **options),
+                    storage=None if storage == "memory" else storage,
+                    study_name=study,
+                    batch=batch,
+                    executor=executor,
+                    progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
+                    opened=None if shown is None else lambda name: shown.open(StudyFlags(name, storage)),
+                )
+        except RuntimeError as error:
+            raise UserError(f"The flights cannot run on {device}: {error}") from error
+        if json:
+            content = {"scene": world, "seed": seed, "device": device, "flights": flights, "storage": storage}
+            content["simulation"] = {name: value and dataclasses.asdict(value) for name, value in options.items()}
+            print_json({**content, **tuning.to_dict(), "config": tuning.chosen.to_dict()})
+        else:
+            changed = {path: value for path, value in tuning.values(tuning.chosen).items() if value != config.get(path)}
+            as_flags = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]
+            print(tuning.format_table(), *([f"As flags: {' '.join(as_flags)}"] if as_flags else []), sep="\n")
+            if storage != "memory" and shown is None:
+                print(f"On the page: aero-viz demo {world} --study {tuning.study} --storage {storage}")
+        if output is not None and tuning.best is not None:
+            save_config(tuning.chosen, output)
+            if not json:
+                print(output)
+        if shown is not None:
+            sys.stdout.flush()
+            shown.wait()
     if tuning.interrupted:
         raise SystemExit(130)
 

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import viser
@@ -28,6 +28,9 @@ from aero_viz.session.base import BaseSession
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Conditions, Opener, SourceInfo
+
+if TYPE_CHECKING:
+    from aero_viz.evaluation.tune import StoredStudy
 
 _PANEL_PERIOD = 0.2
 """Shortest time between two updates of the panels [s]."""
@@ -51,6 +54,7 @@ class Dashboard:
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
+        study: study of `aero-viz tune` to show, as a tab.
 
     Raises:
         UserError: the port is taken, or the host is not an address of this machine.
@@ -73,6 +77,7 @@ class Dashboard:
         allowed_hosts: Sequence[str] = (),
         history: FlightHistory | None = None,
         files: Files | None = None,
+        study: StoredStudy | None = None,
     ) -> None:
         self.server = LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
@@ -108,6 +113,7 @@ class Dashboard:
                 opened=opened,
                 conditions=conditions,
                 files=files,
+                study=study,
             )
         else:
             self._camera = CameraPanel(self._page)

@@ -17,6 +17,7 @@ from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.dashboard.share import FlightFiles
+from aero_viz.evaluation.tune import StoredStudy
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
@@ -146,6 +147,7 @@ def open_desk(
     layers: Sequence[str] | None = None,
     opener: Opener = open_source,
     opened: str = "",
+    study: StoredStudy | None = None,
 ) -> Iterator[Desk]:
     """Open the page of a paused session.
 
@@ -158,6 +160,7 @@ def open_desk(
         layers: names of the visible layers; None shows those that are on by default.
         opener: opens other sources.
         opened: name of the source for the opener; by default that of the forest.
+        study: study to show.
     """
     session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
     for _ in range(ticks):
@@ -173,6 +176,7 @@ def open_desk(
         folders=["/"],
         conditions=Conditions(),
         files=FlightFiles(),
+        study=study,
     )
     dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)

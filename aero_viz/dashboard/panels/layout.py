@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import viser
 
@@ -24,9 +24,13 @@ from aero_viz.dashboard.panels.share import Files, SharePanel
 from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.dashboard.panels.study import StudyPanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
+
+if TYPE_CHECKING:
+    from aero_viz.evaluation.tune import StoredStudy
 
 
 def build(
@@ -39,6 +43,7 @@ def build(
     opened: str = "",
     conditions: Conditions | None = None,
     files: Files | None = None,
+    study: StoredStudy | None = None,
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
@@ -88,6 +93,9 @@ def build(
             baseline = Baseline.of(page.session.config)
             panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls, baseline)]
             panels.append(ParameterPanel(page, controls, baseline))
+        if study is not None:
+            with tabs.add_tab("Study", viser.Icon.CHART_DOTS):
+                panels.append(StudyPanel(page, controls, study))
     else:
         with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
             panels.append(ParameterTablePanel(page))

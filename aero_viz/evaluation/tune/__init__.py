@@ -12,6 +12,7 @@ from aero_viz.evaluation.batching import FlightOptions
 from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search import SearchOptions, tune
 from aero_viz.evaluation.tune.search_space import ParameterRange, parse_ranges
+from aero_viz.evaluation.tune.stored_study import StoredStudy
 from aero_viz.evaluation.tune.study import DEFAULT_STORAGE, Sampler
 from aero_viz.evaluation.tune.tuning_result import Candidate, Check, Score, TuningResult
 
@@ -25,6 +26,7 @@ __all__ = [
     "Sampler",
     "Score",
     "SearchOptions",
+    "StoredStudy",
     "TuningResult",
     "parse_ranges",
     "tune",

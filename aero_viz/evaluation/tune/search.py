@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from aero_viz.evaluation.machine import versions
 from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
 from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search_space import ParameterRange
-from aero_viz.evaluation.tune.study import INCUMBENT, Sampler, dump_flights, open_study, save_flights
+from aero_viz.evaluation.tune.study import INCUMBENT, TRIALS, Sampler, dump_flights, open_study, save_flights
 from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials
 from aero_viz.evaluation.tune.tuning_result import Check, TuningResult
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
@@ -63,6 +63,7 @@ def tune(
     batch: int | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
+    opened: Callable[[str], None] | None = None,
 ) -> TuningResult:
     """Search for better parameter values by flying. Ctrl-C ends the search; the result is the best so far.
 
@@ -80,6 +81,7 @@ def tune(
         batch: largest number of simultaneous flights; None uses `default_batch`.
         executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
+        opened: called with the name of the study once the storage holds it, before the first flight.
 
     Raises:
         UserError: a number is out of range, the ranges contradict each other, no flight can arrive in a world, or the
@@ -104,6 +106,9 @@ def tune(
         storage=storage,
         name=study_name,
     )
+    study.set_user_attr(TRIALS, search.trials)
+    if opened is not None:
+        opened(study.study_name)
     flights = CandidateFlights(
         (*worlds, *fresh_worlds),
         seed=search.seed,

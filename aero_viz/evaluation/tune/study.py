@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 DEFAULT_STORAGE = "sqlite:///results/tune.db"
 Sampler = Literal["auto", "tpe", "cmaes", "nsga2", "random"]
-DEFINITION, INCUMBENT = "definition", "incumbent"
-"""Attributes of a study: what it searches, and the flights of the incumbent."""
+DEFINITION, INCUMBENT, TRIALS = "definition", "incumbent", "trials"
+"""Attributes of a study: what it searches, the flights of the incumbent, and the number of candidates asked for."""
 _FLIGHTS = "flights"
 _SMALLEST_POPULATION = 5
 """Smallest population with which CMA-ES works."""
@@ -137,3 +137,8 @@ def save_flights(trial: optuna.Trial, flights: Mapping[int, FlightResult]) -> No
 def flights_of(trial: optuna.trial.FrozenTrial) -> dict[int, FlightResult]:
     """Return the results of a candidate's flights by index of the world."""
     return load_flights(trial.user_attrs[_FLIGHTS])
+
+
+def flight_count(trial: optuna.trial.FrozenTrial) -> int:
+    """Return the number of a candidate's flights so far."""
+    return len(trial.user_attrs.get(_FLIGHTS, ()))

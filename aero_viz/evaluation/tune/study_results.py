@@ -28,6 +28,17 @@ class Problem:
     objectives: tuple[Objective, ...]
     """What counts besides arrivals; several give a Pareto front."""
 
+    @classmethod
+    def from_definition(cls, definition: Mapping[str, Any]) -> Problem:
+        """Return the problem that the definition of a study describes.
+
+        Raises:
+            KeyError, TypeError: the definition has another form.
+            ValueError: this version has no such parameter, or a value is out of bounds.
+        """
+        ranges = tuple(ParameterRange(**values) for values in definition["over"])
+        return cls(PlannerConfig.from_dict(definition["config"]), ranges, tuple(definition["search"]["objectives"]))
+
     def config_at(self, params: Mapping[str, Any]) -> PlannerConfig:
         """Return the configuration with the values of a trial.
 

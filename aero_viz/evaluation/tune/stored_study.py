@@ -1,0 +1,238 @@
+"""A study on disk, as the page shows it: its progress, its candidates, and the importance of each parameter."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+
+from aero_planner import PlannerConfig
+from aero_planner.config.parameter import did_you_mean
+from aero_viz.errors import UserError
+from aero_viz.evaluation.statistics import mean_interval, wilson_interval
+from aero_viz.evaluation.tune.objectives import UNITS, Objective, front_values, measure
+from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, flight_count, require_optuna
+from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials, pareto_front
+from aero_viz.evaluation.tune.tuning_result import Candidate
+
+if TYPE_CHECKING:
+    import optuna
+
+ARRIVED = "arrived [%]"
+_LEAST_TRIALS = 8
+"""Number of complete candidates from which the importance of parameters is estimated."""
+_BEST_SHARE = 0.25
+"""The importance says what sets this share of the candidates apart from the others."""
+_RESAMPLES = 30
+_NAMES_MAX = 10
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"
+
+
+@dataclass(frozen=True)
+class StudyPoint:
+    """A candidate that flew in all worlds."""
+
+    trial: int | None
+    """Number of the trial; None for the incumbent."""
+    config: PlannerConfig
+    estimates: Mapping[str, Estimate]
+    """Figure on each axis: the Wilson interval of the share that arrives, and Student's t interval of the means over
+    the flights that arrive. Without an arrival, there are no means."""
+    on_front: bool
+    """True if no other candidate arrives as often and is as good in every objective, and better in one."""
+
+
+@dataclass(frozen=True)
+class Importance:
+    """How much a parameter sets the best quarter of the candidates apart: a share of 1 over all parameters."""
+
+    path: str
+    share: float
+    low: float
+    """5 % quantile over resampled candidates, at most `share`."""
+    high: float
+    """95 % quantile, at least `share`."""
+
+
+@dataclass(frozen=True)
+class StudyView:
+    """A study at one moment."""
+
+    name: str
+    finished: int
+    """Number of candidates that have finished, besides the incumbent."""
+    asked: int
+    """Number of candidates that were asked for."""
+    flights: int
+    """Number of flights so far."""
+    progress: float
+    """Share of the candidates that is done, with those in flight in part, in [0, 1]."""
+    axes: tuple[str, ...]
+    """Axes of the front, with units."""
+    points: tuple[StudyPoint, ...]
+    importance: tuple[Importance, ...]
+    """The most important parameter first; empty for fewer than eight complete candidates."""
+
+
+class StoredStudy:
+    """A study of `tune` in a storage, which is only read. Another process may fly it meanwhile.
+
+    Args:
+        storage: URL of Optuna's storage.
+        name: name of the study.
+
+    Raises:
+        UserError: there is no such storage or study, or it is damaged or was not made by `tune`.
+    """
+
+    def __init__(self, storage: str, name: str) -> None:
+        optuna = require_optuna()
+        if storage.startswith("sqlite:///"):
+            _check_sqlite(Path(storage.removeprefix("sqlite:///").partition("?")[0]))
+        try:
+            names = optuna.get_all_study_names(storage)
+            if name not in names:
+                shown = ", ".join(sorted(names)[:_NAMES_MAX]) + (", .." if len(names) > _NAMES_MAX else "")
+                raise UserError(
+                    f"There is no study {name!r} in {storage}{did_you_mean(name, names)}; "
+                    + (f"it holds {shown}." if names else "it holds none. Make one with: aero-viz tune.")
+                )
+            self._study: optuna.Study = optuna.load_study(study_name=name, storage=storage)
+        except UserError:
+            raise
+        except Exception as error:  # SQLAlchemy and drivers of databases raise exceptions of their own
+            raise UserError(f"Cannot read the storage {storage} of Optuna: {_first_line(error)}") from error
+        self._where = f"The study {name!r} in {storage}"
+        self._seen: Any = None
+        self._view: StudyView | None = None
+        self.read()
+
+    def read(self) -> StudyView:
+        """Return what has been flown so far; the same object if nothing has changed.
+
+        Raises:
+            UserError: the storage cannot be read any more, or the study is damaged.
+        """
+        attributes: Mapping[str, Any] = {}
+        try:
+            attributes = self._study.user_attrs
+            trials = self._study.get_trials(deepcopy=False)
+            seen = INCUMBENT in attributes, attributes.get(TRIALS), [(t.state, flight_count(t)) for t in trials]
+            if self._view is None or seen != self._seen:
+                self._view, self._seen = self._read(attributes), seen
+            return self._view
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            is_own = DEFINITION in attributes
+            what = "is damaged, or of another version" if is_own else "was not made by aero-viz tune"
+            raise UserError(
+                f"{self._where} {what} ({_first_line(error)}); choose another --study, or fly a new one."
+            ) from error
+        except Exception as error:
+            raise UserError(f"{self._where} cannot be read: {_first_line(error)}") from error
+
+    def _read(self, attributes: Mapping[str, Any]) -> StudyView:
+        problem = Problem.from_definition(attributes[DEFINITION])
+        results, finished = StudyResults.read(self._study, problem), finished_trials(self._study)
+        size = max((len(candidate.flights) for candidate in results.candidates), default=1)
+        begun = [t for t in self._study.get_trials(deepcopy=False) if t.state.name == "RUNNING"]
+        asked = max(int(attributes.get(TRIALS, 0)), len(finished))
+        flying = sum(map(flight_count, begun[-max(asked - len(finished), 1) :]))
+        return StudyView(
+            name=self._study.study_name,
+            finished=len(finished),
+            asked=asked,
+            flights=sum(len(candidate.flights) for candidate in results.candidates) + flying,
+            progress=min((len(finished) + flying / size) / max(asked, 1), 1.0),
+            axes=(ARRIVED, *(_axis(name) for name in problem.objectives)),
+            points=_points(results.complete, problem.objectives),
+            importance=tuple(_importance(self._study)),
+        )
+
+
+def _check_sqlite(path: Path) -> None:
+    """Raise a UserError unless a file is a database of Optuna; Optuna would make one of any name or database."""
+    if not path.is_file():
+        raise UserError(f"There is no storage {path}; make a study with aero-viz tune, or give another --storage.")
+    try:
+        database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
+        try:
+            tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        finally:
+            database.close()
+    except sqlite3.Error as error:
+        raise UserError(f"{path} is no storage of studies: {error}; give another --storage.") from error
+    if "studies" not in tables:
+        raise UserError(f"{path} is a database without studies of Optuna; give another --storage.")
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+def _axis(objective: Objective) -> str:
+    return f"{objective} [{UNITS[objective]}]"
+
+
+def _points(complete: Sequence[Candidate], objectives: Sequence[Objective]) -> tuple[StudyPoint, ...]:
+    front = pareto_front(complete, key=lambda candidate: front_values(candidate.flights, objectives))
+    return tuple(
+        StudyPoint(
+            one.trial,
+            one.config,
+            _estimates(one, objectives),
+            any(one is best for best in front) and one.score.arrived > 0,
+        )
+        for one in complete
+    )
+
+
+def _estimates(candidate: Candidate, objectives: Sequence[Objective]) -> dict[str, Estimate]:
+    score = candidate.score
+    low, high = wilson_interval(score.arrived, score.flights)
+    estimates = {ARRIVED: Estimate(100.0 * score.arrived / score.flights, 100.0 * low, 100.0 * high)}
+    for objective in objectives:
+        values = [measure(flight, objective) for flight in candidate.flights if flight.arrived]
+        if values:
+            estimates[_axis(objective)] = Estimate(*(mean_interval(values) or (values[0], -math.inf, math.inf)))
+    return estimates
+
+
+def _importance(study: optuna.Study) -> list[Importance]:
+    """Return the importance of each parameter by PED-ANOVA, with its spread over resampled candidates."""
+    optuna = require_optuna()
+    trials = [
+        t for t in study.get_trials(deepcopy=False) if t.state.name == "COMPLETE" and all(map(math.isfinite, t.values))
+    ]
+    if len(trials) < _LEAST_TRIALS:
+        return []
+    evaluator = optuna.importance.PedAnovaImportanceEvaluator(target_quantile=_BEST_SHARE)
+
+    def shares(chosen: Sequence[optuna.trial.FrozenTrial]) -> dict[str, float]:
+        copy = optuna.create_study(directions=study.directions)
+        copy.add_trials(chosen)
+        return optuna.importance.get_param_importances(copy, evaluator=evaluator)
+
+    random = np.random.default_rng(0)
+    drawn = [shares([trials[i] for i in random.integers(len(trials), size=len(trials))]) for _ in range(_RESAMPLES)]
+    importance = []
+    for path, share in shares(trials).items():
+        low, high = (float(value) for value in np.quantile([one.get(path, 0.0) for one in drawn], (0.05, 0.95)))
+        importance.append(Importance(path, share, min(low, share), max(high, share)))
+    return importance
