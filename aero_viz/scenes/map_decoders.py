@@ -66,7 +66,6 @@ def _read_text(path: Path) -> Points:
     if path.suffix.lower() == ".pts":
         with path.open("rb") as file:
             declared, skipped = int(file.readline(32)), 1
-        check_count(declared, rows)
     points = np.loadtxt(
         path, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"), encoding="utf-8",
         max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy reserves the memory for so many
