@@ -27,6 +27,8 @@ _MOVING = 0.5
 """Speed from which the direction of a velocity counts [m/s]."""
 _AIRFRAME_RANGE, _AIRFRAME_CELL, _AIRFRAME_SHARE = 1.0, 0.05, 0.7
 """Points that stay within 1 m in the same cell in so many sweeps of a moving body belong to it [m], [m]."""
+_BURST = 1e-3
+"""Sweeps that follow one another faster belong to one cloud: a flight log starts with several [s]."""
 _GAP = 1.6
 """A time between two sweeps that is so many median ones long lacks a sweep."""
 _JUMP, _TURN = 0.5, np.radians(25.0)
@@ -100,7 +102,7 @@ def measure(recording: Recording) -> Measured:
         circle = min(5.0 * len(np.unique(azimuth)), 360.0)
     times = None if recording.poses is None else recording.poses.times
     return Measured(
-        _rate(recording.sweep_times),
+        _rate(_sweep_starts(recording)),
         None if times is None else _rate(times),
         near,
         field,
@@ -136,8 +138,15 @@ def _rate(times: NDArray[np.float64]) -> float | None:
     return float(1.0 / np.median(steps)) if len(steps) and np.median(steps) > 0.0 else None
 
 
+def _sweep_starts(recording: Recording) -> NDArray[np.float64]:
+    """Return the times of the sweeps, of those that were written as one cloud only the last [s]."""
+    times = recording.sweep_times
+    return times[np.append(np.diff(times) > _BURST, True)]
+
+
 def _dropped_sweeps(recording: Recording) -> Iterator[Finding]:
-    steps = np.diff(recording.sweep_times)
+    times = _sweep_starts(recording)
+    steps = np.diff(times)
     if len(steps) < 4:
         return
     period = float(np.median(steps))
@@ -147,7 +156,7 @@ def _dropped_sweeps(recording: Recording) -> Iterator[Finding]:
         yield Finding(
             "dropped-sweeps",
             f"about {missing} of {len(steps) + 1 + missing} sweeps are missing: {len(gaps)} gaps, the longest "
-            f"{longest:.2f} s after {recording.sweep_times[int(gaps[np.argmax(steps[gaps])])]:.1f} s, where a sweep "
+            f"{longest:.2f} s after {times[int(gaps[np.argmax(steps[gaps])])]:.1f} s, where a sweep "
             f"takes {period:.2f} s",
             "record to a faster disk or with a larger queue, and check the network of the sensor",
         )

@@ -212,6 +212,13 @@ def test_play_sees_the_flight_that_was_logged(tmp_path):
             assert len(session.tick().plan.kinds) == len(CONFIG.kinds)
 
 
+def test_the_cloud_at_the_start_of_a_short_log_does_not_count_as_sweeps_at_a_high_rate(session, tmp_path):
+    write(tmp_path / "a.mcap", [session.tick() for _ in range(60)])
+    info = inspect(tmp_path / "a.mcap")
+    assert info.measured is not None and info.measured.sweep_rate == pytest.approx(10.0, rel=0.01)
+    assert "dropped-sweeps" not in [finding.code for finding in info.findings]
+
+
 def test_logging_does_not_change_the_flight(tmp_path):
     world = scene("wall", seed=1)
     options = {"config": CONFIG, "seed": 4, "lidar": LIDAR, "speed": 2.0}
