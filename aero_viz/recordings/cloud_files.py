@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import SWEEP_POINTS_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
-from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_points
@@ -79,12 +80,19 @@ class CloudSequence(BagFile):
             if budget.is_late:
                 self.problems.append("too costly to read for its size: only what precedes is used")
                 return
-            whole = encode_point_cloud2(np.zeros((count, 3), np.float32), stamp, _FRAME)
-            yield Message(self._channel, stamp, index, len(whole), whole[:HEAD_BYTES])
+            size, head = _layout(count)
+            yield Message(self._channel, stamp, index, size, replace_stamp(head, stamp))
 
     def read(self, position: int) -> bytes:
         cloud = self._load(position)
         return encode_point_cloud2(cloud.points, cloud.stamp, _FRAME, times=cloud.times)
+
+
+@lru_cache(maxsize=256)
+def _layout(count: int) -> tuple[int, bytes]:
+    """Return the size and the head of the message of a cloud with so many points."""
+    whole = encode_point_cloud2(np.zeros((count, 3), np.float32), 0, _FRAME)
+    return len(whole), whole[:HEAD_BYTES]
 
 
 class CloudFiles(CloudSequence):

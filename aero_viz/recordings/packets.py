@@ -79,7 +79,8 @@ def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
                 raise ValueError(f"damaged, a sweep has more than {SWEEP_POINTS_MAX} points: what precedes is used")
             start = packet.stamp_ns if start is None else start
             points, _ = decode_points(packet.data_type, packet.payload)
-            offsets = packet.stamp_ns - start + np.linspace(0.0, 1e9 * packet.interval, len(points))
+            step = 1e9 * packet.interval / max(len(points) - 1, 1)
+            offsets = packet.stamp_ns - start + step * np.arange(len(points))
             hit = (points != 0.0).any(axis=1) & (offsets >= 0.0)
             parts.append(points[hit])
             times.append(offsets[hit].astype(np.uint32))

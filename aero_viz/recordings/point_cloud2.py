@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -154,6 +155,11 @@ def encode_point_cloud2(
         is_dense=True,
     )
     return encode_message(message, POINT_CLOUD2)
+
+
+def replace_stamp(message: bytes, stamp: int) -> bytes:
+    """Return a message of `encode_point_cloud2`, or its head, with another stamp [ns]."""
+    return message[:4] + struct.pack("<iI", *divmod(stamp, 10**9)) + message[12:]
 
 
 def _point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
