@@ -122,6 +122,24 @@ def test_one_diameter_of_a_sphere_changes_all_and_a_size_that_cannot_be_is_refus
     desk.wait_for(lambda: values(desk, "Size") == pytest.approx([0.4] * 3), "the size that stays")
 
 
+def test_numbers_typed_in_two_fields_in_a_row_both_count(desk):
+    throw(desk)
+    place = present(desk, "sphere").center
+    desk.control("Centre").locator("input").nth(2).fill("3.5")
+    desk.control("Size").locator("input").nth(0).fill("0.8")
+    desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.8] * 3), "a smaller sphere")
+    desk.wait_for(lambda: present(desk, "sphere").center == pytest.approx([*place[:2], 3.5], abs=1e-3), "a higher one")
+
+
+def test_an_obstacle_that_does_not_exist_yet_is_not_removed(desk):
+    throw(desk)
+    desk.session.seek(0.1).result()
+    desk.page.keyboard.press("Delete")
+    refusal = desk.refusal("Select an obstacle first")
+    refusal.wait_for()
+    desk.dismiss(refusal)
+
+
 def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world(desk):
     desk.page.get_by_role("button", name="sphere", exact=True).click()
     desk.wait_for(lambda: added(desk, "sphere") is not None, "the sphere")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from typing import Any
 
@@ -50,6 +51,7 @@ class DisturbancePanel(Panel):
             "/drone_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
         )
         self._waiting: dict[str, Any] = {}
+        self._lock = threading.Lock()
         self._changes = Mailbox(self._change, name="aero-viz-conditions")
         self._moves = Mailbox(self._move, name="aero-viz-drone")
         for slider in self._sliders:
@@ -68,12 +70,14 @@ class DisturbancePanel(Panel):
 
     def _take(self, slider: SliderControl) -> None:
         self._touched = time.monotonic()
-        self._waiting[slider.info.path] = slider.value
+        with self._lock:
+            self._waiting[slider.info.path] = slider.value
         self._changes.put(None)
 
     def _change(self, _: None) -> None:
         """Use the values that wait, on the mailbox's thread."""
-        values, self._waiting = self._waiting, {}
+        with self._lock:
+            values, self._waiting = self._waiting, {}
         frame = self.session.frame
         present = {} if frame is None else frame.observation.conditions or {}
         if values.get("drone.gust_speed", 0.0) > 0.0 and not values.get("drone.drag", present.get("drone.drag")):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -34,22 +35,11 @@ _PAUSE = 0.4
 """Time for which a number that is typed must stay the same [s]: 12 begins with 1."""
 _SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
 _ADDED_AT = (6.0, 3.0)
-"""Place of an added obstacle from the drone, towards the goal and to the left [m]."""
+"""Offset of an added obstacle from the drone, towards the goal and to the left [m]."""
 _THROWN_FARTHER_THAN = 3.0
 """Least distance from the drone to a thrown obstacle [m]."""
 _ABSENT = "Open a scene or a world to change its obstacles: a recording holds none."
 _NOTHING = "Click an obstacle in the scene to select it."
-
-
-@dataclass(frozen=True)
-class _Edit:
-    """Change of an obstacle that waits."""
-
-    key: ObstacleKey | None
-    change: Callable[[Obstacle], Obstacle]
-    typed_at: float | None = None
-    """Time of a number that was typed [s]."""
-    is_dragged: bool = False
 
 
 class ObstaclePanel(Panel):
@@ -73,7 +63,11 @@ class ObstaclePanel(Panel):
         self._arrows = self.page.server.scene.add_transform_controls(
             "/obstacle_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
         )
-        self._edits = Mailbox(self._edit, name="aero-viz-obstacles")
+        self._typed: dict[tuple[ObstacleKey | None, str], Callable[[Obstacle], Obstacle]] = {}
+        """Changes by numbers that were typed and wait, by obstacle and label of the field."""
+        self._lock = threading.Lock()
+        self._numbers = Mailbox(self._use_typed, name="aero-viz-obstacle-numbers")
+        self._drags = Mailbox(self._drag, name="aero-viz-obstacle-drags")
         self._connect()
 
     def _create_controls(self, gui: viser.GuiApi) -> None:
@@ -99,7 +93,7 @@ class ObstaclePanel(Panel):
 
         @self._kinds.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self._add(self._kinds.value, _beside)
+            self._add(self._kinds.value, _ahead_on_left)
 
         @self._remove.on_click
         async def _(_: viser.GuiEvent) -> None:
@@ -118,9 +112,8 @@ class ObstaclePanel(Panel):
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
-            self._dragged, place = time.monotonic(), tuple(self._arrows.position)
-            is_over = event.phase == "end"
-            self._edits.put(_Edit(self._selected, lambda obstacle: obstacle.moved(place), is_dragged=not is_over))
+            self._dragged = time.monotonic()
+            self._drags.put((self._selected, tuple(self._arrows.position), event.phase != "end"))
 
         @self._switch.on_update
         async def _(_: viser.GuiEvent) -> None:
@@ -139,7 +132,9 @@ class ObstaclePanel(Panel):
                 self._touched, value = time.monotonic(), control.value
                 if control is self._size and 0.0 in value:
                     return  # somebody begins to type 0.4
-                self._edits.put(_Edit(self._selected, lambda obstacle: change(obstacle, value), typed_at=self._touched))
+                with self._lock:
+                    self._typed[self._selected, control.label] = lambda obstacle: change(obstacle, value)
+                self._numbers.put(None)
 
     def _click(self, event: viser.SceneClickEvent) -> None:
         # viser's outline around a clickable node under the mouse fails in a scene with fog, and a faint obstacle is no
@@ -163,13 +158,13 @@ class ObstaclePanel(Panel):
 
     def throw(self) -> None:
         """Put a sphere where the drone is going to be, and select it."""
-        self._add("sphere", _ahead)
+        self._add("sphere", _end_of_plan)
 
     def remove(self) -> None:
         """Remove the selected obstacle."""
         key = self.selected
         if key is not None:
-            self._controls.alter(lambda source: source.set_world(with_obstacle(_world(source), None, key)))
+            self._alter(key, lambda _: None)
             self._select(None)
 
     def _add(self, kind: str, place: Callable[[Frame], np.ndarray]) -> None:
@@ -186,29 +181,44 @@ class ObstaclePanel(Panel):
             raise UserError(_ABSENT)
         self._controls.alter(change)
 
-    def _edit(self, edit: _Edit) -> None:
-        """Change an obstacle, on the mailbox's thread. While it is dragged, a refusal is not reported."""
-        if edit.typed_at is not None:
-            time.sleep(_PAUSE)
-            if self._touched != edit.typed_at:  # the number was not complete
-                return
-
-        def alter(source: Any) -> None:
-            world, key = _world(source), edit.key
-            if key is None or (obstacle := obstacle_at(world, key)) is None:
-                raise UserError("Select an obstacle first: the one that was selected is not in this world.")
-            source.set_world(with_obstacle(world, edit.change(obstacle), key))
-
-        is_refused = self._controls.alter(alter, quiet=edit.is_dragged).exception() is not None
-        if edit.typed_at is not None and self._touched == edit.typed_at:
+    def _use_typed(self, _: None) -> None:
+        """Use the numbers that were typed, on the mailbox's thread, once they stay the same or another is selected."""
+        while (rest := self._touched + _PAUSE - time.monotonic()) > 0.0:
+            time.sleep(rest)
+        typed_at = self._touched
+        with self._lock:
+            typed, self._typed = self._typed, {}
+        for (key, _label), change in typed.items():
+            self._alter(key, change).exception()
+        if self._touched == typed_at:
             self._touched = -_HOLD  # show what is in the world now
-        if is_refused and not edit.is_dragged:
+        self.page.refresh()
+
+    def _drag(self, move: tuple[ObstacleKey | None, tuple[float, ...], bool]) -> None:
+        """Move an obstacle, on the mailbox's thread. While it is dragged, a refusal is not reported."""
+        key, place, is_dragged = move
+        error = self._alter(key, lambda obstacle: obstacle.moved(place), quiet=is_dragged).exception()
+        if error is not None and not is_dragged:
             self._dragged = -_HOLD
         self.page.refresh()
         self.page.refresh_after(1.1 * _HOLD)  # while time stands still, no frame would show an earlier tick
 
+    def _alter(
+        self, key: ObstacleKey | None, change: Callable[[Obstacle], Obstacle | None], *, quiet: bool = False
+    ) -> Future[Any]:
+        """Change an obstacle, or remove it if `change` returns None."""
+
+        def alter(source: Any) -> None:
+            world = _world(source)
+            if key is None or (obstacle := obstacle_at(world, key)) is None:
+                raise UserError("Select an obstacle first: the one that was selected is not in this world.")
+            source.set_world(with_obstacle(world, change(obstacle), key))
+
+        return self._controls.alter(alter, quiet=quiet)
+
     def close(self) -> None:
-        self._edits.close()
+        self._numbers.close()
+        self._drags.close()
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         is_offered = source.closed_loop and source.world is not None
@@ -258,13 +268,14 @@ def _drone_and_heading(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     return drone, across / max(float(np.linalg.norm(across)), 1e-9)
 
 
-def _ahead(frame: Frame) -> np.ndarray:
+def _end_of_plan(frame: Frame) -> np.ndarray:
     """Return the end of the plan, or a place beyond it so that the drone is not in the obstacle [m], shape [3]."""
     drone, heading = _drone_and_heading(frame)
     end = np.asarray(frame.plan.positions[int(frame.plan.best), -1], dtype=np.float64)
     return end if np.linalg.norm(end - drone) >= _THROWN_FARTHER_THAN else drone + _THROWN_FARTHER_THAN * heading
 
 
-def _beside(frame: Frame) -> np.ndarray:
+def _ahead_on_left(frame: Frame) -> np.ndarray:
+    """Return the place `_ADDED_AT` from the drone [m], shape [3]."""
     drone, heading = _drone_and_heading(frame)
     return drone + _ADDED_AT[0] * heading + _ADDED_AT[1] * np.array((-heading[1], heading[0], 0.0))
