@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from small_source import small_config, small_source
+from websockets.sync.connection import Connection
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.configuration import Baseline, differences
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
@@ -49,28 +51,46 @@ class WaitingSession(Session):
         return super().configure(change)
 
 
+def upload(dashboard: Dashboard, client: Connection, content: bytes) -> None:
+    """Send a file as the button for it does."""
+    controls = dashboard.server.gui._gui_input_handle_from_uuid
+    button = next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == "Upload YAML")
+    send(
+        client, type="FileTransferStartUpload", source_component_uuid=button, transfer_uuid="a",
+        filename="a.yaml", mime_type="", part_count=1, size_bytes=len(content),
+    )  # fmt: skip
+    send(
+        client, type="FileTransferPart", source_component_uuid=button, transfer_uuid="a", part_index=0,
+        content=content,
+    )  # fmt: skip
+
+
+def test_an_uploaded_file_keeps_what_is_known_about_the_flight():
+    session = Session(small_source(), config=small_config())
+    session.tick()
+    dashboard = Dashboard(session, port=0)
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        upload(dashboard, client, b"costs:\n  q_track: 7.5\n")
+        wait_for(lambda: session.config.costs.q_track == 7.5, "the configuration")
+    changed = PlannerConfig().replace({"costs.q_track": 7.5})
+    assert session.config == config_for_flight(changed, session.source) != changed
+    dashboard.close()
+    session.close()
+
+
 def test_the_page_answers_while_an_uploaded_file_is_read():
     session = WaitingSession(small_source(), config=small_config())
     dashboard = Dashboard(session, port=0)
-    controls = dashboard.server.gui._gui_input_handle_from_uuid
-    upload = next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == "Upload YAML")
     box = dashboard.server.gui.add_checkbox("box", False)
 
     @box.on_update
     async def _(_: object) -> None:
         session.may_configure.set()
 
-    content = b"costs:\n  q_track: 7.5\n"
     with join(dashboard.server) as client:
         send(client, **CAMERA)
-        send(
-            client, type="FileTransferStartUpload", source_component_uuid=upload, transfer_uuid="a",
-            filename="a.yaml", mime_type="", part_count=1, size_bytes=len(content),
-        )  # fmt: skip
-        send(
-            client, type="FileTransferPart", source_component_uuid=upload, transfer_uuid="a", part_index=0,
-            content=content,
-        )  # fmt: skip
+        upload(dashboard, client, b"costs:\n  q_track: 7.5\n")
         wait_for(session.is_asked.is_set, "the file to be read")
         send(client, type="GuiUpdateMessage", uuid=box._impl.uuid, updates={"value": True})
         wait_for(lambda: session.config.costs.q_track == 7.5, "the configuration")

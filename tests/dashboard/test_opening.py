@@ -1,6 +1,7 @@
 """Opening of sources from the page, with real files and a real websocket."""
 
 import os
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -10,10 +11,11 @@ from types import SimpleNamespace
 import pytest
 from small_source import small_config, small_source
 
-from aero_viz.catalog import open_source
+from aero_viz.catalog import open_source, shipped_recordings
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.folders import Folders
 from aero_viz.errors import UserError
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.reader_process import Reader, read_here
 from aero_viz.scenes import World
 from aero_viz.session import Session
@@ -86,6 +88,19 @@ def test_a_world_in_the_folder_is_opened(desk, folder):
     before = desk.session.source
     open_path(desk, "poles.json")  # relative to the folder
     wait_for(lambda: desk.session.source is not before, "the world again")
+
+
+def test_what_the_planner_knows_is_that_of_the_flight_and_nothing_for_a_recording(desk, folder):
+    recording, _ = shipped_recordings()["forest_mid360"]
+    shutil.copy(recording, folder)
+    for name in ("poles.json", recording.name, "poles.json"):
+        before = desk.session.source
+        open_path(desk, name)
+        wait_for(lambda before=before: desk.session.source is not before, name)
+        known = config_for_flight(small_config(), desk.session.source)
+        wait_for(lambda known=known: desk.session.config == known, "the configuration")
+        wait_for(nothing_is_being_opened, "the end of the opening")
+        assert (desk.session.config == small_config()) is (name == recording.name)
 
 
 def test_a_malformed_file_is_explained_in_the_terminal_only(desk, folder, caplog):

@@ -178,7 +178,8 @@ class ConfigurationPanel(Panel):
 
     def _load(self, file: viser.UploadedFile) -> None:
         config, onboard = parse_upload(file)
-        self._controls.configure(config)
+        frame = self.session.frame
+        self._controls.configure(config if frame is None else config_for_flight(config, frame.source))
         self._onboard = onboard
 
     def _config(self) -> PlannerConfig:

@@ -94,7 +94,7 @@ class ParameterPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         config, query, level = self.session.config, self._search.value.strip(), self._level.value
-        shown = (config, self._baseline.config, frame.source.settings, query, level)
+        shown = (config, self._baseline.config, frame.source, query, level)
         if shown == self._shown:
             return []
         self._shown, preset = shown, self._baseline.config_for(frame)

@@ -250,8 +250,8 @@ class SourcePanel(Panel):
         return False
 
     def _plan_as_known(self, before: Frame | None, source: Source) -> None:
-        """Let the planner know the field of view of another LiDAR and the top of another world."""
-        if before is None or not (before.source.closed_loop and source.info.closed_loop):
+        """Let the planner know what is known about another flight; nothing is known about a recording."""
+        if before is None:
             return
         known = config_for_next_flight(self.session.config, before=before.source, after=source.info)
         if known != self.session.config:
