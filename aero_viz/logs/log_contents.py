@@ -7,6 +7,7 @@ whatever a file contains.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -73,12 +74,13 @@ class LogContents:
     """Time of the log [ns] and place [m] of each goal."""
     plans: list[LoggedPlan] = field(default_factory=list)
     damaged: int = 0
-    """Number of goals and plans that were left out because their numbers are impossible."""
+    """Number of goals, plans and poses that were left out because their numbers are impossible."""
 
     @property
     def damage(self) -> str:
         """Sentence on what was left out, empty if nothing was."""
-        return f"{self.damaged} goals and plans of the log have impossible numbers: left out." if self.damaged else ""
+        found = f"{self.damaged} goals, plans and poses of the log have impossible numbers: left out."
+        return found if self.damaged else ""
 
     def world(self, name: str = "world.json") -> World | None:
         """Return the world of the flight, or another one that is attached by name; None if it is not in the log.
@@ -194,8 +196,11 @@ def _add(contents: LogContents, topic: str, stamp: int, message: Any) -> bool:
         contents.goals += [(stamp, place)] if np.isfinite(place).all() else []
         return bool(np.isfinite(place).all())
     place, speed = message.pose.pose.position, message.twist.twist.linear
+    pose = place.x, place.y, place.z, math.hypot(speed.x, speed.y, speed.z)
+    if not all(map(math.isfinite, pose)):
+        return False
     contents.pose_stamps.append(stamp)
-    contents.poses.append((place.x, place.y, place.z, float(np.linalg.norm((speed.x, speed.y, speed.z)))))
+    contents.poses.append(pose)
     return True
 
 

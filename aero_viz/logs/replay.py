@@ -101,8 +101,6 @@ class FlightReplay(RecordingSource):
             return (0.0 if first is None else (stamp - first) * 1e-9) + self.start
 
         self._goals = [(source_time(stamp), place) for stamp, place in contents.goals]
-        changes = ((stamp, contents.world(name)) for name, stamp in contents.stamps.items() if "world_change" in name)
-        self._changes = [(source_time(stamp), world) for stamp, world in changes if world is not None]
         self._plans = [
             RecordedPlan(
                 time=source_time(plan.stamp),
@@ -116,3 +114,6 @@ class FlightReplay(RecordingSource):
             for plan in contents.plans
             if len(plan.path)
         ]
+        changes = ((stamp, contents.world(name)) for name, stamp in contents.stamps.items() if "world_change" in name)
+        found = [(source_time(stamp), world) for stamp, world in changes if world is not None]
+        self._changes = sorted(found, key=lambda change: change[0])

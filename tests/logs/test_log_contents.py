@@ -6,16 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
 from small_source import small_config, small_source
 
 from aero_viz.catalog import open_source
 from aero_viz.cli import main
 from aero_viz.errors import UserError
 from aero_viz.logs import flight_recorder
-from aero_viz.logs.comparison import compare_logs
+from aero_viz.logs.comparison import LoggedFlight, compare_logs
 from aero_viz.logs.replay import FlightReplay
 from aero_viz.session import Session
 
@@ -105,7 +107,23 @@ def test_plans_with_impossible_numbers_are_left_out_and_counted(whole, tmp_path)
         return data[:best] + struct.pack("<i", 1 << 30) + data[best + 4 :]
 
     source = replay(rewrite(whole, tmp_path / "a.mcap", change=change))
-    assert "3 goals and plans of the log have impossible numbers: left out." in source.info.notices
+    assert "3 goals, plans and poses of the log have impossible numbers: left out." in source.info.notices
+
+
+def test_poses_with_impossible_numbers_are_left_out_of_a_comparison(whole, tmp_path):
+    store, name, count = get_typestore(Stores.ROS2_HUMBLE), "nav_msgs/msg/Odometry", 0
+
+    def change(topic: str, data: bytes) -> bytes:
+        nonlocal count
+        count += topic == "/odometry"
+        if topic != "/odometry" or count != 4:
+            return data
+        message: Any = store.deserialize_cdr(data, name)
+        message.pose.pose.position.x = np.nan
+        return bytes(store.serialize_cdr(message, name))
+
+    flight = LoggedFlight.read(rewrite(whole, tmp_path / "a.mcap", change=change))
+    assert all(np.isfinite(column).all() for column in flight.columns.values())
 
 
 def test_a_log_that_expands_to_gigabytes_is_played_without_its_plans(whole, tmp_path):
