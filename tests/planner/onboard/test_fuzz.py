@@ -14,7 +14,7 @@ GROWTH = 64
 @pytest.mark.parametrize("name", PORTS)
 def test_no_input_from_the_network_breaks_a_parser(name: str, tmp_path: Path):
     port, path = PORTS[name], tmp_path / name
-    count, accepted, start = 14 if port.inputs > 1 else 1000, 0, 0.0
+    count, accepted, start = 27 if port.inputs > 1 else 1000, 0, 0.0
     for number in range(count):
         path.write_bytes(port.generate(np.random.default_rng([1, number])))
         try:
