@@ -190,7 +190,7 @@ def serve_flight(
     lidar: str,
     seed: int,
     device: str,
-    log: OptionalPath,
+    log: OptionalPath = None,
     study: StudyFlags = _STUDY,
 ) -> None:
     """Serve the page of a flight until Ctrl-C or SIGTERM. The page offers the conditions of the flags at first."""

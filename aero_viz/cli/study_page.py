@@ -3,48 +3,44 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import multiprocessing
 import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
+from functools import partial
 from multiprocessing.process import BaseProcess
 
-from aero_planner import PlannerConfig
-from aero_viz.cli.flags import FlightFlags, WorldFlags
-from aero_viz.cli.serving import PageFlags, StudyFlags, shutdown_event
+from aero_viz.cli.serving import StudyFlags, shutdown_event
+from aero_viz.errors import UserError
 
 
 class StudyPage:
-    """Serves the page of a study until `wait` or `close`. The flight on the page is paused: the search needs the cores.
+    """Serves the page of a study until `wait` or `close`.
 
     A process of its own neither slows the search nor shares its device memory, and Ctrl-C does not reach it.
+
+    Args:
+        serve: serves a page that shows `study`, until SIGTERM. It can be pickled.
     """
 
-    def __init__(
-        self,
-        world: str,
-        world_flags: WorldFlags,
-        flight_flags: FlightFlags,
-        config: PlannerConfig,
-        page_flags: PageFlags,
-        *,
-        lidar: str,
-        seed: int,
-        device: str,
-    ) -> None:
-        self._flags = world, world_flags, flight_flags, config, dataclasses.replace(page_flags, paused=True)
-        self._options = {"lidar": lidar, "seed": seed, "device": device}
+    def __init__(self, serve: Callable[..., None]) -> None:
+        self._serve = serve
         self._process: BaseProcess | None = None
 
     def open(self, study: StudyFlags) -> None:
-        """Serve the page."""
-        process = multiprocessing.get_context("spawn").Process(
-            target=_serve, args=(self._flags, {**self._options, "study": study}), name="aero-viz-page"
+        """Serve the page. Must be called in the main thread."""
+        self._process = multiprocessing.get_context("spawn").Process(
+            target=_run, args=(partial(self._serve, study=study),), name="aero-viz-page"
         )
-        process.start()
-        self._process = process
+        handler = signal.signal(
+            signal.SIGINT, signal.SIG_IGN
+        )  # inherited, for Ctrl-C during the imports of the process
+        try:
+            self._process.start()
+        finally:
+            signal.signal(signal.SIGINT, handler)
 
     def wait(self) -> None:
         """Serve the page until Ctrl-C or SIGTERM, or until it has ended."""
@@ -59,14 +55,15 @@ class StudyPage:
             self._process.join()
 
 
-def _serve(flags: tuple[str, WorldFlags, FlightFlags, PlannerConfig, PageFlags], options: dict[str, object]) -> None:
+def _run(serve: Callable[[], None]) -> None:
     """Serve the page in this process, which ends with its parent. What it prints goes to stderr."""
     os.setpgid(0, 0)  # Ctrl-C in the terminal ends the search only
     threading.Thread(target=_follow_parent, daemon=True).start()
-    from aero_viz.cli.page import serve_flight
-
     with contextlib.redirect_stdout(sys.stderr):
-        serve_flight(*flags, log=None, **options)  # type: ignore[arg-type]
+        try:
+            serve()
+        except UserError as error:
+            print(f"aero-viz: {error} The search goes on without the page.")
 
 
 def _follow_parent() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -23,6 +24,7 @@ from aero_viz.cli.flags import (
     WorldName,
 )
 from aero_viz.cli.output import print_json, progress_bar
+from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, StudyFlags
 from aero_viz.errors import UserError
 
@@ -44,7 +46,7 @@ def tune(
     generation: int = 16,
     sampler: Literal["auto", "tpe", "cmaes", "nsga2", "random"] = "auto",
     check: OptionalInt = None,
-    storage: str = "sqlite:///results/tune.db",
+    storage: str = StudyFlags.storage,
     study: OptionalText = None,
     output: OptionalPath = None,
     overwrite: bool = False,
@@ -120,8 +122,9 @@ def tune(
         stack.callback(executor.close)
         shown = None
         if page:
-            flags = (world, world_flags, flight_flags, config, page_flags)
-            shown = StudyPage(*flags, lidar=lidar, seed=seed, device=device)
+            # The flight on the page is paused, because the search needs the cores.
+            flags = (world, world_flags, flight_flags, config, dataclasses.replace(page_flags, paused=True))
+            shown = StudyPage(partial(serve_flight, *flags, lidar=lidar, seed=seed, device=device))
             stack.callback(shown.close)
         try:
             with progress_bar() as update_bar:

@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+import socket
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,16 @@ def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Pa
     assert code == 130 and "Traceback" not in shown
     assert "Warning: the search was interrupted before the check" in printed and printed.endswith(f"{path}\n")
     assert load_config(path).vehicle.speed_limit > 1.0
+
+
+def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, tmp_path: Path):
+    few = ["--flights", "1", "--rungs", "1", "--trials", "1", "--check", "1", "--rules.time-limit", "0.1"]
+    with socket.socket() as occupant:
+        occupant.bind(("127.0.0.1", 0))
+        page = ["--storage", f"sqlite:///{tmp_path}/tune.db", "--page", "--port", str(occupant.getsockname()[1])]
+        code, printed, shown = run_in_terminal("tune", short_poles, *CRIPPLED, *few, *page)
+    assert code == 0 and "No candidate was better" in printed
+    assert "is not available" in shown and "The search goes on without the page." in shown and "Traceback" not in shown
 
 
 @pytest.mark.parametrize(
