@@ -13,11 +13,10 @@ from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search import SearchOptions, tune
 from aero_viz.evaluation.tune.search_space import ParameterRange, parse_ranges
 from aero_viz.evaluation.tune.stored_study import StoredStudy
-from aero_viz.evaluation.tune.study import DEFAULT_STORAGE, Sampler
+from aero_viz.evaluation.tune.study import Sampler
 from aero_viz.evaluation.tune.tuning_result import Candidate, Check, Score, TuningResult
 
 __all__ = [
-    "DEFAULT_STORAGE",
     "Candidate",
     "Check",
     "FlightOptions",

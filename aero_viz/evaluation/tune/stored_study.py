@@ -17,7 +17,7 @@ from aero_planner.config.parameter import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.evaluation.statistics import mean_interval, wilson_interval
 from aero_viz.evaluation.tune.objectives import UNITS, Objective, front_values, measure
-from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, flight_count, require_optuna
+from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, first_line, flight_count, require_optuna
 from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials, pareto_front
 from aero_viz.evaluation.tune.tuning_result import Candidate
 
@@ -118,10 +118,12 @@ class StoredStudy:
         except UserError:
             raise
         except Exception as error:  # SQLAlchemy and drivers of databases raise exceptions of their own
-            raise UserError(f"Cannot read the storage {storage} of Optuna: {_first_line(error)}") from error
+            raise UserError(f"Cannot read the storage {storage} of Optuna: {first_line(error)}") from error
         self._where = f"The study {name!r} in {storage}"
         self._seen: Any = None
         self._view: StudyView | None = None
+        self._importance: tuple[Importance, ...] = ()
+        self._importance_trials = 0
         self.read()
 
     def read(self) -> StudyView:
@@ -142,10 +144,10 @@ class StoredStudy:
             is_own = DEFINITION in attributes
             what = "is damaged, or of another version" if is_own else "was not made by aero-viz tune"
             raise UserError(
-                f"{self._where} {what} ({_first_line(error)}); choose another --study, or fly a new one."
+                f"{self._where} {what} ({first_line(error)}); choose another --study, or fly a new one."
             ) from error
         except Exception as error:
-            raise UserError(f"{self._where} cannot be read: {_first_line(error)}") from error
+            raise UserError(f"{self._where} cannot be read: {first_line(error)}") from error
 
     def _read(self, attributes: Mapping[str, Any]) -> StudyView:
         problem = Problem.from_definition(attributes[DEFINITION])
@@ -162,8 +164,24 @@ class StoredStudy:
             progress=min((len(finished) + flying / size) / max(asked, 1), 1.0),
             axes=(ARRIVED, *(_axis(name) for name in problem.objectives)),
             points=_points(results.complete, problem.objectives),
-            importance=tuple(_importance(self._study)),
+            importance=self._estimate_importance(is_final=len(finished) >= asked),
         )
+
+    def _estimate_importance(self, *, is_final: bool) -> tuple[Importance, ...]:
+        """Return the importance of the parameters, estimated anew once there are a tenth more candidates.
+
+        This takes seconds for some hundred candidates, on a machine that may fly at the same time.
+        """
+        trials = [
+            trial
+            for trial in self._study.get_trials(deepcopy=False)
+            if trial.state.name == "COMPLETE" and all(map(math.isfinite, trial.values))
+        ]
+        count, before = len(trials), self._importance_trials
+        if count >= _LEAST_TRIALS and (count >= 1.1 * before or (is_final and count > before)):
+            self._importance = tuple(_importance(trials, self._study.directions))
+            self._importance_trials = count
+        return self._importance
 
 
 def _check_sqlite(path: Path) -> None:
@@ -177,13 +195,9 @@ def _check_sqlite(path: Path) -> None:
         finally:
             database.close()
     except sqlite3.Error as error:
-        raise UserError(f"{path} is no storage of studies: {error}; give another --storage.") from error
+        raise UserError(f"{path} cannot be read as a storage of studies: {error}; give another --storage.") from error
     if "studies" not in tables:
         raise UserError(f"{path} is a database without studies of Optuna; give another --storage.")
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 def _axis(objective: Objective) -> str:
@@ -214,18 +228,15 @@ def _estimates(candidate: Candidate, objectives: Sequence[Objective]) -> dict[st
     return estimates
 
 
-def _importance(study: optuna.Study) -> list[Importance]:
+def _importance(
+    trials: Sequence[optuna.trial.FrozenTrial], directions: Sequence[optuna.study.StudyDirection]
+) -> list[Importance]:
     """Return the importance of each parameter by PED-ANOVA, with its spread over resampled candidates."""
     optuna = require_optuna()
-    trials = [
-        t for t in study.get_trials(deepcopy=False) if t.state.name == "COMPLETE" and all(map(math.isfinite, t.values))
-    ]
-    if len(trials) < _LEAST_TRIALS:
-        return []
     evaluator = optuna.importance.PedAnovaImportanceEvaluator(target_quantile=_BEST_SHARE)
 
     def shares(chosen: Sequence[optuna.trial.FrozenTrial]) -> dict[str, float]:
-        copy = optuna.create_study(directions=study.directions)
+        copy = optuna.create_study(directions=directions)
         copy.add_trials(chosen)
         return optuna.importance.get_param_importances(copy, evaluator=evaluator)
 

@@ -16,7 +16,6 @@ from aero_viz.flight import FlightResult
 if TYPE_CHECKING:
     import optuna
 
-DEFAULT_STORAGE = "sqlite:///results/tune.db"
 Sampler = Literal["auto", "tpe", "cmaes", "nsga2", "random"]
 DEFINITION, INCUMBENT, TRIALS = "definition", "incumbent", "trials"
 """Attributes of a study: what it searches, the flights of the incumbent, and the number of candidates asked for."""
@@ -68,8 +67,7 @@ def open_study(
             load_if_exists=True,
         )
     except Exception as error:  # SQLAlchemy and drivers of databases raise exceptions of their own
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise UserError(f"Cannot open the storage {storage} of Optuna: {reason}") from error
+        raise UserError(f"Cannot open the storage {storage} of Optuna: {first_line(error)}") from error
     previous = study.user_attrs.get(DEFINITION)
     if previous is None:
         study.set_user_attr(DEFINITION, definition)
@@ -99,6 +97,11 @@ def require_optuna() -> Any:
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error's message, or its type if it has none."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 def _make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> optuna.samplers.BaseSampler:

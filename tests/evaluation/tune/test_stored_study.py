@@ -102,7 +102,7 @@ def test_what_cannot_be_read_is_named_with_the_next_step(storage: str, tmp_path:
     assert not absent.exists()
     text = tmp_path / "text.db"
     text.write_text("no database, but long enough to look like one " * 20)
-    assert "text.db is no storage of studies: file is not a database" in refusal(f"sqlite:///{text}")
+    assert "text.db cannot be read as a storage of studies: file is not a database" in refusal(f"sqlite:///{text}")
     other = tmp_path / "other.db"
     with sqlite3.connect(other) as database:
         database.execute("CREATE TABLE birds (name TEXT)")
