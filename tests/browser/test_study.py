@@ -58,7 +58,7 @@ def test_a_point_of_the_front_becomes_b_and_the_page_follows_the_study(browser, 
             assert session.config.vehicle.speed_limit == expected.vehicle.speed_limit
         desk.wait_for(lambda: session.comparison.frame is not None, "a plan of A")
         desk.wait_for(lambda: session.frame.config == session.config, "a plan of B")
-        desk.control("Up").locator("input").first.click()
+        desk.control("y axis").locator("input").first.click()
         desk.page.get_by_role("option", name="arrived [%]").click()
         desk.page.locator(".aero-front").wait_for()
         fly(storage, trials=10)

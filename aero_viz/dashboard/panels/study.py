@@ -50,8 +50,8 @@ class StudyPanel(Panel):
         axes = list(self._view.axes)
         self._state = gui.add_html("")
         self._bar = gui.add_progress_bar(0.0, color="blue")
-        self._across = gui.add_dropdown("Across", axes, initial_value=axes[1])
-        self._up = gui.add_dropdown("Up", axes, initial_value=axes[2] if len(axes) > 2 else axes[0])
+        self._x_axis = gui.add_dropdown("x axis", axes, initial_value=axes[1])
+        self._y_axis = gui.add_dropdown("y axis", axes, initial_value=axes[2] if len(axes) > 2 else axes[0])
         self.front = gui.add_html("")
         """The Pareto front."""
         hint = "Use this candidate as B, and compare it with the present configuration, A."
@@ -65,7 +65,7 @@ class StudyPanel(Panel):
                 # The session plans with B, and the event loop serves all pages.
                 await asyncio.to_thread(self.page.attempt, lambda: self._compare(index), event.client)
 
-        for choice in (self._across, self._up):
+        for choice in (self._x_axis, self._y_axis):
 
             @choice.on_update
             async def _(_: viser.GuiEvent) -> None:
@@ -76,7 +76,7 @@ class StudyPanel(Panel):
         self._thread.join()
 
     def update_without_frame(self) -> list[Change]:
-        view, axes = self._view, (self._across.value, self._up.value)
+        view, axes = self._view, (self._x_axis.value, self._y_axis.value)
         shown = view, axes, self.session.config, self._error
         if shown == self._shown:
             return []
@@ -115,7 +115,7 @@ class StudyPanel(Panel):
                 self.page.refresh()
 
     def _compare(self, index: int) -> None:
-        front = _clickable(self._view, self._across.value)
+        front = _clickable(self._view, self._x_axis.value)
         if index < len(front):
             self._controls.compare_with(self._config(front[index])).result()
 
@@ -152,8 +152,8 @@ def _legend(view: StudyView) -> str:
     if not view.points:
         return markup.muted("No candidate has flown in all worlds yet.")
     return markup.muted(
-        "Green: candidates that no other one beats; click one to make it B. Grey: the others that flew in all worlds. "
-        "Square: the incumbent. Lines: 95 % intervals."
+        f"Green: candidates that no other one beats, at most {_BUTTONS}; click one to make it B. Grey: the others that "
+        "flew in all worlds. Square: the incumbent. Lines: 95 % intervals."
     )
 
 
@@ -214,7 +214,7 @@ def _mark(
 
     place = x(across.value), y(up.value)
     name = "incumbent" if point.trial is None else f"trial {point.trial}"
-    intervals = ", ".join(f"{a} {e.value:.3g} ({e.low:.3g} to {e.high:.3g})" for a, e in point.estimates.items())
+    intervals = ", ".join(f"{axis} {estimate}" for axis, estimate in point.estimates.items())
     tooltip = f"<title>{markup.text(f'{name}: {intervals}')}</title>"
     if point.trial is None:
         corner = f'x="{place[0] - 4:.1f}" y="{place[1] - 4:.1f}" width="8" height="8"'
