@@ -335,7 +335,7 @@ class FlightSource:
     def _set_sweeps(self, sweeps: tuple[Sweep, ...]) -> None:
         """Make the cloud of these sweeps, oldest first."""
         self._sweeps = sweeps
-        self._cloud = Sweeps((self._cache.points_of(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
+        self._cloud = Sweeps((self._cache.points(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
         numbers = np.array([sweep.scans[-1].sweep for sweep in sweeps])
         self._sweep_times = (numbers + 1) / self.simulator.lidar.model.sweep_rate
         self._observation = None

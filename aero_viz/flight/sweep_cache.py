@@ -58,7 +58,7 @@ class SweepCache:
         self._adopted: dict[int, tuple[Sweep, Sweep]] = {}
         """Sweeps of another source by their id, each with its copy."""
 
-    def points_of(self, sweep: Sweep) -> Cloud:
+    def points(self, sweep: Sweep) -> Cloud:
         """Return the points of a sweep, and cache them."""
         if sweep.points is None:
             sweep.points = join_returns([self._measure(scan) for scan in sweep.scans])

@@ -73,7 +73,7 @@ class Notice:
     """One or more sentences."""
 
 
-def sentence_of_end(name: str, outcome: str, explanation: str | None) -> str:
+def end_sentence(name: str, outcome: str, explanation: str | None) -> str:
     """Return how a source has ended, by its name, its outcome and its explanation."""
     ending = {
         "arrived": "arrived at the goal.",

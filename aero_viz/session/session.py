@@ -19,7 +19,7 @@ from aero_viz.session.command_queue import USER_MISTAKES, CommandQueue
 from aero_viz.session.comparison import Comparison
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
-from aero_viz.session.frame import Frame, sentence_of_end
+from aero_viz.session.frame import Frame, end_sentence
 from aero_viz.session.source import Source, SourceInfo
 from aero_viz.session.timeline import Checkpoint
 
@@ -320,7 +320,7 @@ class Session(BaseSession):
             self._set_playing(False)
             if self._announced_epoch != frame.epoch:
                 self._announced_epoch = frame.epoch
-                text = sentence_of_end(self.source.name, outcome, frame.explanation)
+                text = end_sentence(self.source.name, outcome, frame.explanation)
                 self.notify(text, level="info" if outcome in ("arrived", "end") else "failure")
         return frame
 
