@@ -143,11 +143,6 @@ class ObstaclePanel(Panel):
         if frame is not None and frame.world is not None:
             self._select(pick_obstacle(frame.world, event.ray_origin, event.ray_direction))
 
-    @property
-    def selected(self) -> ObstacleKey | None:
-        """The obstacle with the arrows."""
-        return self._selected
-
     def _select(self, key: ObstacleKey | None) -> None:
         self._selected, self._touched, self._dragged = key, -_HOLD, -_HOLD
         if isinstance(layer := self.page.layers.get("obstacles"), ObstacleLayer):
@@ -162,9 +157,8 @@ class ObstaclePanel(Panel):
 
     def remove(self) -> None:
         """Remove the selected obstacle."""
-        key = self.selected
-        if key is not None:
-            self._alter(key, lambda _: None)
+        if self._selected is not None:
+            self._alter(self._selected, lambda _: None)
             self._select(None)
 
     def _add(self, kind: str, place: Callable[[Frame], np.ndarray]) -> None:

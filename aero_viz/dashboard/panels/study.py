@@ -41,7 +41,7 @@ class StudyPanel(Panel):
         self._view = study.read()
         self._error = ""
         self._shown: tuple[object, ...] = ()
-        self._front: list[StudyPoint] = []
+        self._candidates: list[StudyPoint] = []
         """Points of the buttons, as they are shown."""
         self._ended = threading.Event()
         super().__init__(page)
@@ -83,7 +83,7 @@ class StudyPanel(Panel):
         if shown == self._shown:
             return []
         self._shown = shown
-        self._front = front = _clickable(view, axes[0])
+        self._candidates = front = _clickable(view, axes[0])
         chosen = next((point.trial for point in front if self._config(point) == self.session.config), None)
         changes: list[Change] = [
             (self._state, "content", markup.block(_state(view), self._error and markup.muted(self._error))),
@@ -117,8 +117,8 @@ class StudyPanel(Panel):
                 self.page.refresh()
 
     def _compare(self, index: int) -> None:
-        if index < len(self._front):
-            self._controls.compare_with(self._config(self._front[index])).result()
+        if index < len(self._candidates):
+            self._controls.compare_with(self._config(self._candidates[index])).result()
 
     def _config(self, point: StudyPoint) -> PlannerConfig:
         """Return the configuration of a candidate, with what is known about the present flight."""
