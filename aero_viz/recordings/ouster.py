@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import shutil
 import struct
 import tempfile
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
+from aero_viz.input_limits import expansion_limit
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import StampedCloud
@@ -83,8 +85,10 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
         spool, problem = Path(folder) / "sweeps", ""
         spool.touch()
         try:
-            process = ReaderProcess(Limits.for_file(path.stat().st_size))
-            decoded = process(_decode, str(path), str(metadata), str(spool), is_osf=is_osf)
+            size = path.stat().st_size
+            limit = min(expansion_limit(size), shutil.disk_usage(folder).free // 2)
+            process = ReaderProcess(Limits.for_file(size))
+            decoded = process(_decode, str(path), str(metadata), str(spool), limit, is_osf=is_osf)
             problem = decoded.problem
             for stamp, row in zip(decoded.imu_stamps, decoded.imu, strict=True):
                 imu.add(int(stamp), row[:3], row[3:])
@@ -116,8 +120,8 @@ def _spooled(file: BinaryIO) -> Iterator[StampedCloud]:
             yield StampedCloud(stamp, points, np.frombuffer(data, "<u4", offset=12 * count))
 
 
-def _decode(path: str, metadata: str, spool: str, *, is_osf: bool) -> _Decoded:
-    """Write the sweeps of a file to a temporary file."""
+def _decode(path: str, metadata: str, spool: str, limit: int, *, is_osf: bool) -> _Decoded:
+    """Write the sweeps of a file to a temporary file, until it has more than `limit` bytes."""
     samples: list[tuple[int, NDArray[np.float32], NDArray[np.float32]]] = []
     problem, luts = "", {}
     with open(spool, "wb") as file:
@@ -126,6 +130,8 @@ def _decode(path: str, metadata: str, spool: str, *, is_osf: bool) -> _Decoded:
                 if info.sn not in luts:
                     luts[info.sn] = _lookup(info)
                 _write_sweep(file, frame, luts[info.sn])
+                if file.tell() > limit:
+                    raise ValueError(f"its sweeps take more than {limit >> 20} MiB")
         except MemoryError:
             raise
         except Exception as error:  # the library fails in many ways on damaged files

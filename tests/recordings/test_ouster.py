@@ -86,6 +86,14 @@ def test_a_file_without_a_whole_sweep_is_refused(
 
 
 @needs_sdk
+def test_the_temporary_file_of_a_capture_is_limited(capture: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("aero_viz.recordings.ouster.expansion_limit", lambda stored: 600_000)
+    report = inspect(capture)
+    assert report.sweeps == 2
+    assert any("its sweeps take more than 0 MiB" in problem for problem in report.problems)
+
+
+@needs_sdk
 def test_the_metadata_are_the_json_file_with_the_most_similar_name(capture: Path):
     capture.with_suffix(".json").rename(capture.with_name("hall_0.json"))
     capture.with_name("hal.json").write_text('{"beam_altitude_angles": []}')
