@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from aero_viz.errors import UserError
 from aero_viz.logs.comparison import compare_logs
 from aero_viz.logs.replay import FlightReplay
 from aero_viz.recordings import Recording, RecordingSource, inspect, open_recording
-from aero_viz.scenes import World, load_map
+from aero_viz.scenes import World
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.map_files import read_map, read_solids
 
@@ -128,12 +127,6 @@ def config(path: Path) -> Reading:
         raise UserError(str(error)) from error
 
 
-def map_world(path: Path) -> None:
-    """Make the world of a map, with start and goal."""
-    opened = load_map(path)
-    assert np.isfinite(list(islice(opened.start, 3))).all()
-
-
 def port(path: Path) -> Reading:
     """Feed datagrams, a stream of bytes or a bundle to the parsers of the node."""
     try:
@@ -198,7 +191,6 @@ TARGETS: dict[str, Callable[[Path], Reading | None]] = {
     "log": flight_log,
     "report": report,
     "points": points,
-    "map": map_world,
     "poses": poses,
     "world": world,
     "config": config,

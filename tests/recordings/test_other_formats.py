@@ -168,11 +168,7 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
         ("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "--poses"),
         ("odd.bin", bytes(17), "no rows of 16"),
         ("cloud.dat", b"ply\nformat ascii 1.0\n", "rename it to cloud.ply"),
-        (
-            "empty.pcap",
-            b"\xd4\xc3\xb2\xa1" + bytes(16) + b"\1\0\0\0",
-            "no packets of a Livox",
-        ),
+        ("empty.pcap", b"\xd4\xc3\xb2\xa1" + bytes(16) + b"\1\0\0\0", "no packets of a Livox"),
     ],
 )
 def test_what_cannot_be_played_names_the_next_step(
