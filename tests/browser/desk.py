@@ -19,6 +19,7 @@ from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.dashboard.share import FlightFiles
 from aero_viz.evaluation.tune import StoredStudy
 from aero_viz.flight import FlightSource
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
 from aero_viz.session.source import Conditions, Opener, Source
@@ -45,6 +46,11 @@ class Desk:
         while not condition():
             assert time.monotonic() < deadline, f"waited {TIMEOUT} s for {description}"
             self.page.wait_for_timeout(30)
+
+    def known(self, config: PlannerConfig) -> PlannerConfig:
+        """The configuration with what the planner knows about the flight on the page."""
+        assert self.session.frame is not None
+        return config_for_flight(config, self.session.frame.source)
 
     def click(self, name: str) -> None:
         """Click the button with this name."""

@@ -33,9 +33,9 @@ def test_a_downloaded_file_restores_its_configuration_when_uploaded(fresh_desk, 
     assert load_config(path) == saved
 
     desk.click("reset all")
-    desk.wait_for(lambda: desk.session.config == DEFAULT, "the defaults")
+    desk.wait_for(lambda: desk.session.config == desk.known(DEFAULT), "the defaults")
     upload(desk, path)
-    desk.wait_for(lambda: desk.session.frame.config == saved, "a plan with the configuration of the file")
+    desk.wait_for(lambda: desk.session.frame.config == desk.known(saved), "a plan with the configuration of the file")
     field = desk.parameter("costs.q_track").locator("input")
     desk.wait_for(lambda: float(field.input_value()) == 7.5, "the slider to show it")
     assert desk.console == []
@@ -68,12 +68,12 @@ def test_presets_and_resets_set_the_configuration_that_they_name(fresh_desk):
     desk.click("Reset tracking and effort")
     desk.wait_for(lambda: desk.session.config == DEFAULT.replace({"candidates.brake": False}), "the default weights")
     desk.click("reset all")
-    desk.wait_for(lambda: desk.session.config == DEFAULT, "the default")
+    desk.wait_for(lambda: desk.session.config == desk.known(DEFAULT), "the default")
 
     for name in ("fast-cpu", "paper", "default"):
         preset.click()
         desk.page.get_by_role("option", name=name, exact=True).click()
-        chosen = PlannerConfig.preset(name)
+        chosen = desk.known(PlannerConfig.preset(name))
         desk.wait_for(lambda: desk.session.config == chosen, name)  # noqa: B023
         desk.wait_for(lambda: preset.input_value() == name, f"{name} to be shown")  # noqa: B023
 

@@ -110,14 +110,14 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser)
         session: Any = tomorrow.session
         tomorrow.open_tab("Tune")
         choose(tomorrow, "Preset", "narrow gap")
-        tomorrow.wait_for(lambda: session.config == saved, "its parameters")
+        tomorrow.wait_for(lambda: session.config == tomorrow.known(saved), "its parameters")
         tomorrow.wait_for(lambda: tuple(session.frame.observation.goal.position) == tuple(goal), "its goal")
         (PresetStore().folder / "narrow gap.yaml").write_text("costs:\n  q_trak: 1\n")
         choose(tomorrow, "Preset", "paper")
-        tomorrow.wait_for(lambda: session.config == PlannerConfig.preset("paper"), "another preset")
+        tomorrow.wait_for(lambda: session.config == tomorrow.known(PlannerConfig.preset("paper")), "another preset")
         choose(tomorrow, "Preset", "narrow gap")
         tomorrow.refusal("narrow gap.yaml, line 2").wait_for()
-        assert session.config == PlannerConfig.preset("paper")
+        assert session.config == tomorrow.known(PlannerConfig.preset("paper"))
 
 
 def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):

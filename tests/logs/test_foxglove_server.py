@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -48,6 +49,7 @@ def client(url: str) -> Iterator[tuple[Connection, dict[str, Any]]]:
         while not channels.keys() >= TOPICS:
             message = json.loads(connection.recv(timeout=30))
             channels |= {channel["topic"]: channel for channel in message.get("channels", ())}
+        time.sleep(0.5)  # the SDK announces a channel just before it accepts subscriptions to it
         wanted = [{"id": channel["id"], "channelId": channel["id"]} for channel in channels.values()]
         connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
         yield connection, {str(channel["id"]): channel for channel in channels.values()}

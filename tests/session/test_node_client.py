@@ -29,6 +29,7 @@ from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.parameters import ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
+from aero_viz.dashboard.panels.shortcuts import ShortcutPanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.errors import UserError
@@ -295,6 +296,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
             ChartPanel,
             LayerPanel,
             ParameterTablePanel,
+            ShortcutPanel,
             StatusPanel,
             VisitorPanel,
         }

@@ -14,6 +14,7 @@ from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.panels.configuration import Baseline
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
+from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -97,15 +98,17 @@ class ParameterPanel(Panel):
         shown = (config, self._baseline.config, frame.source, query, level)
         if shown == self._shown:
             return []
-        self._shown, preset = shown, self._baseline.config_for(frame)
+        self._shown, preset = shown, self._baseline.config
+        plain = config_without_facts(config, frame.source)
         changes: list[Change] = []
         is_any = False
         for group in self._groups:
             are_visible = []
             for row in group.rows:
                 value, default = config.get(row.info.path), preset.get(row.info.path)
-                is_visible = row.matches(query) if query else self._is_shown(row, level, differs=value != default)
-                changes += row.show(value, default, visible=is_visible)
+                differs = plain.get(row.info.path) != default
+                is_visible = row.matches(query) if query else self._is_shown(row, level, differs=differs)
+                changes += row.show(value, default if differs else value, visible=is_visible)
                 are_visible.append(is_visible)
             changes.append((group.folder, "visible", any(are_visible)))
             is_any = is_any or any(are_visible)
