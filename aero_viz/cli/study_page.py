@@ -34,9 +34,8 @@ class StudyPage:
         self._process = multiprocessing.get_context("spawn").Process(
             target=_run, args=(partial(self._serve, study=study),), name="aero-viz-page"
         )
-        handler = signal.signal(
-            signal.SIGINT, signal.SIG_IGN
-        )  # inherited, for Ctrl-C during the imports of the process
+        # The process inherits this, for Ctrl-C during its imports.
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             self._process.start()
         finally:

@@ -10,10 +10,12 @@ from typing import Any
 
 import viser
 
+from aero_planner import PlannerConfig
 from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -48,6 +50,11 @@ class Page:
         controls = self.session.controls
         if controls is not None:
             controls.set_samples(any(layer.needs_samples and layer.visible for layer in self.layers.values()))
+
+    def config_for_flight(self, config: PlannerConfig) -> PlannerConfig:
+        """Return `config` with what the planner knows about the flight that is shown."""
+        frame = self.session.frame
+        return config if frame is None else config_for_flight(config, frame.source)
 
     def attempt(self, action: Callable[[], Any], client: viser.ClientHandle | None = None) -> bool:
         """Run `action` and return True if it succeeded. A failure is shown to `client`, or to everyone."""

@@ -17,7 +17,7 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.preset_store import PresetStore
-from aero_viz.flight.known_drone import config_for_flight, config_without_facts
+from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -45,10 +45,6 @@ class Baseline:
         names = PlannerConfig.presets()
         name = next((name for name in names if PlannerConfig.preset(name) == config), "default")
         return cls(name, PlannerConfig.preset(name))
-
-    def config_for(self, frame: Frame | None) -> PlannerConfig:
-        """Return the configuration of the preset for the flight of a frame."""
-        return self.config if frame is None else config_for_flight(self.config, frame.source)
 
 
 class ConfigurationPanel(Panel):
@@ -98,7 +94,7 @@ class ConfigurationPanel(Panel):
             actions = {
                 "undo": self._controls.undo,
                 "redo": self._controls.redo,
-                "reset all": lambda: self._controls.configure(self._baseline.config_for(self.session.frame)),
+                "reset all": lambda: self._controls.configure(self.page.config_for_flight(self._baseline.config)),
             }
             self.page.attempt(actions[steps.value], event.client)
 
@@ -160,7 +156,7 @@ class ConfigurationPanel(Panel):
             saved = self._store.load(name)
             config, goal = saved.config, saved.goal
         self._baseline.name, self._baseline.config = name, config
-        self._controls.configure(self._baseline.config_for(self.session.frame))
+        self._controls.configure(self.page.config_for_flight(self._baseline.config))
         if goal is not None:
             self._controls.set_goal(goal)  # if it cannot be flown to here, the session says so
 
@@ -178,8 +174,7 @@ class ConfigurationPanel(Panel):
 
     def _load(self, file: viser.UploadedFile) -> None:
         config, onboard = parse_upload(file)
-        frame = self.session.frame
-        self._controls.configure(config if frame is None else config_for_flight(config, frame.source))
+        self._controls.configure(self.page.config_for_flight(config))
         self._onboard = onboard
 
     def _config(self) -> PlannerConfig:

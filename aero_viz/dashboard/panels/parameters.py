@@ -122,14 +122,14 @@ class ParameterPanel(Panel):
 
     def _reset(self, row: ParameterRow, client: viser.ClientHandle | None) -> None:
         self._refill([row])
-        preset = self._baseline.config_for(self.session.frame)
+        preset = self.page.config_for_flight(self._baseline.config)
         self._configure([row], {row.info.path: preset.get(row.info.path)}, client)
 
     def _on_reset(self, button: viser.GuiButtonHandle, rows: Sequence[ParameterRow]) -> None:
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
             self._refill(rows)
-            preset = self._baseline.config_for(self.session.frame)
+            preset = self.page.config_for_flight(self._baseline.config)
             self._configure(rows, {row.info.path: preset.get(row.info.path) for row in rows}, event.client)
 
     def _refill(self, rows: Sequence[ParameterRow]) -> None:

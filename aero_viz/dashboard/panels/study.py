@@ -16,7 +16,6 @@ from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.errors import UserError
-from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -122,8 +121,7 @@ class StudyPanel(Panel):
 
     def _config(self, point: StudyPoint) -> PlannerConfig:
         """Return the configuration of a candidate, with what is known about the present flight."""
-        frame = self.session.frame
-        return point.config if frame is None else config_for_flight(point.config, frame.source)
+        return self.page.config_for_flight(point.config)
 
 
 def _clickable(view: StudyView, axis: str) -> list[StudyPoint]:
