@@ -48,9 +48,12 @@ def test_a_layer_is_drawn_only_while_it_is_visible(desk, name, color, least):
 def test_the_goal_is_drawn_at_the_goal(desk):
     goal = np.asarray(desk.session.frame.observation.goal.position)
     desk.dashboard.show_only(["goal"])
-    image = desk.render(np.add(goal, (-5.0, 0.0, 0.5)), goal)
-    assert image[300, 320, 0] > 100, "red at the middle of the picture"
-    assert count(image, palette.GOAL) > 50
+
+    def is_drawn() -> bool:
+        image = desk.render(np.add(goal, (-5.0, 0.0, 0.5)), goal)
+        return image[300, 320, 0] > 100 and count(image, palette.GOAL) > 50
+
+    desk.wait_for(is_drawn, "red at the middle of the picture")
 
 
 def test_all_fifteen_rollouts_are_drawn_in_their_colours(desk):
@@ -58,9 +61,12 @@ def test_all_fifteen_rollouts_are_drawn_in_their_colours(desk):
     assert len(plan.positions) == 15
     desk.dashboard.show_only(["rollouts"])
     position, look_at = behind(desk)
-    image = desk.render(position, look_at)
-    found = rollouts_drawn(image, plan, position, look_at)
-    assert found.min() > 0.2, f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
+
+    def are_drawn() -> bool:
+        found = rollouts_drawn(desk.render(position, look_at), plan, position, look_at)
+        return found.min() > 0.2  # the share of each rollout's vertices that have its colour
+
+    desk.wait_for(are_drawn, "all rollouts in their colours")
 
 
 # For the switches of the page: layer, colour (None: any change), and the least number of pixels in a screenshot.

@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from aero_viz.dashboard import palette
+from tests.browser.pictures import Image, count, differing
+
 
 def status_text(desk) -> str:
     return desk.page.locator("body").inner_text()
@@ -19,7 +22,12 @@ def test_the_page_connects_and_shows_the_plan(desk):
 def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     desk.dashboard.show_only(["rollouts"])
     position = np.asarray(desk.session.frame.observation.state.position)
-    before = desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
+
+    def render() -> Image:
+        return desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
+
+    desk.wait_for(lambda: count(render(), palette.CHOSEN) > 60, "the rollouts")
+    before = render()
     value, version = desk.session.config.costs.q_track, desk.session.frame.config_version
     desk.open_tab("Tune")
     track = desk.slider("costs.q_track").locator(".mantine-Slider-trackContainer")
@@ -32,8 +40,7 @@ def test_dragging_a_slider_changes_the_configuration_and_the_picture(desk):
     desk.wait_for(lambda: desk.session.config.costs.q_track > 2.0 * value, "the new weight")
     desk.wait_for(lambda: desk.session.frame.config == desk.session.config, "a plan with the new weight")
     assert desk.session.frame.config_version > version
-    after = desk.render(np.add(position, (-3.0, 0.0, 2.0)), position)
-    assert (before != after).any(axis=-1).sum() > 200
+    desk.wait_for(lambda: differing(render(), before) > 200, "other rollouts")
     desk.page.get_by_role("button", name="undo").click()
     desk.wait_for(lambda: desk.session.config.costs.q_track == value, "the weight before")
 

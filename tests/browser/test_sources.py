@@ -118,8 +118,12 @@ def test_all_fifteen_rollouts_of_a_recording_are_drawn_in_their_colours(recordin
     middle = plan.positions[:, -1].mean(axis=0)
     away = (start - middle) / np.linalg.norm(start - middle)
     position, look_at = start + 3.0 * away + (0.0, 0.0, 2.0), start - 1.5 * away
-    found = rollouts_drawn(recording.render(position, look_at), plan, position, look_at)
-    assert (found > 0.2).all(), f"share of each rollout's vertices that have its colour: {np.round(found, 2)}"
+
+    def are_drawn() -> bool:
+        found = rollouts_drawn(recording.render(position, look_at), plan, position, look_at)
+        return found.min() > 0.2  # the share of each rollout's vertices that have its colour
+
+    recording.wait_for(are_drawn, "all rollouts in their colours")
 
 
 def test_a_recording_offers_only_the_layers_it_has_data_for(recording):
