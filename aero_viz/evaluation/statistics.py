@@ -55,6 +55,8 @@ class Summary:
     """Sample standard deviations of `METRICS` over the flights that arrived, None if fewer than two did."""
     plan_ms_median: float | None
     """Median over the batches of the time that a plan for the whole batch takes [ms]."""
+    plan_ms_range: tuple[float, float] | None
+    """Shortest and longest of these times [ms], None for fewer than two batches."""
     flights_per_minute: float | None
     """Flights per minute of wall time, None for flights of other planners."""
 
@@ -183,6 +185,7 @@ def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -
         mean={name: statistics.fmean(v) if v else None for name, v in values.items()},
         std={name: statistics.stdev(v) if len(v) > 1 else None for name, v in values.items()},
         plan_ms_median=statistics.median(plan_ms) if plan_ms else None,
+        plan_ms_range=(min(plan_ms), max(plan_ms)) if len(plan_ms) > 1 else None,
         flights_per_minute=60.0 * len(flights) / seconds if seconds > 0.0 else None,
     )
 

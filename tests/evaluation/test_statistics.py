@@ -52,7 +52,8 @@ def test_summary_of_flights():
     assert (line.flights, line.arrived, line.success_rate, line.passable) == (4, 2, 0.5, 0.5)
     assert line.mean["mean_speed"] == 5.0 and line.std["mean_speed"] == pytest.approx(2.0**0.5)
     assert line.reasons == {"arrived": 2, "collision": 2}
-    assert line.plan_ms_median == 2.5
+    assert line.plan_ms_median == 2.5 and line.plan_ms_range == (2.0, 3.0)
+    assert summarise(flights[:3], row="r", planner="p").plan_ms_range is None, "of one batch"
     # Three of the four flights of one batch and one of the other: 6 s and 2 s of their 8 s each.
     assert line.flights_per_minute == pytest.approx(60.0 * 4 / 8.0)
 

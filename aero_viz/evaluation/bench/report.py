@@ -177,7 +177,7 @@ def _metrics_table(benchmark: Benchmark, summaries: Sequence[Summary]) -> str:
     rows = []
     for summary in summaries:
         values = [_mean_std(summary, name) for name in METRICS]
-        rows.append([summary.row, summary.planner, *values, _number(summary.plan_ms_median, 2)])
+        rows.append([summary.row, summary.planner, *values, _plan_time(summary)])
         for paper in PUBLISHED:
             if summary.planner == OURS and paper.scene == published.get(summary.row):
                 rows.append(
@@ -210,7 +210,7 @@ def _throughput_table(run: Run, own: dict[str, Summary]) -> str:
             continue
         summary, first = own[row.label], flights[0]
         rows.append([row.label, _number(summary.flights_per_minute, 1), _number(first["run_s"], 1),
-                     _number(first["build_s"], 1), _number(summary.plan_ms_median, 2)])  # fmt: skip
+                     _number(first["build_s"], 1), _plan_time(summary)])  # fmt: skip
     return _markdown_table(["row", "flights per minute", "flying [s]", "building [s]", "plan of a batch [ms]"], rows)
 
 
@@ -251,7 +251,7 @@ def _conditions(run: Run) -> str:
         "\n\nA flight fails when the centre of the drone comes closer to a surface than its radius, when the drone "
         "makes no progress, or when it leaves the world or exceeds the time limit. In a world with a path, a ball of "
         "that radius can move from start to goal at about their height. Means are over the flights that arrived, ± one "
-        "standard deviation."
+        "standard deviation. The time of a plan is the median over the batches (and their range)."
     )
 
 
@@ -302,6 +302,11 @@ def _reasons(summary: Summary) -> str:
 def _mean_std(summary: Summary, name: str) -> str:
     mean, std = summary.mean[name], summary.std[name]
     return _number(mean) if std is None else f"{_number(mean)} ± {_number(std)}"
+
+
+def _plan_time(summary: Summary) -> str:
+    limits = summary.plan_ms_range
+    return _number(summary.plan_ms_median) + (f" ({limits[0]:.2f} to {limits[1]:.2f})" if limits else "")
 
 
 def _percent(value: float | None) -> str:
