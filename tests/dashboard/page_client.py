@@ -23,7 +23,9 @@ def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), *, path: 
     """Open a websocket to the server as the page does."""
     protocol: Any = f"viser-v{viser.__version__}"
     url = server.url.replace("http", "ws") + path
-    return connect(url, subprotocols=[protocol], max_size=None, additional_headers=headers, **options)
+    # A client that stops reading what it does not need would miss the answer when it closes, and wait for 10 s.
+    always_reads = {"max_size": None, "max_queue": None}
+    return connect(url, subprotocols=[protocol], additional_headers=headers, **always_reads, **options)
 
 
 def send(client: Connection, **message: Any) -> None:
