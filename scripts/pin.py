@@ -1,8 +1,8 @@
 """Update the hashes in constraints.txt: scripts/pin.py. `make pin` runs it after a version was changed there.
 
-A pin gets the SHA-256 hashes of its wheels for Linux and macOS and for the supported versions of Python, or that of its
-sources if there is no wheel. The section of the benchmarks stays without hashes: a registry may offer its own build of
-PyTorch.
+A pin gets the SHA-256 hashes of its wheels for Linux (x86-64, aarch64) and the supported versions of Python, or that of
+its sources if there is no wheel. The section of the benchmarks stays without hashes: a registry may offer its own build
+of PyTorch.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CONSTRAINTS = Path(__file__).resolve().parents[1] / "constraints.txt"
 WITHOUT_HASHES = "## Benchmarks"
 PYTHONS = ("cp311", "cp312", "cp313")
 INTERPRETERS = r"py3|py2\.py3|py2|cp3\d+"
-PLATFORMS = r"any|(many)?linux.*_(x86_64|aarch64)|macosx.*_(arm64|universal2)"
+PLATFORMS = r"any|(many)?linux.*_(x86_64|aarch64)"
 
 
 def main() -> int:
