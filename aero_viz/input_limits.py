@@ -67,7 +67,7 @@ def expansion_limit(stored: int, share: float = 1.0) -> int:
 
 
 class ReadingBudget:
-    """What one pass over a file may still cost.
+    """Budget that is left for one pass over a file.
 
     Time is the CPU time of the calling thread: a busy machine does not cut a recording short.
 

@@ -56,7 +56,7 @@ class ReadCancelled(UserError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What one call may use."""
+    """Limits of one call."""
 
     memory: int = 2_000_000_000
     """Memory of the process [bytes]."""
@@ -91,7 +91,7 @@ class ReaderProcess:
         self._first_bytes = 0
         """Bytes that the process had read before the call, for its imports; 0 if that is not known."""
         self._verdict: UserError | None = None
-        """Why the process was ended."""
+        """Reason for which the process was ended."""
         self._lock = threading.Lock()
 
     def __call__(self, function: Callable[..., T], /, *arguments: Any, **options: Any) -> T:
@@ -141,7 +141,7 @@ class ReaderProcess:
 
     @property
     def progress(self) -> str:
-        """What has been done so far, such as "120 MB, 3 s"."""
+        """Progress so far, such as "120 MB, 3 s"."""
         seconds = f"{time.monotonic() - self._started:.0f} s"
         process, first = self._process, self._first_bytes
         if process is None or not first:

@@ -1,4 +1,4 @@
-"""What the verbs that serve the page share: its flags, its address on the terminal, and the end by a signal."""
+"""Parts that the verbs that serve the page share: its flags, its address on the terminal, and the end by a signal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which requests the server of the page answers: those for its own names, from its own page or from no page at all."""
+"""Requests that the server of the page answers: those for its own names, from its own page or from no page at all."""
 
 from __future__ import annotations
 

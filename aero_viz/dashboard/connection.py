@@ -56,7 +56,7 @@ class PageConnection(ServerConnection):
     ) -> None:
         super().__init__(*arguments, **options)
         self.role = Role.CONTROL
-        """What the link of this client allows."""
+        """Role that the link of this client gives."""
         self._page = page
         self._visitors = visitors
         self._reminder_due = 0.0

@@ -17,7 +17,7 @@ from aero_viz.session.source import Conditions
 
 @dataclass(frozen=True)
 class Opening:
-    """What a page has opened: the arguments of its `Opener`."""
+    """Source that a page has opened: the arguments of its `Opener`."""
 
     spec: str
     """Name of a scene, or path of a file."""

@@ -10,7 +10,7 @@ from websockets import Headers
 
 
 class Role(enum.Enum):
-    """What a link allows."""
+    """Role that a link gives."""
 
     CONTROL = "control"
     VIEW = "view"

@@ -20,7 +20,7 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True)
 class FlightOptions:
-    """What all flights of a batch have in common."""
+    """Conditions that all flights of a batch share."""
 
     device: str = "cpu"
     lidar: LidarModel | None = None

@@ -39,7 +39,7 @@ _RINGS = ((15.0, 0.0, 0.55), (22.5, 15.0, 0.3), (30.0, 22.5, 0.1), (36.0, 30.0, 
 
 @dataclasses.dataclass(frozen=True)
 class Difficulty:
-    """How hard it is to fly through a world; larger is harder."""
+    """Difficulty of flying through a world; larger is harder."""
 
     traversability_obstruction: float
     """TO = s / (2 N) sum_{i=1..N} 1 / r_i, with r_1 <= r_2 <= .. the radii of the balls of a corridor along the guide,

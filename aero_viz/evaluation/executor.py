@@ -1,4 +1,4 @@
-"""Where shards of flights are flown: in this process, or by Ray on the cores and GPUs of one machine or a cluster.
+"""Executors of shards of flights: in this process, or by Ray on the cores and GPUs of one machine or a cluster.
 
 A shard is a batch of flights that is described completely by its item, seeds included. Its result therefore does not
 depend on where it is flown, on the number of workers, or on the order in which the shards end.

@@ -16,7 +16,7 @@ _SIGNIFICANCE = 0.05
 
 
 class Flown(Protocol):
-    """What a comparison needs of a flight."""
+    """Fields of a flight that a comparison needs."""
 
     @property
     def arrived(self) -> bool:

@@ -14,7 +14,7 @@ from aero_viz.text_table import format_table
 
 @dataclass(frozen=True)
 class WorldInfo:
-    """What can be said about a world without flying."""
+    """Description of a world, made without flying."""
 
     world: World
     radius: float

@@ -1,1 +1,1 @@
-"""Why a plan was chosen and why a flight failed, from the planner's own figures."""
+"""Explanations of why a plan was chosen and why a flight failed, from the planner's own figures."""

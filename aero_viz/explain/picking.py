@@ -21,7 +21,7 @@ _FINER = 4
 
 @dataclass(frozen=True, eq=False)
 class Picked:
-    """What a click means."""
+    """Meaning of a click."""
 
     kind: str
     """"anchor", "rollout", "guide", "point" or "cell"."""

@@ -1,4 +1,4 @@
-"""Why a flight did not arrive: what was hit, since when it was seen, when braking would still have worked."""
+"""Report on a flight that did not arrive: what was hit, since when it was seen, when braking would have worked."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
 _STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
-"""Why the planner stops the drone, by the status of the plan."""
+"""Reason for which the planner stops the drone, by the status of the plan."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class PostMortem:
     """For a stall, what blocks each instance: its number, kind, obstacle, clearance [m] and cost-to-go."""
     sentences: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
-    """What could not be found out."""
+    """Questions that could not be answered."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

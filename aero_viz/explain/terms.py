@@ -70,7 +70,7 @@ class Obstacles:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What the costs of all rollouts have in common."""
+    """Quantities that the costs of all rollouts share."""
 
     config: PlannerConfig
     goal: tuple[Array, Array, Array]

@@ -34,8 +34,8 @@ class Seen:
     forgotten_s: float | None
     """Last time at which it was in the cloud, if it was and was not at the end [s]."""
     reason: str | None
-    """Why it was not in the cloud before: "beyond range", "outside the field of view", "occluded", "forgotten" or "no
-    ray hit it"; None if it always was."""
+    """Reason for its earlier absence from the cloud: "beyond range", "outside the field of view", "occluded",
+    "forgotten" or "no ray hit it"; None if it always was there."""
     detail: str
     """The same as a part of a sentence, such as "hidden by box 3 in 41 of 50 ticks"."""
 

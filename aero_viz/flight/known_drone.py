@@ -1,4 +1,4 @@
-"""What the planner of a simulated flight knows about it: the field of view, the delay, and the top of the airspace."""
+"""Knowledge of the planner of a simulated flight: the field of view, the delay, and the top of the airspace."""
 
 from __future__ import annotations
 

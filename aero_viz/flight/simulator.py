@@ -29,7 +29,7 @@ _GPU_THREADS_PER_QUERY = 32  # threads that share the search for the nearest pri
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What may change during a flight besides the goal."""
+    """Conditions that may change during a flight, besides the goal."""
 
     world: World
     lidar: LidarModel

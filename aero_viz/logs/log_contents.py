@@ -57,7 +57,7 @@ class LoggedPlan:
 
 @dataclass(eq=False)
 class LogContents:
-    """What a log contains, in the order of time."""
+    """Contents of a log, in the order of time."""
 
     path: str
     attachments: dict[str, bytes] = field(default_factory=dict)
@@ -65,7 +65,7 @@ class LogContents:
     """Time of each attachment [ns]."""
     outcome: str = ""
     explanation: str = ""
-    """How the flight ended, empty if the log does not say."""
+    """Outcome of the flight, empty if the log does not say."""
     pose_stamps: list[int] = field(default_factory=list)
     """[ns]."""
     poses: list[tuple[float, float, float, float]] = field(default_factory=list)

@@ -79,7 +79,7 @@ class FlightReplay(RecordingSource):
 
     @property
     def explanation(self) -> str | None:
-        """How the recorded flight ended, once its end is reached, and the sweeps found to be unreadable so far."""
+        """Outcome of the recorded flight, once its end is reached, and the sweeps found to be unreadable so far."""
         sentences = [self._ending if self.outcome is not None else "", super().explanation or ""]
         return " ".join(sentence for sentence in sentences if sentence) or None
 

@@ -1,4 +1,4 @@
-"""How well the sweeps of a recording fit together: matches of points with the surfaces that other sweeps have seen."""
+"""Fit of the sweeps of a recording to each other: matches of points with the surfaces that other sweeps have seen."""
 
 from __future__ import annotations
 

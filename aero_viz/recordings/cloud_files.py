@@ -61,7 +61,7 @@ class CloudSequence(BagFile):
         self._size = size
         self._channel = self.channels[0] = Channel(topic, POINT_CLOUD2, "cdr")
         self.notices: list[str] = []
-        """What was assumed, one sentence each."""
+        """Assumptions, one sentence each."""
 
     @abstractmethod
     def _index(self) -> Iterator[tuple[int, int]]:

@@ -45,7 +45,7 @@ class Finding:
     code: str
     """Short name, such as "time-offset"."""
     evidence: str
-    """What was measured, one sentence without a full stop."""
+    """Evidence, one sentence without a full stop."""
     advice: str
     """The next step, an imperative without a full stop."""
     is_fault: bool = True

@@ -36,7 +36,7 @@ _METADATA_MAX = 1 << 20
 
 
 class _Decoded(NamedTuple):
-    """What a capture holds besides its sweeps."""
+    """Metadata of a capture."""
 
     imu: NDArray[np.float64]
     """Angular velocity [rad/s] and specific force [m/s^2] [n, 6]."""

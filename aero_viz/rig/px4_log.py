@@ -22,7 +22,7 @@ _CHANGE = 0.05  # [rad/s] beyond which a change of sign counts
 
 @dataclass(frozen=True)
 class Px4LogSummary:
-    """What happened in OFFBOARD, by PX4's log."""
+    """Summary of PX4's log while it was in OFFBOARD."""
 
     offboard_time: float
     """[s]"""

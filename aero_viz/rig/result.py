@@ -104,7 +104,7 @@ class RigResult:
     handover: Handover | None = None
     """None if the autopilot did not leave OFFBOARD."""
     px4_log: Px4LogSummary | None = None
-    """What PX4's log says of the flight; None with the rig's own autopilot."""
+    """Summary of PX4's log; None with the rig's own autopilot."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields in types that JSON has, without trajectory and commands."""

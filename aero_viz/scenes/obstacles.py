@@ -22,7 +22,7 @@ _ON_SURFACE, _FARTHEST, _STEPS = 1e-3, 1000.0, 500
 
 
 class ObstacleKey(NamedTuple):
-    """Which solid of a world."""
+    """Identity of a solid in a world."""
 
     kind: str
     """Table of `World`: "cylinders", "boxes" or "spheres"."""

@@ -1,4 +1,4 @@
-"""What a file of solids says about a world: tables of primitives and triangles, as the decoders return them."""
+"""Contents of a file of solids: tables of primitives and triangles, as the decoders return them."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Frame:
     source: SourceInfo
     """The source of the observation; another object means another source."""
     checkpoint: Checkpoint | None = None
-    """What repeats this tick, also with another configuration; None where the tick cannot be repeated."""
+    """Recipe that repeats this tick, also with another configuration; None where the tick cannot be repeated."""
     seed: int = 0
     """Seed of the planner\'s noise."""
     device: str = "cpu"

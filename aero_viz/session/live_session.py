@@ -51,7 +51,7 @@ class LiveSession(BaseSession):
         self._shown: Frame | None = None
         """`_current` with the epoch and the explanation that the page shows."""
         self._last_arrival = 0.0
-        """When the newest frame arrived [s]."""
+        """Time at which the newest frame arrived [s]."""
         self._shown_age = 0
         """Age of the newest frame according to `_shown` [s]; 0 if it is recent."""
         self._epoch = 0

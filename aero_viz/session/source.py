@@ -99,7 +99,7 @@ class SourceInfo:
     notices: tuple[str, ...] = ()
     """Sentences for the user, such as "Open loop: the plan is displayed but not flown"."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """What reproduces a flight besides its world, goals and configurations; values that JSON can hold."""
+    """Conditions that reproduce a flight, besides its world, goals and configurations; values that JSON can hold."""
 
 
 class Source(Protocol):

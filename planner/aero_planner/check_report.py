@@ -16,7 +16,7 @@ class Check:
     required: bool = True
     """False if a failure is only a warning."""
     advice: str = ""
-    """What to do when the check fails."""
+    """Remedy for a check that fails."""
 
 
 @dataclass(frozen=True)

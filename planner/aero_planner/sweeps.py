@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 THINNING = 5
-"""Of an older sweep one point in five is kept."""
+"""One point in five of an older sweep is kept."""
 HASH_FACTORS = (2654435761, 2246822519, 3266489917)
 """Odd factors of the bits of x, y and z, whose sum chooses the points that are kept: it depends on the point alone."""
 

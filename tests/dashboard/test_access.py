@@ -1,4 +1,4 @@
-"""Which requests are answered, by their headers and with real browsers' requests."""
+"""Requests that are answered, by their headers and with real browsers' requests."""
 
 import http.client
 

@@ -1,4 +1,4 @@
-"""What the page says of a configuration, without a browser."""
+"""Texts of the page about a configuration, without a browser."""
 
 import re
 import threading

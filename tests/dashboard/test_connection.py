@@ -1,4 +1,4 @@
-"""What a client may send, with real websockets: values of controls, uploads, and garbage."""
+"""Messages that a client may send, with real websockets: values of controls, uploads, and garbage."""
 
 import asyncio
 import threading

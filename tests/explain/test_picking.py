@@ -1,4 +1,4 @@
-"""What a click in the scene means."""
+"""Meaning of a click in the scene."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a trace keeps of a flight."""
+"""Contents of the trace of a flight."""
 
 import dataclasses
 

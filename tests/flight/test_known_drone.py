@@ -1,4 +1,4 @@
-"""What the planner of a simulated flight knows about its drone."""
+"""Knowledge of the planner of a simulated flight about its drone."""
 
 import dataclasses
 

@@ -75,7 +75,7 @@ def _run_cases(seeds: dict[str, Path | None], seconds: float, first: int, folder
 
 @dataclass
 class _Row:
-    """What came of the cases of one kind."""
+    """Results of the cases of one kind."""
 
     counts: Counter[str] = field(default_factory=Counter)
     failures: int = 0

@@ -22,7 +22,7 @@ _GENERATED: dict[str, tuple[str, Callable[[np.random.Generator], bytes], int]] =
 NAMES = (*SEEDS, *_GENERATED)
 """Names of the kinds of input, which are those of their files."""
 TARGET = {name: kind[0] for name, kind in (*SEEDS.items(), *_GENERATED.items())}
-"""What reads them, in `fuzz.targets`."""
+"""Function of `fuzz.targets` that reads them."""
 INPUTS = {name: _GENERATED[name][2] if name in _GENERATED else 1 for name in NAMES}
 """Number of datagrams, messages or files in a case."""
 

@@ -1,4 +1,4 @@
-"""What a user can do with a file of each kind, done to the end.
+"""Actions of a user on a file of each kind, done to the end.
 
 Each target takes a path, and raises, or returns what was read and what was said about it.
 """
@@ -34,12 +34,12 @@ _SWEEPS, _TICKS = 60, 20
 
 @dataclass(frozen=True)
 class Reading:
-    """What was read, to be compared with that of a whole file."""
+    """Data that were read, to be compared with those of a whole file."""
 
     digest: str = ""
     """Checksum of all that is played; two different ones are two different contents."""
     remarks: str = ""
-    """What the user is told of."""
+    """Messages to the user."""
 
 
 @cache

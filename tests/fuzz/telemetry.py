@@ -1,4 +1,4 @@
-"""What a hostile node sends to `aero-viz connect`, and what must come of it."""
+"""Messages of a hostile node to `aero-viz connect`, and their expected results."""
 
 import json
 import math

@@ -44,7 +44,7 @@ class Outcome:
     digest: str = ""
     """Checksum of what was read."""
     remarks: str = ""
-    """What the user was told."""
+    """Message to the user."""
 
     @property
     def is_failure(self) -> bool:

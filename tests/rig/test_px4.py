@@ -1,4 +1,4 @@
-"""What of the rig with PX4 can be tested without PX4: its folder, its process, its true pose and its log."""
+"""The rig's parts for PX4 that can be tested without it: its folder, its process, its true pose and its log."""
 
 import json
 import math

@@ -22,7 +22,7 @@ _PERIOD = 5.0
 _WARM_UP = 30.0
 """Time for both pages to load before the first sample [s]."""
 _NICENESS = 10
-"""Of the browsers."""
+"""Niceness of the browsers."""
 _SLOWER, _BYTES_PER_SECOND = 4, 400_000
 """Slow page: factor on its CPU time, and rate of its network."""
 _WATCH = """

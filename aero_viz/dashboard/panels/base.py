@@ -28,7 +28,7 @@ TYPING_DELAY = 0.2
 
 @dataclass(frozen=True)
 class Page:
-    """What panels act on."""
+    """Objects on which panels act."""
 
     server: LocalServer
     session: BaseSession

@@ -13,9 +13,9 @@ class Key:
     """A key of the page."""
 
     action: str
-    """What it does, for the program."""
+    """Action, for the program."""
     label: str
-    """What it does, for the user."""
+    """Description, for the user."""
     shown: str
     """The key as on a keyboard."""
     hotkey: Any
@@ -24,7 +24,7 @@ class Key:
     own: bool = False
     """True if it concerns the visitor alone, so that one who looks on may use it."""
     argument: Any = None
-    """What the action is called with, besides the visitor."""
+    """Arguments of the action after the visitor."""
 
 
 _LAYERS = {

@@ -73,10 +73,10 @@ class SourcePanel(Panel):
         split = [(*label.partition(": "), spec) for label, spec in choices]
         self._choices = {name: (description, spec) for name, _, description, spec in split}
         self._offered = frozenset([opened, *(spec for _, spec in choices)])
-        """What may be opened outside the folders."""
+        """Files that may be opened outside the folders."""
         self._opened = opened or (next(iter(self._choices.values()))[1] if choices else "")
         self.opening = Opening(self._opened, seed, conditions)
-        """What is open."""
+        """Source that is open."""
         self._is_listed = False
         """True while the list has been told of the open source."""
         self._reader: ReaderProcess | None = None

@@ -1,4 +1,4 @@
-"""Why the flights of a benchmark failed: each failure is flown once more, alone, and explained."""
+"""Causes for which flights of a benchmark failed: each failure is flown once more, alone, and explained."""
 
 from __future__ import annotations
 

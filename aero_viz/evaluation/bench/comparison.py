@@ -32,7 +32,7 @@ _HEADER = (
 
 @dataclass(frozen=True)
 class _Flight:
-    """What is compared of a flight."""
+    """Fields of a flight that are compared."""
 
     arrived: bool
     flight_time_s: float

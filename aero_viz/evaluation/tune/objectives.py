@@ -1,4 +1,4 @@
-"""What a search optimises: the flights that arrive, and how they do."""
+"""Objectives of a search: the share of flights that arrive, and their means."""
 
 from __future__ import annotations
 

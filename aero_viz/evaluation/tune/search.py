@@ -34,7 +34,7 @@ _MAX_CONTRADICTIONS = 1000
 
 @dataclasses.dataclass(frozen=True)
 class SearchOptions:
-    """How to search. The results depend on these and on the flights, but not on batches or workers."""
+    """Options of a search. The results depend on these and on the flights, but not on batches or workers."""
 
     trials: int = 32
     """Number of candidates besides the incumbent."""
@@ -43,7 +43,7 @@ class SearchOptions:
     rungs: int = 3
     """Number of groups of worlds; after each, candidates that are worse than the best one are given up."""
     objectives: tuple[Objective, ...] = ("time",)
-    """What counts besides arrivals. Several give a Pareto front, without giving up candidates."""
+    """Objectives besides arrivals. Several give a Pareto front, without giving up candidates."""
     sampler: Sampler = "auto"
     """Algorithm that proposes candidates."""
     seed: int = 0

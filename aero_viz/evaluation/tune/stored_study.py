@@ -61,7 +61,7 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class Importance:
-    """How much a parameter sets the best quarter of the candidates apart: a share of 1 over all parameters."""
+    """Share of a parameter in what sets the best quarter of the candidates apart; the shares add up to 1."""
 
     path: str
     share: float

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Problem:
-    """What a study searches."""
+    """Definition of a study."""
 
     incumbent: PlannerConfig
     ranges: tuple[ParameterRange, ...]
     """The tuned parameters."""
     objectives: tuple[Objective, ...]
-    """What counts besides arrivals; several give a Pareto front."""
+    """Objectives besides arrivals; several give a Pareto front."""
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Problem:

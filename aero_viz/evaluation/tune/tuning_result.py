@@ -90,7 +90,7 @@ class Candidate:
     """Number of the trial in Optuna's study; None for the incumbent."""
     config: PlannerConfig
     values: tuple[float, ...]
-    """What the search minimises, infinite where no flight arrived."""
+    """Cost that the search minimises, infinite where no flight arrived."""
     flights: tuple[FlightResult, ...]
     """One per world, in which it flew before it was given up."""
     is_complete: bool
@@ -111,7 +111,7 @@ class TuningResult:
     ranges: tuple[ParameterRange, ...]
     """The tuned parameters."""
     objectives: tuple[Objective, ...]
-    """What counts besides arrivals."""
+    """Objectives besides arrivals."""
     incumbent: PlannerConfig
     candidates: tuple[Candidate, ...]
     """The first one is the incumbent; empty if Ctrl-C came before it had flown."""

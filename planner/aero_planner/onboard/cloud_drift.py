@@ -1,4 +1,4 @@
-"""How far the autopilot's estimate drifts, measured by the LiDAR: the cloud of one moment against that of the next.
+"""Drift of the autopilot's estimate, measured by the LiDAR: the cloud of one moment against that of the next.
 
 If position and attitude are right, what stands still stays where it is in the world frame. The motion that brings the
 newer points onto the older ones is therefore an error of the estimate.

@@ -57,7 +57,7 @@ class CommandChoice:
 
     @property
     def path(self) -> BrakingPath | None:
-        """Where to brake: the path that is being followed, or the newest one; None if no cloud is known."""
+        """Braking path: the one that is being followed, or the newest one; None if no cloud is known."""
         return self._path or self._schedule.path(self._reset_time)
 
     def choose(

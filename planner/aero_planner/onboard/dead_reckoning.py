@@ -1,4 +1,4 @@
-"""Where the drone is now: the newest measured state, propagated with the planner's vehicle model."""
+"""Present state of the drone: the newest measured state, propagated with the planner's vehicle model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the LiDAR has said about the drift of the estimate in the last seconds."""
+"""Drift of the estimate in the last seconds, as the LiDAR measured it."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from aero_planner.plan import PlanStatus
 
 
 class State(enum.Enum):
-    """What the node is doing."""
+    """State of the node."""
 
     WAITING = "something required for flight is missing, or the pilot flies"
     READY = "everything is in place; the pilot may switch to OFFBOARD"
@@ -32,7 +32,7 @@ class State(enum.Enum):
 
 
 class Reaction(enum.Enum):
-    """What is sent to the autopilot."""
+    """Command that is sent to the autopilot."""
 
     SILENT = "nothing: the autopilot leaves OFFBOARD through its own failsafe, unless it already has"
     STREAM_PLAN = "the planned controls"
@@ -63,7 +63,7 @@ AS_PLANNED = (Reaction.STREAM_PLAN, Reaction.BRAKE_AS_PLANNED)
 
 @dataclass(frozen=True)
 class Inputs:
-    """What is known at one tick of the control loop. The age of something that has never arrived is infinite [s]."""
+    """Facts known at one tick of the control loop. The age of something that has never arrived is infinite [s]."""
 
     armed: bool
     offboard: bool
@@ -114,7 +114,7 @@ class Inputs:
 
 
 class Cause(enum.Enum):
-    """Why a state is left."""
+    """Reason for which a state is left."""
 
     TAKEN_OVER = "the vehicle was disarmed or left OFFBOARD"
     ARMED_AT_START = "the vehicle was already armed when the node started"

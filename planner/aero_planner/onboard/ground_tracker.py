@@ -18,7 +18,7 @@ _LOGGED_CHANGE = 0.3  # [m]
 
 
 class GroundSource(enum.Enum):
-    """How the height of the ground was found."""
+    """Source of the height of the ground."""
 
     RANGE = "measured by the autopilot's distance sensor"
     CLOUD = "measured by the LiDAR"

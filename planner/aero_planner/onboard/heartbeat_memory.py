@@ -23,13 +23,13 @@ class SharedHeartbeat(NamedTuple):
     """Counts the heartbeats from 1."""
     heartbeat: Heartbeat
     peer: str | None
-    """Where commands go, in the form that `open_transport` takes; None while unknown."""
+    """Destination of commands, in the form that `open_transport` takes; None while unknown."""
     signing_time: int = 0
     """Earliest time stamp of a signature that the autopilot accepts."""
 
 
 class ReaderStatus(NamedTuple):
-    """What the reading process has reported."""
+    """State that the reading process has reported."""
 
     running: bool
     braking: bool

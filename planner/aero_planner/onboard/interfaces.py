@@ -23,7 +23,7 @@ class PointPacket:
     points: NDArray[np.float32]
     """[m], shape [n, 3], sensor frame (x forward, y left, z up); finite."""
     times: NDArray[np.float64]
-    """When each point was measured, host time (`time.monotonic`) [s], shape [n]; never later than its arrival."""
+    """Time of measurement of each point, host time (`time.monotonic`) [s], shape [n]; never later than its arrival."""
 
 
 @dataclass
@@ -66,7 +66,7 @@ class VehicleSample:
     """The vehicle at one time."""
 
     time: float
-    """When the state was measured, host time (`time.monotonic`) [s]; never later than its arrival."""
+    """Time at which the state was measured, host time (`time.monotonic`) [s]; never later than its arrival."""
     state: VehicleState
     """Position, velocity and attitude, float64, finite, world frame, unit quaternion. Its `time` equals `time`."""
     armed: bool
@@ -74,7 +74,7 @@ class VehicleSample:
     offboard: bool
     """True if the newest heartbeat reports that the autopilot takes commands from this computer."""
     heartbeat_time: float
-    """When the newest heartbeat arrived, host time [s]; -inf before the first."""
+    """Time at which the newest heartbeat arrived, host time [s]; -inf before the first."""
     resets: int = 0
     """Number of resets of the autopilot's estimator; positions before and after a reset are not comparable."""
     in_air: bool | None = None
@@ -146,7 +146,7 @@ class PlanResult:
     number: int
     """Counts the plans."""
     time: float
-    """When the planner was called, host time [s]."""
+    """Time at which the planner was called, host time [s]."""
     state: VehicleState
     """State from which the plan starts: the measured state, predicted for when the plan was expected to be ready."""
     measured: VehicleState
@@ -173,7 +173,7 @@ class PlanRecord(PlanResult):
 
     safety: State
     missing: tuple[Cause, ...] = ()
-    """What keeps the drone from flying the plan, see `SafetyMachine.missing`."""
+    """Reasons for which the drone does not fly the plan, see `SafetyMachine.missing`."""
     late_ticks: int = 0
     """Number of deadlines that the control loop has missed since the start."""
     sweeps: int = 10

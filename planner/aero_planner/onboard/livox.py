@@ -54,7 +54,7 @@ _TOLERATED = 20  # datagrams of strangers after which the kernel drops them
 
 
 class Reject(enum.Enum):
-    """Why a datagram is not a point packet."""
+    """Reason for which a datagram is not a point packet."""
 
     SHORT = "shorter than a header"
     VERSION = "unknown protocol version"

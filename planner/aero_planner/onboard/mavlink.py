@@ -123,7 +123,7 @@ class MavlinkLink(MavlinkSender):
 
     @property
     def peer(self) -> str | None:
-        """Where commands go, see `aero_planner.onboard.transport.Transport`; None before the autopilot is heard."""
+        """Destination of commands, see `onboard.transport.Transport`; None before the autopilot is heard."""
         return self._transport.peer
 
     def poll(self) -> None:

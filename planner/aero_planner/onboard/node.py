@@ -155,7 +155,7 @@ class Node:
 
     @property
     def goal(self) -> NDArray[np.float64] | None:
-        """Where to fly [m], shape [3], world frame."""
+        """Goal [m], shape [3], world frame."""
         return self._goals.goal
 
     def statistics(self) -> dict[str, Any]:

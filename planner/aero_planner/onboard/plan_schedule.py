@@ -21,16 +21,16 @@ class ScheduledPlan:
     number: int
     """Counts the plans."""
     measured: float
-    """When the state on which the plan is based was measured, host time [s]."""
+    """Time at which the state of the plan was measured, host time [s]."""
     time: float
-    """When the first control begins, host time [s]."""
+    """Start of the first control, host time [s]."""
     dt: float
     """Time step [s]."""
     controls: NDArray[np.float64]
     """Thrust [N] and body rates [rad/s], shape [N, 4], finite."""
     status: PlanStatus
     path: BrakingPath | None = None
-    """Where to brake."""
+    """Braking path."""
 
     def command(self, now: float) -> NDArray[np.float64] | None:
         """Return the control of step floor((now - time) / dt), shape [4]; None outside the plan's horizon."""

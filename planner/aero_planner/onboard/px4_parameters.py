@@ -26,7 +26,7 @@ _RCL_HOLD, _RCL_LAND = 1, 3  # values of NAV_RCL_ACT
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What the node needs of a parameter."""
+    """Requirement of the node on a parameter."""
 
     name: str
     wanted: str

@@ -41,7 +41,7 @@ _STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class ControlSnapshot:
-    """What the control loop knows at one tick."""
+    """Inputs of the control loop at one tick."""
 
     sample: VehicleSample
     motion: MotionState

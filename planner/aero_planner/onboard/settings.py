@@ -223,7 +223,7 @@ class BrakeSettings(ParameterSection, section="brake"):
 
 @dataclass(frozen=True)
 class ResponseSettings(ParameterSection, section="response"):
-    """How the drone follows commands, for predictions and dead reckoning. The defaults are those of PX4."""
+    """Response of the drone to commands, for predictions and dead reckoning. The defaults are those of PX4."""
 
     rate_lag: float = live(
         0.07, "s", 0.0, 1.0, "Time constant of the body rates' first-order response; 0 for none.", label="Rate lag"

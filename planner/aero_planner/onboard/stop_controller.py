@@ -29,7 +29,7 @@ _PATH_END_SPEED = 0.3
 
 
 class StopCommand(NamedTuple):
-    """What to send to stop the drone."""
+    """Command that stops the drone."""
 
     control: Array
     """Thrust F_t [N] and body rates omega [rad/s], shape [4], within the vehicle's bounds."""

@@ -28,7 +28,7 @@ class Transport(Protocol):
 
     @property
     def peer(self) -> str | None:
-        """Where `send` goes, in the form that `open_transport` takes, so that another process can send there, too.
+        """Destination of `send`, in the form that `open_transport` takes, so that another process can send there, too.
 
         None while it is unknown.
         """

@@ -28,10 +28,10 @@ _ROUNDING = 1e-6
 
 
 class Heartbeat(NamedTuple):
-    """What the control loop knows at the end of a tick, or what was done in its place."""
+    """Knowledge of the control loop at the end of a tick, or what was done in its place."""
 
     time: float
-    """When the tick began [s]."""
+    """Start of the tick [s]."""
     motion: MotionState | None
     """Motion of the drone at that time, if known."""
     command: NDArray[np.float64] | None
@@ -39,7 +39,7 @@ class Heartbeat(NamedTuple):
     upcoming: NDArray[np.float64] | None = None
     """Planned commands of the next control periods, shape [n, 4], n <= `UPCOMING_MAX`; None if no plan is flown."""
     path: BrakingPath | None = None
-    """Where to brake; None if no cloud is known."""
+    """Braking path; None if no cloud is known."""
     thrust_gain: float = 1.0
     """See `aero_planner.onboard.thrust_estimate.ThrustEstimate`."""
 

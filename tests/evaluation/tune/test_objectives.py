@@ -1,4 +1,4 @@
-"""What a search minimises."""
+"""The cost that a search minimises."""
 
 import dataclasses
 import math

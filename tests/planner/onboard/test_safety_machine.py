@@ -222,7 +222,7 @@ class World:
         self.now = 0.0
         self.safety = SafetyMachine(LIMITS)
         self.fresh: dict[str, float] = dict.fromkeys(SOURCES, 0.0)
-        """When each fault was last absent."""
+        """Time at which each fault was last absent."""
 
     def step(self, broken: frozenset[str], mode: str, speed: float) -> Reaction:
         self.now += PERIOD
