@@ -70,7 +70,8 @@ def fly(
         flags = (world_flags, flight_flags, config_flags.load(speed=speed), page_flags)
         return serve_flight(world, *flags, lidar=lidar, seed=seed, device=device, log=log)
     port, host = page_flags.foxglove_port, page_flags.host
-    if page_flags != PageFlags(foxglove=page_flags.foxglove, host=PageFlags.host if port is None else host):
+    used = () if port is None else ("foxglove", "host", "allow_host", "foxglove_origin")
+    if page_flags != PageFlags(**{name: getattr(page_flags, name) for name in used}):
         raise UserError("--host, --port, --open and --paused apply to the page; add --no-headless, or leave them out.")
     from aero_viz.flight import FlightInterrupted
     from aero_viz.flight import fly as fly_once
@@ -101,7 +102,11 @@ def fly(
                 from aero_viz.logs import foxglove_recorder
 
                 options["recorder"] = foxglove_recorder(
-                    host, port, log=options.get("recorder"), announce=(lambda _: None) if json else announce_foxglove
+                    host,
+                    port,
+                    log=options.get("recorder"),
+                    announce=(lambda _: None) if json else announce_foxglove,
+                    **page_flags.foxglove_options,
                 )
             result = fly_once(loaded, **options)
     except FlightInterrupted as interrupted:

@@ -43,20 +43,29 @@ class PageFlags:
     """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
     foxglove: FoxgloveFlag = None
     """Serve the topics of the flight log live on --host, by default on port 8765, for Foxglove and Lichtblick."""
+    foxglove_origin: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ORIGIN")] = ()
+    """Origin of another web page that may read the flight there, such as http://localhost:8080; may be repeated."""
 
     @property
     def foxglove_port(self) -> int | None:
         """The port for Foxglove, None without it.
 
         Raises:
-            UserError: more than one port was given, or a number that is no port.
+            UserError: more than one port was given, a number that is no port, or an origin without a port.
         """
         if self.foxglove is None:
+            if self.foxglove_origin:
+                raise UserError("--foxglove-origin says who may use --foxglove; add that flag, too.")
             return None
         port, *rest = self.foxglove or (_FOXGLOVE_PORT,)
         if rest or not 0 <= port < 1 << 16:
             raise UserError(f"--foxglove takes one port from 0 to 65535, not {' '.join(map(str, self.foxglove))}.")
         return port
+
+    @property
+    def foxglove_options(self) -> dict[str, tuple[str, ...]]:
+        """Arguments of `FoxgloveServer`."""
+        return {"allowed_hosts": self.allow_host, "allowed_origins": self.foxglove_origin}
 
 
 @dataclass(frozen=True)
@@ -115,7 +124,8 @@ def serve_foxglove(stack: contextlib.ExitStack, session: BaseSession, page_flags
     if port is not None:
         from aero_viz.logs import serve_foxglove as serve
 
-        announce_foxglove(stack.enter_context(serve(session, page_flags.host, port)).url)
+        server = stack.enter_context(serve(session, page_flags.host, port, **page_flags.foxglove_options))
+        announce_foxglove(server.url)
 
 
 def announce_foxglove(url: str) -> None:

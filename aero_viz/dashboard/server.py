@@ -23,11 +23,11 @@ from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.access import ANY_ADDRESS, SECURITY_HEADERS, Access
 from aero_viz.dashboard.connection import PageConnection
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
+from aero_viz.web_access import ANY_ADDRESS, SECURITY_HEADERS, Access, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter has 8 kB."""
@@ -119,7 +119,7 @@ class LocalServer(viser.ViserServer):
             ),
             "process_response": _add_security_headers,
             "max_queue": _QUEUED_FRAMES,
-            "logger": _quiet_logger(),
+            "logger": quiet_logger(__name__),
         }
         # viser's banner is discarded; the caller prints the address.
         with contextlib.redirect_stdout(io.StringIO()), _serving(self._admit, options):
@@ -189,8 +189,7 @@ class LocalServer(viser.ViserServer):
     @property
     def url(self) -> str:
         """Address of the page."""
-        host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.get_host(), self.get_host())
-        return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
+        return f"http://{local_address(self.get_host(), self.get_port())}"
 
     def link(self, *, address: str | None = None, view_only: bool = False) -> str:
         """Return the link that opens the page, with a token if one is required.
@@ -210,7 +209,7 @@ class LocalServer(viser.ViserServer):
         host = self.get_host()
         if host in ANY_ADDRESS:
             host = _outward_address()
-        own = [] if self._access.is_local else [f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"]
+        own = [] if self._access.is_local else [f"http://{local_address(host, self.get_port())}"]
         return [*own, *(f"https://{name}" for name in self._access.proxies)]
 
     @property
@@ -312,21 +311,6 @@ def _outward_address() -> str:
 def _add_security_headers(_: ServerConnection, request: Request, response: Response) -> None:
     for name, value in SECURITY_HEADERS.items():
         response.headers[name] = value
-
-
-def _quiet_logger() -> logging.Logger:
-    """Return a logger that spends one line on a failed connection: anyone who connects can cause one."""
-    logger = logging.getLogger(f"{__name__}.websockets")
-    logger.addFilter(_shorten)
-    return logger
-
-
-def _shorten(record: logging.LogRecord) -> bool:
-    if record.getMessage() == "opening handshake failed":  # whatever is not HTTP, such as a port scan
-        return False
-    if record.exc_info:
-        record.msg, record.args, record.exc_info = f"{record.getMessage()}: {record.exc_info[1]!r}", (), None
-    return True
 
 
 def notify(

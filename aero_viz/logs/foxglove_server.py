@@ -2,57 +2,76 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-from collections.abc import Callable, Iterator
+import logging
+import secrets
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from websockets import Request, Response, Subprotocol
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+
 from aero_planner import VehicleState
-from aero_planner.mailbox import Mailbox
-from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
+from aero_planner.onboard.ros_messages import Encoded
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_messages import FlightMessages
+from aero_viz.logs.foxglove_client import Channel, FoxgloveClient
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
+from aero_viz.web_access import Access, local_address, quiet_logger
 
-_WAITING = 1024  # ticks that wait for the encoder; a headless flight is faster than real time
 _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
+_CLIENTS_MAX = 64
+_REQUEST_MAX = 1 << 16  # [bytes]
+_REPORTS_MAX = 8
+_SILENCE_MAX = 60.0  # [s] until a slow client answers
+_SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+_log = logging.getLogger(__name__)
+
+
+FOXGLOVE_ORIGINS = ("https://app.foxglove.dev", "https://lichtblick-suite.github.io", "file://")
+"""Origins of the pages that may read the flight: Foxglove, Lichtblick, and applications for the desktop."""
 
 
 class FoxgloveServer:
-    """Sends frames to all clients. As soon as a client subscribes to a topic, its last message is sent again.
+    """Sends frames to all clients. As soon as a client subscribes to a topic, it gets its last message.
 
-    All subscribers get it: the SDK does not say which of its sinks belongs to a client.
-
-    Clients can only watch: the server offers no service, no parameter and no channel to publish on.
+    Clients can only watch: the server offers no service, no parameter and no channel to publish on. It answers
+    programs, and the pages of Foxglove and Lichtblick; any other page in a browser gets nothing.
 
     Args:
         host: address to listen on.
         port: port to listen on; 0 takes a free one.
+        allowed_hosts: further names under which clients reach the server, such as that of a proxy.
+        allowed_origins: origins of further pages that may read the flight.
 
     Raises:
-        UserError: foxglove-sdk is not installed, or the port cannot be opened.
+        UserError: the port cannot be opened, or an argument is no name or no origin.
     """
 
-    def __init__(self, host: str, port: int) -> None:
-        try:
-            import foxglove
-        except ImportError as error:
-            text = (
-                f"foxglove-sdk is not installed ({error}): pip install 'aero-viz[foxglove]', or leave --foxglove out."
-            )
-            raise UserError(text) from error
-        self._foxglove, self._context = foxglove, foxglove.Context()
+    def __init__(
+        self, host: str, port: int, *, allowed_hosts: Sequence[str] = (), allowed_origins: Sequence[str] = ()
+    ) -> None:
+        self._access = Access(host, allowed_hosts, (*FOXGLOVE_ORIGINS, *allowed_origins))
         self._messages = FlightMessages()
-        self._channels: dict[str, Any] = {}
-        self._last: dict[str, tuple[bytes, int]] = {}
+        self._channels: dict[int, Channel] = {}
+        self._topics: dict[str, Channel] = {}
+        self._clients: set[FoxgloveClient] = set()
+        self._refusals: set[str] = set()
+        self._session = secrets.token_hex(8)
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="aero-viz-foxglove-server", daemon=True)
+        self._thread.start()
         try:
-            self._server = foxglove.start_server(
-                name="AERO-Viz", host=host, port=port, context=self._context, server_listener=_listener(self._send_last)
-            )
-        except (RuntimeError, OverflowError) as error:
-            reason = str(error).removeprefix("FoxgloveError: ")
+            self._server = asyncio.run_coroutine_threadsafe(self._open(host, port), self._loop).result()
+        except (OSError, OverflowError) as error:
+            self._stop_loop()
+            reason = getattr(error, "strerror", None) or error
             raise UserError(f"--foxglove cannot listen on port {port} of {host}: {reason}.") from error
-        self.url = f"ws://{host}:{self._server.port}"
+        self.url = f"ws://{local_address(host, next(iter(self._server.sockets)).getsockname()[1])}"
         """Address for the clients."""
 
     def write(self, frame: Frame) -> None:
@@ -65,45 +84,79 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """Disconnect all clients."""
-        self._server.stop()
+        asyncio.run_coroutine_threadsafe(self._close(), self._loop).result()
+        self._stop_loop()
 
     def _send(self, messages: list[tuple[Encoded, int]]) -> None:
+        with contextlib.suppress(RuntimeError):  # the server was closed
+            self._loop.call_soon_threadsafe(self._publish, messages)
+
+    async def _open(self, host: str, port: int) -> Server:
+        return await serve(
+            self._serve,
+            host,
+            port,
+            subprotocols=[Subprotocol(name) for name in _SUBPROTOCOLS],
+            process_request=self._admit,
+            compression=None,
+            ping_timeout=_SILENCE_MAX,
+            max_size=_REQUEST_MAX,
+            logger=quiet_logger(__name__),
+        )
+
+    async def _close(self) -> None:
+        self._server.close()
+        await self._server.wait_closed()
+
+    def _stop_loop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        refusal = self._access.refusal(request.headers)
+        if refusal is None:
+            return connection.respond(503, "Too many clients.\n") if len(self._clients) >= _CLIENTS_MAX else None
+        if refusal not in self._refusals and len(self._refusals) < _REPORTS_MAX:
+            self._refusals.add(refusal)
+            hint = " If it is yours, add --foxglove-origin and its origin." if "origin" in refusal else ""
+            _log.warning("--foxglove refused a client. %s%s", refusal, hint)
+        return connection.respond(403, f"{refusal}\n")
+
+    async def _serve(self, connection: ServerConnection) -> None:
+        client = FoxgloveClient(connection, self._channels, self._session)
+        self._clients.add(client)
+        try:
+            with contextlib.suppress(ConnectionClosed):
+                await client.run()
+        finally:
+            self._clients.discard(client)
+
+    def _publish(self, messages: list[tuple[Encoded, int]]) -> None:
         for message, stamp in messages:
-            self._last[message.topic] = (message.data, stamp)
-            if message.topic not in self._channels:
-                data = DEFINITIONS[message.kind].encode()
-                schema = self._foxglove.Schema(name=message.kind, encoding="ros2msg", data=data)
-                self._channels[message.topic] = self._foxglove.Channel(
-                    message.topic, schema=schema, message_encoding="cdr", context=self._context
-                )
-            self._channels[message.topic].log(message.data, log_time=stamp)
-
-    def _send_last(self, topic: str) -> None:
-        """Send the last message of a topic. Runs on a thread of the server."""
-        data, stamp = self._last[topic]
-        if topic in self._channels:  # or else the first message follows at once
-            self._channels[topic].log(data, log_time=stamp)
-
-
-def _listener(subscribed: Callable[[str], None]) -> Any:
-    """Return a listener of the server that calls a function with each topic that a client subscribes to."""
-    from foxglove.websocket import ServerListener
-
-    class Listener(ServerListener):
-        def on_subscribe(self, client: Any, channel: Any) -> None:
-            subscribed(channel.topic)
-
-    return Listener()
+            channel = self._topics.get(message.topic)
+            if channel is None:
+                channel = Channel(len(self._topics) + 1, message.topic, message.kind, (message.data, stamp))
+                self._topics[message.topic] = self._channels[channel.number] = channel
+                for client in self._clients:
+                    client.advertise([channel])
+            channel.last = (message.data, stamp)
+            for client in self._clients:
+                client.publish(channel)
 
 
 @contextlib.contextmanager
-def serve_foxglove(session: BaseSession, host: str, port: int) -> Iterator[FoxgloveServer]:
+def serve_foxglove(session: BaseSession, host: str, port: int, **options: Sequence[str]) -> Iterator[FoxgloveServer]:
     """Serve every frame of a session while the context is open. The engine never waits for the clients.
+
+    Args:
+        session: the session.
+        host, port, options: see `FoxgloveServer`.
 
     Raises:
         UserError: see `FoxgloveServer`.
     """
-    with contextlib.closing(FoxgloveServer(host, port)) as server:
+    with contextlib.closing(FoxgloveServer(host, port, **options)) as server:
         sink = session.subscribe(server.write, every=True, name="foxglove")
         try:
             yield server
@@ -113,30 +166,20 @@ def serve_foxglove(session: BaseSession, host: str, port: int) -> Iterator[Foxgl
 
 
 class _Recorder:
-    """A recorder of `aero_viz.flight.fly` that serves on its own thread, and hands everything to another recorder, too.
+    """A recorder of `aero_viz.flight.fly` that hands everything to others, of which some may be None."""
 
-    Args:
-        server: the server.
-        log: another recorder, or None.
-    """
-
-    def __init__(self, server: FoxgloveServer, log: Any) -> None:
-        self._server, self._log = server, log
-        self.calls: Mailbox[Callable[[], None]] = Mailbox(
-            lambda call: call(), capacity=_WAITING, name="aero-viz-foxglove"
-        )
+    def __init__(self, *recorders: Any) -> None:
+        self._recorders = [recorder for recorder in recorders if recorder is not None]
 
     def write(self, frame: Frame) -> None:
         """Take the frame of a plan."""
-        self.calls.put(lambda: self._server.write(frame))
-        if self._log is not None:
-            self._log.write(frame)
+        for recorder in self._recorders:
+            recorder.write(frame)
 
     def write_pose(self, time: float, state: VehicleState) -> None:
         """Take the true state at a time [s]."""
-        self.calls.put(lambda: self._server.write_pose(time, state))
-        if self._log is not None:
-            self._log.write_pose(time, state)
+        for recorder in self._recorders:
+            recorder.write_pose(time, state)
 
 
 @contextlib.contextmanager
@@ -146,11 +189,12 @@ def foxglove_recorder(
     *,
     log: contextlib.AbstractContextManager[Any] | None = None,
     announce: Callable[[str], None] = lambda url: None,
+    **options: Sequence[str],
 ) -> Iterator[_Recorder]:
     """Open a recorder of `aero_viz.flight.fly` that serves the flight.
 
     Args:
-        host, port: see `FoxgloveServer`.
+        host, port, options: see `FoxgloveServer`.
         log: another recorder, which gets the flight, too; None without.
         announce: called with the address for the clients.
 
@@ -158,8 +202,6 @@ def foxglove_recorder(
         UserError: see `FoxgloveServer`.
     """
     with contextlib.ExitStack() as stack:
-        server = stack.enter_context(contextlib.closing(FoxgloveServer(host, port)))
+        server = stack.enter_context(contextlib.closing(FoxgloveServer(host, port, **options)))
         announce(server.url)
-        recorder = _Recorder(server, None if log is None else stack.enter_context(log))
-        stack.callback(recorder.calls.finish, _CLOSE_TIMEOUT)
-        yield recorder
+        yield _Recorder(server, None if log is None else stack.enter_context(log))

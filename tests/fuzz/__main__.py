@@ -22,8 +22,9 @@ _GUIDED |= {"tum.txt": "poses", "kitti.txt": "poses"}
 """Seeds of the parsers written by hand, which atheris explores by coverage."""
 
 EVERY = {
-    "control.messages": 20, "visitor.messages": 20, "flight.mcap": 10, "flight.ulg": 5, "a.world": 5, "a.png": 5,
-    "server.map": 5, "lidar.datagrams": 4, "mavlink.datagrams": 4, "mavlink.serial": 4,
+    "control.messages": 20, "visitor.messages": 20, "flight.mcap": 10, "hall.ouster": 10, "hall.osf": 10,
+    "flight.ulg": 5, "a.world": 5, "a.png": 5, "server.map": 5, "lidar.datagrams": 4, "mavlink.datagrams": 4,
+    "mavlink.serial": 4,
 }  # fmt: skip
 """Kinds whose cases take long, in so many rounds one."""
 

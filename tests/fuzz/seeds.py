@@ -1,6 +1,9 @@
 """Whole files of every format, written by the libraries that others write them with."""
 
+import importlib.util
 import json
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,7 @@ import trimesh
 from PIL import Image
 
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
+from aero_viz.reader_process import ReaderProcess
 
 _POINTS = np.random.default_rng(0).uniform(-9.0, 9.0, (300, 3))
 _BOX = trimesh.creation.box((6.0, 6.0, 6.0)).subdivide()
@@ -99,6 +103,17 @@ def _scans(path: Path) -> None:
     bags.write_mcap(path, [captures.laser_scan(0.1 * k) for k in range(4)], chunked=False)
 
 
+def _ouster(path: Path) -> None:
+    """Write an OSF file, or a folder with a capture and its metadata."""
+    with tempfile.TemporaryDirectory() as folder:
+        ReaderProcess()(captures.write_ouster, Path(folder) / "hall")
+        if path.suffix == ".osf":
+            shutil.copy(Path(folder) / "hall.osf", path)
+        else:
+            (Path(folder) / "hall.osf").unlink()
+            shutil.copytree(folder, path)
+
+
 def _flight_log(path: Path) -> None:
     """Log half a second of a flight."""
     from small_source import small_config, small_source
@@ -147,6 +162,7 @@ SEEDS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "mid360.pcap": ("recording", captures.write_mid360),
     "vlp16.pcap": ("recording", captures.write_vlp16),
     "mid360.lvx2": ("recording", lambda path: captures.write_lvx2(path, captures.livox_packets(3))),
+    **{name: ("capture", _ouster) for name in ("hall.ouster", "hall.osf") if importlib.util.find_spec("ouster")},
     "foxglove.mcap": ("recording", _foxglove),
     "scans.mcap": ("recording", _scans),
     "kitti.clouds": ("recording", _clouds),
@@ -169,4 +185,5 @@ def mutable_files(seed: Path) -> tuple[Path, list[Path]]:
     if not seed.is_dir():
         return seed, [seed]
     files = sorted(file for file in seed.rglob("*") if file.is_file())
-    return (files[0], files) if len(files) == 1 else (files[0].parent, files)
+    opened = files if len(files) == 1 else list(seed.glob("*.pcap"))
+    return (opened[0] if opened else files[0].parent, files)

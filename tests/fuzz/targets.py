@@ -188,6 +188,7 @@ def crash(_: Path) -> None:
 
 TARGETS: dict[str, Callable[[Path], Reading | None]] = {
     "recording": recording,
+    "capture": recording,  # decoded by a library in a process of its own: seconds
     "log": flight_log,
     "report": report,
     "points": points,

@@ -7,8 +7,8 @@ from fuzz.cases import NAMES, TARGET, write_case, write_seed
 from fuzz.worker import Worker
 
 CASES = {
-    "recording": 10, "log": 10, "points": 10, "solids": 2, "poses": 10, "world": 40, "config": 40, "port": 10,
-    "node": 40, "page": 2,
+    "recording": 10, "capture": 2, "log": 10, "points": 10, "solids": 2, "poses": 10, "world": 40, "config": 40,
+    "port": 10, "node": 40, "page": 2,
 }  # fmt: skip
 """Cases of each kind, by target."""
 

@@ -6,7 +6,6 @@ import socket
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -16,6 +15,8 @@ import numpy as np
 import pytest
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
+from websockets import Origin, Subprotocol
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
@@ -29,8 +30,6 @@ from aero_viz.scenes import scene
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 
-pytest.importorskip("foxglove", reason="the extra 'foxglove' is not installed")
-
 TOPICS = {"/odometry", "/tf", "/sweep", "/goal", "/plan", "/plan/best"}
 
 
@@ -42,14 +41,15 @@ def session() -> Iterator[Session]:
 
 
 @contextmanager
-def client(url: str) -> Iterator[tuple[Connection, dict[str, Any]]]:
+def client(
+    url: str, *, protocol: str = "foxglove.sdk.v1", **options: Any
+) -> Iterator[tuple[Connection, dict[str, Any]]]:
     """A client that has subscribed to all topics; the topics are the ids of the subscriptions."""
-    with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None) as connection:  # type: ignore[list-item]
+    with connect(url, subprotocols=[Subprotocol(protocol)], max_size=None, **options) as connection:
         channels: dict[str, Any] = {}
         while not channels.keys() >= TOPICS:
             message = json.loads(connection.recv(timeout=30))
             channels |= {channel["topic"]: channel for channel in message.get("channels", ())}
-        time.sleep(0.5)  # the SDK announces a channel just before it accepts subscriptions to it
         wanted = [{"id": channel["id"], "channelId": channel["id"]} for channel in channels.values()]
         connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
         yield connection, {str(channel["id"]): channel for channel in channels.values()}
@@ -88,14 +88,74 @@ def test_a_client_reads_the_topics_of_the_flight_log_and_what_came_before(sessio
         assert read(connection, channels, {"/odometry", "/plan"})["/odometry"][0] > stamp
 
 
-def test_a_client_that_joins_late_gets_the_last_messages(session: Session, tmp_path: Path):
-    import foxglove
-
+def test_every_client_gets_the_last_messages_whenever_it_joins(session: Session):
     session.tick()
-    with foxglove.open_mcap(tmp_path / "other.mcap"), serve_foxglove(session, "127.0.0.1", 0) as server:
-        for _ in range(2):
-            with client(server.url) as (connection, channels):
-                read(connection, channels, TOPICS)
+    with serve_foxglove(session, "127.0.0.1", 0) as server, client(server.url) as first:
+        read(*first, TOPICS)
+        with client(server.url, protocol="foxglove.websocket.v1") as second:
+            read(*second, TOPICS)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://localhost:3000", "null", "https://foxglove.dev"])
+def test_a_foreign_page_gets_nothing_and_is_named_once(session: Session, caplog: pytest.LogCaptureFixture, origin: str):
+    session.tick()
+    with serve_foxglove(session, "127.0.0.1", 0) as server:
+        for _ in range(3):
+            with pytest.raises(InvalidStatus) as refusal, client(server.url, origin=Origin(origin)):
+                pass
+            assert refusal.value.response.status_code == 403
+    (line,) = caplog.messages
+    assert origin in line and "--foxglove-origin" in line
+
+
+@pytest.mark.parametrize("origin", ["https://app.foxglove.dev", "file://", "http://localhost:8080"])
+def test_the_pages_of_foxglove_and_allowed_ones_get_the_flight(session: Session, origin: str):
+    session.tick()
+    with (
+        serve_foxglove(session, "127.0.0.1", 0, allowed_origins=["http://localhost:8080"]) as server,
+        client(server.url, origin=Origin(origin)) as (connection, channels),
+    ):
+        read(connection, channels, TOPICS)
+
+
+def test_what_a_client_sends_changes_nothing(session: Session):
+    session.tick()
+    with serve_foxglove(session, "127.0.0.1", 0) as server, client(server.url) as (connection, channels):
+        wrong = [{"id": 1 << 40, "channelId": 1}, {"id": "a"}, {"id": 9, "channelId": 99}, None]
+        for message in (
+            "x",
+            "[]",
+            "[" * 20000,
+            b"\x01x",
+            {"op": "advertise"},
+            {"op": "subscribe", "subscriptions": wrong},
+        ):
+            connection.send(json.dumps(message) if isinstance(message, dict) else message)
+        read(connection, channels, TOPICS)
+        connection.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [*map(int, channels), None, 77]}))
+        session.tick()
+        connection.ping().wait(30)
+        session.tick()
+        with pytest.raises(TimeoutError):
+            while True:
+                connection.recv(timeout=1)
+
+
+def test_a_client_that_does_not_read_loses_messages_but_not_the_connection(session: Session):
+    frame = session.tick()
+    with closing(FoxgloveServer("127.0.0.1", 0)) as server:
+        server.write(frame)
+        with client(server.url) as (connection, channels):
+            read(connection, channels, TOPICS)
+            for _ in range(600):
+                server.write(frame)
+            with client(server.url) as other:  # is served meanwhile
+                read(*other, TOPICS)
+            count = 0
+            with pytest.raises(TimeoutError):
+                while connection.recv(timeout=2):
+                    count += 1
+            assert 0 < count < 600 * len(TOPICS)
 
 
 def test_a_port_in_use_is_refused_with_its_number():

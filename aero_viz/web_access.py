@@ -1,8 +1,9 @@
-"""Requests that the server of the page answers: those for its own names, from its own page or from no page at all."""
+"""Requests that our servers answer: those for their own names, from an own or allowed page or from no page at all."""
 
 from __future__ import annotations
 
 import ipaddress
+import logging
 import socket
 from collections.abc import Sequence
 from urllib.parse import urlsplit
@@ -31,25 +32,27 @@ class Access:
 
     A browser states the name that it was given (Host) and the page that asks (Origin). The name has to be one that the
     server was started for, so that a foreign name that was pointed at this machine (DNS rebinding) gets nothing. The
-    page has to be our own. Pages cannot leave out or forge the origin of a websocket, so that a client without one is
-    a program, not a page; it is answered.
+    page has to be our own or an allowed one. Pages cannot leave out or forge the origin of a websocket, so that a
+    client without one is a program, not a page; it is answered.
 
     Args:
         host: address that the server listens on.
         allowed_hosts: further names under which browsers reach the server, such as that of a proxy.
+        allowed_origins: origins of foreign pages that are answered, such as https://app.foxglove.dev.
 
     Raises:
-        UserError: an allowed host is not a name or an address.
+        UserError: an allowed host is not a name or an address, or an allowed origin is not one.
 
     Attributes:
         is_local: True if only this machine can reach the address.
         is_private: True if only this machine can reach the page: the address is local, and there is no proxy.
     """
 
-    def __init__(self, host: str, allowed_hosts: Sequence[str] = ()) -> None:
+    def __init__(self, host: str, allowed_hosts: Sequence[str] = (), allowed_origins: Sequence[str] = ()) -> None:
         host = _canonical(host)
         self.is_local = host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
         self._proxies = {_checked(name) for name in allowed_hosts}
+        self._origins = {_checked_origin(origin) for origin in allowed_origins}
         self.is_private = self.is_local and not self._proxies
         self._names = {*_LOOPBACK, *self._proxies}
         self._any_address = host in ANY_ADDRESS
@@ -68,9 +71,12 @@ class Access:
                 f"The request asks for {shown}, a name that this server was not started for; if it is the name of a "
                 "proxy or of this machine, add --host or --allow-host."
             )
-        origin = _only(headers, "Origin")
-        if origin is not None and not self._is_own(origin, host):
-            return "The request comes from the page of another origin."
+        written = _only(headers, "Origin")
+        origin = None if written is None else _origin(written)
+        if origin is not None and origin in self._origins:
+            return None
+        if written is not None and (origin is None or not self._is_own(origin, host)):
+            return f"The request comes from the page of another origin, {written[:100]!r}."
         if not _is_own_navigation(headers):
             return "The request was made by a page of another site."
         return None
@@ -83,13 +89,10 @@ class Access:
     def _is_known(self, name: str) -> bool:
         return name in self._names or (self._any_address and _is_address(name))
 
-    def _is_own(self, origin: str, host: tuple[str, int | None]) -> bool:
+    def _is_own(self, origin: tuple[str, str, int | None], host: tuple[str, int | None]) -> bool:
         """Return True if `origin` is the page at `host`, or a page that an allowed proxy serves."""
-        scheme, place = origin.partition(":")[0].lower(), _place(origin)
-        if place is None or scheme not in _PORTS:
-            return False
-        default = _PORTS[scheme]
-        return place[0] in self._proxies or (place[0], place[1] or default) == (host[0], host[1] or default)
+        scheme, name, port = origin
+        return scheme in _PORTS and (name in self._proxies or (name, port) == (host[0], host[1] or _PORTS[scheme]))
 
 
 def _only(headers: Headers, name: str) -> str | None:
@@ -108,6 +111,15 @@ def _place(address: str) -> tuple[str, int | None] | None:
     if not name or "@" in parts.netloc or parts.path or parts.query or parts.fragment:
         return None
     return _canonical(name), port
+
+
+def _origin(text: str) -> tuple[str, str, int | None] | None:
+    """Return scheme, name and port of an origin, None if it has no scheme or cannot be read, as "null"."""
+    scheme, separator, rest = text.lower().partition("://")
+    if scheme == "file" and separator and not rest:  # desktop applications; browsers send "null" for a file
+        return "file", "", None
+    place = _place(f"//{rest}") if scheme and separator else None
+    return None if place is None else (scheme, place[0], place[1] or _PORTS.get(scheme))
 
 
 def _canonical(name: str) -> str:
@@ -138,3 +150,33 @@ def _checked(name: str) -> str:
     if place is None or place[1] is not None:
         raise UserError(f"{name!r} is not the name of a host; give --allow-host a name such as viz.example.org.")
     return place[0]
+
+
+def _checked_origin(text: str) -> tuple[str, str, int | None]:
+    origin = _origin(text)
+    if origin is None or "*" in text:
+        raise UserError(
+            f"{text!r} is not the origin of a page, such as https://viz.example.org or http://localhost:8080."
+        )
+    return origin
+
+
+def local_address(host: str, port: int) -> str:
+    """Return host and port as in a URL that opens a server on this machine."""
+    host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    return f"{f'[{host}]' if ':' in host else host}:{port}"
+
+
+def quiet_logger(name: str) -> logging.Logger:
+    """Return a logger for `websockets` that spends one line on a failed connection, which anyone can cause."""
+    logger = logging.getLogger(f"{name}.websockets")
+    logger.addFilter(_shorten)
+    return logger
+
+
+def _shorten(record: logging.LogRecord) -> bool:
+    if record.getMessage() == "opening handshake failed":  # whatever is not HTTP, such as a port scan
+        return False
+    if record.exc_info:
+        record.msg, record.args, record.exc_info = f"{record.getMessage()}: {record.exc_info[1]!r}", (), None
+    return True
