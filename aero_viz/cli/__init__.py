@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
-import threading
-from types import FrameType
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output
+from aero_viz.cli.termination import install_handler
 from aero_viz.errors import UserError
 
 __all__ = ["main"]
@@ -28,8 +26,7 @@ def main(arguments: list[str] | None = None) -> None:
     """
     if sys.stdout is None:  # closed by the shell, as with >&-
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, _interrupt)
+    install_handler()
     try:
         from aero_viz.cli.parser import parse
         from aero_viz.cli.renamed_flags import replace_renamed_flags
@@ -59,11 +56,3 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         raise SystemExit(INTERRUPTED) from None
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Handle SIGTERM, which service managers and `timeout` send, as Ctrl-C: each verb keeps what it has."""
-    handler = signal.getsignal(signal.SIGINT)
-    if not callable(handler):  # a background job of a shell ignores Ctrl-C
-        raise KeyboardInterrupt
-    handler(signal.SIGINT, frame)

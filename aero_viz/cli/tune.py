@@ -26,6 +26,7 @@ from aero_viz.cli.flags import (
 from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, StudyFlags
+from aero_viz.cli.termination import is_terminating
 from aero_viz.errors import UserError
 
 ObjectiveName = Literal["time", "clearance", "smoothness"]
@@ -91,7 +92,7 @@ def tune(
         device: Warp device, such as cpu or cuda:0.
         batch: Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU.
         ray: Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS.
-        page: Show the study on the page: progress, Pareto front, importance. It stays until a second Ctrl-C.
+        page: Show the study on the page: progress, Pareto front, importance. It stays until a second Ctrl-C or SIGTERM.
         json: Print one JSON object.
         world_flags: The world.
         page_flags: The page.
@@ -158,7 +159,7 @@ def tune(
             save_config(tuning.chosen, output)
             if not json:
                 print(output)
-        if shown is not None:
+        if shown is not None and not is_terminating():
             sys.stdout.flush()
             shown.wait()
     if tuning.interrupted:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import platform
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol, TypeVar
 
@@ -94,8 +96,11 @@ class RayExecutor:
         self._ray: Any = ray
         self._needs_gpu = device.startswith("cuda")
         options: dict[str, Any] = {"address": address} if address else {"address": "local", "include_dashboard": False}
+        handler = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
+            if threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGTERM, handler)  # Ray's own handler ends the process, and all results are lost
         except Exception as error:  # Ray raises plain exceptions, too
             reason = (str(error).strip() or type(error).__name__).splitlines()[0]
             where = f"to the Ray cluster at {address}" if address else "to Ray on this machine"

@@ -85,6 +85,18 @@ def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Pa
     assert load_config(path).vehicle.speed_limit > 1.0
 
 
+def test_sigterm_ends_the_page_of_a_study_after_the_result(short_poles: str, tmp_path: Path):
+    path, storage = tmp_path / "tuned.yaml", ["--storage", f"sqlite:///{tmp_path}/tune.db"]
+    few = ["--flights", "1", "--rungs", "1", "--trials", "3", "--check", "500"]
+    code, printed, shown = run_in_terminal(
+        *("tune", short_poles, *CRIPPLED, *few, *storage, "--page", "--port", "0", "--output", str(path)),
+        interrupt_at=lambda shown: "fresh worlds" in shown and "AERO-Viz shows" in shown,
+        interrupt_by=signal.SIGTERM,
+    )
+    assert code == 130 and "Traceback" not in shown and printed.endswith(f"{path}\n")
+    assert load_config(path).vehicle.speed_limit > 1.0
+
+
 def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, tmp_path: Path):
     few = ["--flights", "1", "--rungs", "1", "--trials", "1", "--check", "1", "--rules.time-limit", "0.1"]
     with socket.socket() as occupant:

@@ -1,5 +1,6 @@
 """A benchmark on a real Ray cluster of two nodes on this machine."""
 
+import signal
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -42,7 +43,9 @@ def _add_node(cluster: Any, attempts: int = 3) -> None:
 def test_a_cluster_that_loses_a_node_returns_the_same_flights(fly: Callable[..., Run], cluster: Any):
     alone = fly("alone", flights=4, batch=1)
     (node,) = cluster.worker_nodes
+    handler = signal.getsignal(signal.SIGTERM)
     executor = RayExecutor(cluster.address)
+    assert signal.getsignal(signal.SIGTERM) == handler  # of the command line, which keeps what has been flown
 
     def lose_the_node(finished: int, total: int, text: str) -> None:
         if finished == 2 and node in cluster.worker_nodes:
