@@ -48,16 +48,17 @@ def processor(device: str) -> str:
     return "cpu" if device == "cpu" else f"sm_{wp.get_device(device).arch}"
 
 
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory, processor: str) -> Path:
-    place = tmp_path_factory.mktemp("bundle")
-    (place / "flight.yaml").write_text(f"onboard:\n  lidar:\n    points_max: {POINTS}\ncosts:\n  use_ground: false\n")
-    architectures = [] if processor == "cpu" else [parse_architecture(processor)]
-    manifest = export_bundle(
-        place / "bundle", config=place / "flight.yaml", cpu=processor == "cpu", architectures=architectures
-    )
+@pytest.fixture(scope="module", name="bundle")
+def bundle_with_graph(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, bundle_config: Path, processor: str
+) -> Path:
+    """A bundle with the graph for the device."""
+    if processor == "cpu":
+        return request.getfixturevalue("bundle")
+    path = tmp_path_factory.mktemp("bundle") / "bundle"
+    manifest = export_bundle(path, config=bundle_config, architectures=[parse_architecture(processor)])
     assert manifest["graphs"] == [processor]
-    return place / "bundle"
+    return path
 
 
 @pytest.fixture

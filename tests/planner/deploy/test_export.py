@@ -13,22 +13,9 @@ import warp as wp
 
 from aero_planner.cli import main
 from aero_planner.deploy.export import makes_graphs, parse_architecture
+from aero_planner.kernels.kernel_tuning import CUDA
 from aero_planner.onboard.bundle_export import export_bundle
-from tests.planner.config_cases import free_port
-
-CONFIG = """# tuned in the forest
-costs:
-  q_track: 7.5   # stays as it is
-onboard:
-  lidar:
-    host: 127.0.0.1
-    port: {lidar}
-    points_max: 2000
-  mavlink:
-    url: 'udpin:127.0.0.1:{autopilot}'
-  telemetry:
-    port: 0
-"""
+from aero_planner.pipeline import tuned_kernels
 
 PLAN = """
 import sys, zlib
@@ -57,33 +44,6 @@ def plan(device: str, bundle: Path | None, *, lost: int = 0, cache: Path | None 
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
-@pytest.fixture(scope="session")
-def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("config") / "tuned.yaml"
-    path.write_text(CONFIG.format(lidar=free_port(), autopilot=free_port()))
-    return path
-
-
-@pytest.fixture(scope="session")
-def cpu_compiler() -> None:
-    if not wp.is_cpu_available():
-        pytest.skip("this machine's Warp has no compiler for the CPU: bundles for it were not tested")
-
-
-# Session scope, because pytest leaves and re-enters the module to group the tests by device.
-@pytest.fixture(scope="session")
-def bundle(config: Path, tmp_path_factory: pytest.TempPathFactory, cpu_compiler: None) -> Path:
-    """Folder with a bundle for an Orin and for this machine's CPU, made by the command line."""
-    path = tmp_path_factory.mktemp("export") / "orin"
-    command = [sys.executable, "-m", "aero_planner", "export", "--config", str(config), "--arch", "sm_87", "--cpu"]
-    done = subprocess.run([*command, str(path)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    graphs = ", graphs of cpu" if makes_graphs() else ""
-    assert re.fullmatch(rf"{path}: sm_87, \S+{graphs}; \d+ files, [\d.]+ MB, in \d+ s\n", done.stdout)
-    assert os.listdir(path.parent) == ["orin"]  # no temporary files are left
-    return path
-
-
 def architecture_of(cubin: bytes) -> int:
     """Return the architecture from e_flags in the ELF header of a CUDA binary, whose layout depends on the ABI."""
     assert cubin[:4] == b"\x7fELF" and struct.unpack_from("<H", cubin, 18) == (190,)  # EM_CUDA
@@ -94,17 +54,21 @@ def architecture_of(cubin: bytes) -> int:
 def test_kernels_are_for_the_requested_processors(bundle: Path):
     cubins = sorted(bundle.glob("kernels/*/*.sm87.cubin"))
     assert len(cubins) > 20 and {architecture_of(path.read_bytes()) for path in cubins} == {87}
+    for kernel, _ in tuned_kernels(CUDA):  # with the widths that the pipeline has on a GPU
+        assert any(path.name.startswith(f"wp_{kernel.module.name}_") for path in cubins), kernel.module.name
+    # Kernels for a GPU may process one sample or point per thread, and then have another hash.
     on_cuda, on_cpu = (
-        {re.sub(r"_[0-9a-f]{7}$", "", path.parent.name) for path in paths}
-        for paths in (cubins, bundle.glob("kernels/*/*.o"))
+        {re.sub(r"_[0-9a-f]{7}.*", "", path.name) for path in paths} for paths in (cubins, bundle.glob("kernels/*/*.o"))
     )
-    assert on_cuda >= {name for name in on_cpu if name.startswith("wp_aero_planner")} and len(on_cpu) > 8
+    only_on_cpu = {f"wp_{name}__locals__{name}" for name in ("prove_stops", "query_sample_vectors")}
+    named = {"wp_aero_planner.kernels.mppi", "wp_aero_planner.kernels.selection"}
+    assert on_cuda | only_on_cpu >= on_cpu > named | only_on_cpu
     assert {path.suffix for path in bundle.glob("kernels/*/*")} == {".cubin", ".o", ".meta"}  # no sources
 
 
-def test_the_manifest_describes_every_file(bundle: Path, config: Path):
+def test_the_manifest_describes_every_file(bundle: Path, bundle_config: Path):
     manifest = json.loads((bundle / "manifest.json").read_text())
-    assert (bundle / "config.yaml").read_bytes() == config.read_bytes()
+    assert (bundle / "config.yaml").read_bytes() == bundle_config.read_bytes()
     assert manifest["architectures"] == [87] and manifest["warp"] == wp.config.version and manifest["format"] == 1
     assert manifest["structure"]["sampling.samples"] == 128
     files = {path.relative_to(bundle).as_posix(): path for path in bundle.rglob("*") if path.is_file()}
@@ -167,10 +131,10 @@ def test_preflight_checks_the_bundle(bundle: Path, tmp_path: Path):
 
 
 @pytest.mark.usefixtures("cpu_compiler")
-def test_a_tar_file_replaces_an_older_one(tmp_path: Path, config: Path):
+def test_a_tar_file_replaces_an_older_one(tmp_path: Path, bundle_config: Path):
     out = tmp_path / "drone.tar"
     out.write_text("older")
-    manifest = export_bundle(out, config=config, cpu=True)
+    manifest = export_bundle(out, config=bundle_config, cpu=True)
     assert out.stat().st_size > 100_000
     assert manifest["graphs"] == (["cpu"] if makes_graphs() else [])
     assert os.listdir(tmp_path) == ["drone.tar"]

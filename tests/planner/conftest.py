@@ -1,0 +1,66 @@
+"""A bundle for all tests, which takes long to compile."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from aero_planner.deploy.export import makes_graphs
+from tests.planner.config_cases import free_port
+
+CONFIG = """# tuned in the forest
+costs:
+  q_track: 7.5   # stays as it is
+  use_ground: false
+onboard:
+  lidar:
+    host: 127.0.0.1
+    port: {lidar}
+    points_max: 3000
+  mavlink:
+    url: 'udpin:127.0.0.1:{autopilot}'
+  telemetry:
+    port: 0
+"""
+
+
+@pytest.fixture(scope="session")
+def bundle_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A configuration of planner and node."""
+    path = tmp_path_factory.mktemp("config") / "tuned.yaml"
+    path.write_text(CONFIG.format(lidar=free_port(), autopilot=free_port()))
+    return path
+
+
+@pytest.fixture(scope="session")
+def cpu_compiler() -> None:
+    """Skips where Warp has no compiler for the CPU."""
+    if not wp.is_cpu_available():
+        pytest.skip("this machine's Warp has no compiler for the CPU: bundles for it were not tested")
+
+
+@pytest.fixture(scope="session")
+def bundle(bundle_config: Path, tmp_path_factory: pytest.TempPathFactory, cpu_compiler: None) -> Path:
+    """Folder with a bundle for an Orin and for this machine's CPU, made by the command line."""
+    path = tmp_path_factory.mktemp("export") / "orin"
+    command = [
+        sys.executable,
+        "-m",
+        "aero_planner",
+        "export",
+        "--config",
+        str(bundle_config),
+        "--arch",
+        "sm_87",
+        "--cpu",
+    ]
+    done = subprocess.run([*command, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    graphs = ", graphs of cpu" if makes_graphs() else ""
+    assert re.fullmatch(rf"{path}: sm_87, \S+{graphs}; \d+ files, [\d.]+ MB, in \d+ s\n", done.stdout)
+    assert os.listdir(path.parent) == ["orin"]  # no temporary files are left
+    return path
