@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 START = 1_700_000_000_000_000_000
 """Time of the first message of every bag [ns]."""
 
-_CODES = {"f4": 7, "f8": 8, "u4": 6, "u2": 4, "u1": 2}
+_CODES = {"f4": 7, "f8": 8, "i4": 5, "u4": 6, "u2": 4, "u1": 2, "i8": 9, "u8": 10}
 _LIVOX = """std_msgs/Header header
 uint64 timebase
 uint32 point_num
@@ -36,11 +36,26 @@ uint8 reflectivity
 uint8 tag
 uint8 line
 """
+_FOXGLOVE = """builtin_interfaces/Time timestamp
+string frame_id
+geometry_msgs/Pose pose
+uint32 point_stride
+foxglove_msgs/PackedElementField[] fields
+uint8[] data
+================================================================================
+MSG: foxglove_msgs/PackedElementField
+uint8 FLOAT32=7
+string name
+uint32 offset
+uint8 type
+"""
 
 
 def _store(ros1: bool):
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(_LIVOX, "livox_ros_driver2/msg/CustomMsg"))
+    for name in ("livox_ros_driver2", "livox_ros_driver", "livox_interfaces"):
+        store.register(get_types_from_msg(_LIVOX.replace("livox_ros_driver2", name), f"{name}/msg/CustomMsg"))
+    store.register(get_types_from_msg(_FOXGLOVE, "foxglove_msgs/msg/PointCloud"))
     if ros1:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     return store
@@ -124,25 +139,59 @@ def cloud(seconds: float, columns: dict[str, np.ndarray], *, topic="/points", fr
     return Item(topic, "sensor_msgs/msg/PointCloud2", stamp + round(late * 1e9), build)
 
 
-def livox(seconds: float, points: np.ndarray, offsets: np.ndarray) -> Item:
+def point_cloud(seconds: float, points: np.ndarray, *, frame="lidar") -> Item:
+    """Return a sensor_msgs/PointCloud, as old drivers write it."""
+    stamp = START + round(seconds * 1e9)
+
+    def build(store, ros1):
+        rows = [vector(store, point, "geometry_msgs/msg/Point32") for point in points]
+        channel = make(store, "sensor_msgs/msg/ChannelFloat32", name="i", values=np.ones(len(rows), np.float32))
+        kind = "sensor_msgs/msg/PointCloud"
+        return make(store, kind, header=header(store, ros1, stamp, frame), points=rows, channels=[channel])
+
+    return Item("/old", "sensor_msgs/msg/PointCloud", stamp, build)
+
+
+def foxglove_ros(seconds: float, points: np.ndarray, offsets: np.ndarray, position=(0, 0, 0)) -> Item:
+    """Return a foxglove_msgs/PointCloud of points [n, 3] at `offsets` [n] [ns], which its pose moves to `position`."""
+    stamp = START + round(seconds * 1e9)
+
+    def build(store, ros1):
+        rows = np.empty(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+        rows["x"], rows["y"], rows["z"] = (np.asarray(points) - position).T
+        rows["t"] = offsets
+        fields = [
+            make(store, "foxglove_msgs/msg/PackedElementField", name=name, offset=4 * i, type=5 if name == "t" else 7)
+            for i, name in enumerate("xyzt")
+        ]
+        pose = make(store, "geometry_msgs/msg/Pose", position=vector(store, position, "geometry_msgs/msg/Point"),
+                    orientation=quaternion(store, (1, 0, 0, 0)))  # fmt: skip
+        time = make(store, "builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+        return make(store, "foxglove_msgs/msg/PointCloud", timestamp=time, frame_id="lidar", pose=pose,
+                    point_stride=16, fields=fields, data=np.frombuffer(rows.tobytes(), np.uint8))  # fmt: skip
+
+    return Item("/foxglove", "foxglove_msgs/msg/PointCloud", stamp, build)
+
+
+def livox(seconds: float, points: np.ndarray, offsets: np.ndarray, package="livox_ros_driver2") -> Item:
     """Return a CustomMsg of points [n, 3] measured `offsets` [n] [ns] after its stamp."""
     stamp = START + round(seconds * 1e9)
 
     def build(store, ros1):
         rows = [
-            make(store, "livox_ros_driver2/msg/CustomPoint", offset_time=int(t), x=float(p[0]), y=float(p[1]),
+            make(store, f"{package}/msg/CustomPoint", offset_time=int(t), x=float(p[0]), y=float(p[1]),
                  z=float(p[2]), reflectivity=1, tag=0, line=0)
             for p, t in zip(points, offsets, strict=True)
         ]  # fmt: skip
-        return make(store, "livox_ros_driver2/msg/CustomMsg", header=header(store, ros1, stamp, "lidar"),
+        return make(store, f"{package}/msg/CustomMsg", header=header(store, ros1, stamp, "lidar"),
                     timebase=stamp, point_num=len(rows), lidar_id=0, rsvd=np.zeros(3, np.uint8),
                     points=rows)  # fmt: skip
 
-    return Item("/livox/lidar", "livox_ros_driver2/msg/CustomMsg", stamp, build)
+    return Item("/livox/lidar", f"{package}/msg/CustomMsg", stamp, build)
 
 
 def odometry(seconds: float, position, wxyz=(1, 0, 0, 0), twist=(0, 0, 0), *, topic="/odom", child="lidar",
-             late=0.0) -> Item:  # fmt: skip
+             late=0.0, parent="odom") -> Item:  # fmt: skip
     """Return an Odometry message with the linear velocity `twist` in the child frame."""
     stamp = START + round(seconds * 1e9)
 
@@ -151,7 +200,7 @@ def odometry(seconds: float, position, wxyz=(1, 0, 0, 0), twist=(0, 0, 0), *, to
                     orientation=quaternion(store, wxyz))  # fmt: skip
         twists = make(store, "geometry_msgs/msg/Twist", linear=vector(store, twist), angular=vector(store, (0, 0, 0)))
         return make(
-            store, "nav_msgs/msg/Odometry", header=header(store, ros1, stamp, "odom"), child_frame_id=child,
+            store, "nav_msgs/msg/Odometry", header=header(store, ros1, stamp, parent), child_frame_id=child,
             pose=make(store, "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
             twist=make(store, "geometry_msgs/msg/TwistWithCovariance", twist=twists, covariance=np.zeros(36)),
         )  # fmt: skip

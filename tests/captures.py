@@ -11,6 +11,7 @@ import dpkt
 import laspy
 import numpy as np
 from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeyEntryStruct, WktCoordinateSystemVlr
+from laspy.vlrs.vlrlist import VLRList
 
 from aero_planner.onboard.livox import encode_packet
 
@@ -123,17 +124,36 @@ def write_vlp16(path: Path) -> Path:
     return write_pcap(path, datagrams)
 
 
-def write_las(path: Path, points: np.ndarray, *, unit: int | None = None, wkt: str | None = None) -> None:
-    """Write a LAS or LAZ file, with a GeoTIFF code of the unit or the WKT of the coordinate system."""
-    header = laspy.LasHeader(point_format=3, version="1.2")
+def write_las(
+    path: Path,
+    points: np.ndarray,
+    *,
+    keys: dict[int, int] | None = None,
+    wkt: str | None = None,
+    extended: bool = False,
+) -> None:
+    """Write a LAS or LAZ file.
+
+    Args:
+        path: the file.
+        points: [n, 3].
+        keys: GeoTIFF keys and their values.
+        wkt: text of the coordinate system.
+        extended: True for LAS 1.4 with the text at the end of the file.
+    """
+    header = laspy.LasHeader(point_format=6 if extended else 3, version="1.4" if extended else "1.2")
     header.scales, header.offsets = np.full(3, 1e-4), points.min(axis=0)
     if wkt is not None:
-        header.vlrs.append(WktCoordinateSystemVlr(wkt))
-    if unit is not None:
-        keys = GeoKeyDirectoryVlr()
-        keys.geo_keys = [GeoKeyEntryStruct(3076, 0, 1, unit)]
-        keys.geo_keys_header.number_of_keys = 1
-        header.vlrs.append(keys)
+        record = WktCoordinateSystemVlr(wkt)
+        if extended:
+            header.evlrs = VLRList([record])
+        else:
+            header.vlrs.append(record)
+    if keys is not None:
+        directory = GeoKeyDirectoryVlr()
+        directory.geo_keys = [GeoKeyEntryStruct(key, 0, 1, value) for key, value in keys.items()]
+        directory.geo_keys_header.number_of_keys = len(keys)
+        header.vlrs.append(directory)
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     las.write(str(path))

@@ -25,11 +25,11 @@ from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_points
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
-"""Names of files that hold one cloud each. KITTI's .bin has rows of four float32: x, y, z, intensity."""
+"""Names of files that hold one cloud each. A .bin has rows of float32: see `read_bin`."""
 _FRAME = "lidar"
 _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
-_KITTI_ROW = 16
+_BIN_ROW = 16
 _TRIED = 5
 """Files of a folder that may be damaged before one that is not."""
 STAMP_END = 10**9 << 31
@@ -123,7 +123,9 @@ class CloudFiles(CloudSequence):
         if self._offset.any():
             x, y, z = self._offset
             self.notices.append(f"the cloud is in map coordinates: ({x:.0f}, {y:.0f}, {z:.0f}) m are subtracted")
-        if units != LasUnits():
+        if not units.is_named:
+            self.notices.append("the file names no coordinate system: its coordinates are assumed to be metres")
+        if (units.horizontal, units.vertical) != (1.0, 1.0):
             heights = f", heights x {units.vertical:.7f}" if units.vertical != units.horizontal else ""
             self.notices.append(f"coordinates in feet are converted to metres, x {units.horizontal:.7f}{heights}")
         # The number of points only has to be more than zero before a file is read; most headers are not comparable.
@@ -147,26 +149,33 @@ class CloudFiles(CloudSequence):
         return StampedCloud(self._stamps[index], points.astype(np.float32), None)
 
     def _read_points(self, path: Path) -> NDArray[np.float64]:
-        return read_kitti(path) if path.suffix.lower() == ".bin" else read_points(path, self._process)
+        return read_bin(path) if path.suffix.lower() == ".bin" else read_points(path, self._process)
 
     def close(self) -> None:
         self._process.close()
 
 
-def read_kitti(path: Path) -> NDArray[np.float64]:
-    """Return the points of a cloud of KITTI [n, 3] [m].
+def read_bin(path: Path) -> NDArray[np.float64]:
+    """Return the points of a cloud of KITTI (rows of x, y, z, intensity) or nuScenes (.. and ring) [n, 3] [m].
 
     Raises:
         UserError: the file cannot be read or has another size than such a cloud.
     """
     try:
         with open_user_file(path) as file:
-            data = file.read(_KITTI_ROW * SWEEP_POINTS_MAX + 1)
+            data = file.read((_BIN_ROW + 4) * SWEEP_POINTS_MAX + 1)
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
-    if not data or len(data) % _KITTI_ROW:
-        size = path.stat().st_size
-        raise UserError(f"{path} is not a KITTI cloud: its {size} bytes are no rows of {_KITTI_ROW}, or too many.")
+    if data and not len(data) % (_BIN_ROW + 4):
+        rows = np.frombuffer(data, "<f4").reshape(-1, 5)
+        ring = rows[:, 4]
+        if len(data) % _BIN_ROW or ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
+            return rows[:, :3].astype(np.float64)
+    if not data or len(data) % _BIN_ROW:
+        raise UserError(
+            f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are no rows of {_BIN_ROW} or "
+            f"{_BIN_ROW + 4}, or too many."
+        )
     return np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from aero_viz.recordings.foxglove_cloud import FOXGLOVE_CLOUD, FOXGLOVE_ROS_CLOUD, read_foxglove
 from aero_viz.recordings.livox import read_livox
-from aero_viz.recordings.other_clouds import FOXGLOVE_CLOUD, LASER_SCAN, read_foxglove, read_laser_scan
+from aero_viz.recordings.other_clouds import LASER_SCAN, read_laser_scan, read_point_cloud
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, RawCloud, read_point_cloud2
 
 _READERS = {
     POINT_CLOUD2: read_point_cloud2,
     "livox_ros_driver/msg/CustomMsg": read_livox,
     "livox_ros_driver2/msg/CustomMsg": read_livox,
+    "livox_interfaces/msg/CustomMsg": read_livox,
+    "sensor_msgs/msg/PointCloud": read_point_cloud,
     FOXGLOVE_CLOUD: read_foxglove,
+    FOXGLOVE_ROS_CLOUD: read_foxglove,
     LASER_SCAN: read_laser_scan,
 }
 

@@ -1,26 +1,31 @@
-"""Files that rosbag2 compressed as a whole (.db3.zstd, .mcap.zstd), decompressed into the temporary folder."""
+"""Files that were compressed as a whole (.db3.zstd, .bag.gz, .pcd.xz), decompressed into the temporary folder."""
 
 from __future__ import annotations
 
+import bz2
+import lzma
 import shutil
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import expansion_limit
+from aero_viz.recordings.bag_file import ZSTD_MAGIC, one_line
 
 _BLOCK = 1 << 20
 """Bytes that are read at once."""
 _STEP = 2048
 """Bytes that are decompressed at once: they expand to 64 MiB at most."""
+_XZ_MEMORY = 256 << 20  # [bytes]
 
 
 def decompress_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
-    """Decompress a zstd file into a temporary folder that `stack` removes.
+    """Decompress a file into a temporary folder that `stack` removes.
 
     At most half of the space that is free there is used.
 
@@ -50,7 +55,7 @@ def decompress_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
             if written > space:
                 raise UserError(
                     f"{path} expands to more than the {space >> 20} MiB that may be used in {folder.parent}: set "
-                    f"TMPDIR to a larger folder, or run `unzstd {path.name}` and open its result"
+                    f"TMPDIR to a larger folder, or decompress {path.name} and open the result"
                 )
             sink.write(piece)
     if not written:
@@ -62,21 +67,44 @@ def decompress_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
 
 def _pieces(source: BinaryIO) -> Iterator[bytes | str]:
     """Yield the decompressed content in pieces, and at last its defect, if there is one."""
-    import zstandard
-
-    decompressor = zstandard.ZstdDecompressor()
-    frame, is_open = decompressor.decompressobj(), True
+    start = source.read(max(map(len, COMPRESSED_MAGICS)))
+    source.seek(0)
+    make = next(make for magic, make in _DECOMPRESSORS.items() if start.startswith(magic))
+    frame, is_open = make(), True
     while block := source.read(_BLOCK):
         for at in range(0, len(block), _STEP):
             data = block[at : at + _STEP]
             while data:
                 if not is_open:
-                    frame, is_open = decompressor.decompressobj(), True
+                    frame, is_open = make(), True
                 try:
                     yield frame.decompress(data)
-                except zstandard.ZstdError as error:
-                    yield f"damaged ({error})"
+                except Exception as error:  # every library has a class of its own
+                    yield f"damaged ({one_line(error)})"
                     return
                 is_open, data = not frame.eof, frame.unused_data if frame.eof else b""
     if is_open:
         yield "truncated"
+
+
+def _zstd() -> Any:
+    import zstandard
+
+    return zstandard.ZstdDecompressor().decompressobj()
+
+
+def _lz4() -> Any:
+    import lz4.frame
+
+    return lz4.frame.LZ4FrameDecompressor()
+
+
+_DECOMPRESSORS: dict[bytes, Callable[[], Any]] = {
+    ZSTD_MAGIC: _zstd,
+    b"\x04\x22\x4d\x18": _lz4,
+    b"\x1f\x8b\x08": lambda: zlib.decompressobj(16 + zlib.MAX_WBITS),
+    b"BZh": bz2.BZ2Decompressor,
+    b"\xfd7zXZ\0": lambda: lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_MEMORY),
+}
+COMPRESSED_MAGICS = tuple(_DECOMPRESSORS)
+"""Starts of zstd, LZ4, gzip, bzip2 and xz files."""

@@ -13,7 +13,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import TOPICS_MAX
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
-from aero_viz.recordings.other_clouds import FOXGLOVE_CLOUD
+from aero_viz.recordings.foxglove_cloud import FOXGLOVE_CLOUD
 from aero_viz.recordings.pose_messages import POSE_TYPES, TRANSFORM_STAMPED, decode_poses
 from aero_viz.recordings.ros_messages import ENCODINGS, TF_TYPES, DamagedMessage
 from aero_viz.recordings.storage import Storage
@@ -69,6 +69,8 @@ class TopicContents:
     poses: PoseSamples = field(default_factory=PoseSamples)
     child: str = ""
     """Frame that the poses place; empty where the messages do not say."""
+    parent: str = ""
+    """Frame that the poses are in."""
 
     def add_damaged(self, reason: str) -> None:
         """Count a message that cannot be decoded."""
@@ -178,7 +180,9 @@ class _Scanner:
             return
         try:
             if channel.type in CLOUD_TYPES:
-                cloud = read_cloud(self._without_points(message), channel.type, channel.encoding)
+                is_text = channel.encoding == "json"
+                layout = file.read(message.position) if is_text else self._without_points(message)
+                cloud = read_cloud(layout, channel.type, channel.encoding)
                 entry = CloudEntry(cloud.stamp, message.time, cloud.rows.size, cloud.frame, file, message.position)
                 topic.clouds.append(entry)
                 return
@@ -202,7 +206,7 @@ class _Scanner:
                 )
             if channel.type in POSE_TYPES:
                 topic.poses.add(pose.stamp, message.time, pose.values)
-                topic.child = pose.child
+                topic.child, topic.parent = pose.child, pose.parent
 
     def _without_points(self, message: Message) -> bytes | memoryview:
         """Return the message with zeros behind its head, from which the layout of a cloud can be decoded.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,11 +43,11 @@ _MAGICS = {
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ULOG = b"ULog"
 _OSF = b"OSF"
-_SUBFOLDERS = ("", "velodyne", "velodyne_points/data", "points", "lidar", "clouds", "scans")
+_SUBFOLDERS = ("", "velodyne", "velodyne_points/data", "data", "points", "lidar", "clouds", "scans")
 _POSES = ("poses.txt", "pose.txt", "trajectory.txt", "groundtruth.txt", "gt.txt", "tum.txt")
 _TIMES = ("times.txt", "timestamps.txt")
-_NUMBER_MAX = 2.1e18
-"""Larger numbers in the names of files are no times [ns]."""
+_TIME_IN_NAME = re.compile(r"(?:^|\D)(\d{9,19})(?:\.(\d{1,9})|_(\d{9}))?(?:\.pcd)?$")
+"""A time since 1970 at the end of a name: one number, or seconds with decimals or "_" and nine digits."""
 _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
 """Smallest number that is a time since 1970 in ns, us, ms, s, and the length of its unit [ns]."""
 
@@ -116,57 +118,71 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         if not files:
             continue
         suffix = Counter(file.suffix.lower() for file in files).most_common(1)[0][0]
-        files = sorted((file for file in files if file.suffix.lower() == suffix), key=_order)
-        stamps, notice = _stamps(files, [folder, path, path.parent] if name else [folder, path.parent])
+        files = [file for file in files if file.suffix.lower() == suffix]
+        inner = name or folder.name in {part for known in _SUBFOLDERS for part in known.split("/")}
+        places = list(dict.fromkeys([folder, folder.parent, path] if inner else [folder]))
+        files, stamps, notice = _in_order(files, places)
         clouds = CloudFiles(path, files, stamps)
         clouds.notices += [notice] if notice else []
-        places = [folder, path]
         pose_file = next((place / pose for place in places for pose in _POSES if (place / pose).is_file()), None)
         pose_file = pose_file or next((file for place in places for file in sorted(place.glob("*.tum"))), None)
+        if pose_file is None:  # KITTI's odometry: poses/00.txt for sequences/00
+            kitti = [place.parent.parent / "poses" / f"{place.name}.txt" for place in places]
+            pose_file = next((file for file in kitti if file.is_file()), None)
         return CloudFolder(f"folder of {suffix.lstrip('.')}", clouds, pose_file)
     return None
 
 
-def _order(file: Path) -> tuple[float, str]:
-    return (_number(file) or 0.0, file.name)
+def _in_order(files: list[Path], places: list[Path]) -> tuple[list[Path], list[int], str]:
+    """Return the files in the order of time, their stamps [ns], and a notice on where these are from.
 
-
-def _number(file: Path) -> float | None:
-    try:
-        number = float(file.stem.replace("_", "."))
-    except ValueError:
-        return None
-    return number if abs(number) < _NUMBER_MAX else None
-
-
-def _stamps(files: list[Path], folders: list[Path]) -> tuple[list[int], str]:
-    """Return the stamps of the files [ns], and a notice on where they are from."""
-    for folder in folders[:-1]:
-        for name in _TIMES:
-            if (folder / name).is_file():
-                return _read_times(folder / name, len(files)), ""
-    numbers = [_number(file) for file in files]
-    if all(number is not None and number >= _UNITS[-1][0] for number in numbers):
-        unit = next(length for least, length in _UNITS if numbers[0] is not None and numbers[0] >= least)
-        is_exact = unit == 1.0 and all(file.stem.isdecimal() for file in files)
-        stamps = [int(file.stem) if is_exact else round((_number(file) or 0.0) * unit) for file in files]
-        if max(stamps) < STAMP_END:
-            return stamps, ""
+    Args:
+        files: clouds.
+        places: folders in which there may be a text with the times of the sorted files.
+    """
+    files = sorted(files, key=_natural)
+    text = next((place / name for place in places for name in _TIMES if (place / name).is_file()), None)
+    if text is not None:
+        return files, _read_times(text, len(files)), ""
+    named = sorted((stamp, file) for file in files if (stamp := _time_in_name(file)) is not None)
+    if len(named) == len(files):
+        return [file for _, file in named], [stamp for stamp, _ in named], ""
     notice = "no times are recorded: the clouds are assumed to be 0.1 s apart" if len(files) > 1 else ""
-    return [_FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
+    return files, [_FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
+
+
+def _natural(file: Path) -> tuple[tuple[str, float], ...]:
+    """Return a key that sorts numbers in names by their values: 9 before 10, and 0.9 before 1.0."""
+    try:
+        return (("", float(file.stem)),)
+    except ValueError:
+        return tuple((text, float(number or 0)) for text, number in re.findall(r"(\D*)(\d{0,300})", file.stem))
+
+
+def _time_in_name(file: Path) -> int | None:
+    """Return the time since 1970 in a name [ns], None without one."""
+    found = _TIME_IN_NAME.search(file.stem)
+    if found is None:
+        return None
+    whole, decimals, nanoseconds = found.groups()
+    unit = next((length for least, length in _UNITS if int(whole) >= least), None)
+    if unit is None or ((decimals or nanoseconds) and unit != 1e9):
+        return None
+    stamp = int(whole) * int(unit) + int(nanoseconds or (decimals or "").ljust(9, "0"))
+    return stamp if stamp < STAMP_END else None
 
 
 def _read_times(path: Path, count: int) -> list[int]:
     try:
         text = read_user_text(path, limit=TEXT_MAX)
-        values = [float(line.split()[0]) for line in text.splitlines() if line.strip()]
+        values = [_seconds(line) for line in text.splitlines() if line.strip()]
         if not np.isfinite(values).all():
             raise ValueError("one of them is not finite")
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:
         problem = one_line(error)[:200]
-        raise UserError(f"{path} must hold one time in seconds per line ({problem}); correct or remove it.") from error
+        raise UserError(f"{path} must hold one time or date per line ({problem}); correct or remove it.") from error
     if len(values) != count:
         raise UserError(f"{path} holds {len(values)} times for {count} clouds; correct or remove it.")
     unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
@@ -174,3 +190,10 @@ def _read_times(path: Path, count: int) -> list[int]:
     if max(values) * unit >= STAMP_END - first:
         raise UserError(f"{path} holds a time that is beyond 2038; correct or remove it.")
     return [max(round(value * unit), 0) + first for value in values]
+
+
+def _seconds(line: str) -> float:
+    """Return the time at the start of a line, which may be a date and a time of day (UTC), as in KITTI's raw data."""
+    if not re.match(r"\d{4}-\d\d-\d\d ", line):
+        return float(line.split()[0])
+    return datetime.fromisoformat(line.strip()[:26]).replace(tzinfo=timezone.utc).timestamp()

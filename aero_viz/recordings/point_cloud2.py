@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,11 +20,13 @@ POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 _MAX_RANGE = 1e4
 """No LiDAR measures farther [m]. A larger coordinate is damaged and would overflow later."""
 
-_TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_offset", "time_stamp")
+_TIME_FIELDS = ("t", "time", "timestamp", "offsettime", "timeoffset", "timeoffsetns", "timestampoffset", "pointtime")
+_TIME_FIELDS += ("pointtimeoffset", "relativetime", "relativetimestamp", "ts", "stamp", "gpstime")
+"""Names of a time per point, without underscores and in lower case; the preferred one first."""
 
-_FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8", 9: "i8", 10: "u8"}
 """NumPy formats of sensor_msgs/PointField.datatype."""
-_COORDINATE_FORMATS, _TIME_FORMATS = ("f4", "f8"), ("i4", "u4", "f4", "f8")
+_COORDINATE_FORMATS, _TIME_FORMATS = ("f4", "f8"), ("i4", "u4", "f4", "f8", "i8", "u8")
 
 _MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
 """Limits of a sweep's duration [s]."""
@@ -69,8 +72,7 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
     if missing:
         raise DamagedMessage(f"it lacks {', '.join(missing)} as floating-point fields and has {names or 'no fields'}")
     chosen = {axis: fields[axis] for axis in "xyz"}
-    time = next((name for name in _TIME_FIELDS if name in fields and fields[name][0] in _TIME_FORMATS), None)
-    if time is not None:
+    if time := time_field({name: code for name, (code, _) in fields.items()}):
         chosen["time"] = fields[time]
     if any(offset + int(code[-1]) > cloud.point_step for code, offset in chosen.values()):
         raise DamagedMessage(f"a field lies outside its point_step of {cloud.point_step} bytes")
@@ -97,6 +99,16 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
     return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)
 
 
+def time_field(formats: Mapping[str, str]) -> str | None:
+    """Return the name of the field that holds the time of a point, None without one.
+
+    Args:
+        formats: NumPy format of each field, such as "f4" or "<u4", by its name.
+    """
+    plain = {name.lower().replace("_", ""): name for name, code in formats.items() if code.strip("<>") in _TIME_FORMATS}
+    return next((plain[name] for name in _TIME_FIELDS if name in plain), None)
+
+
 def decode_points(cloud: RawCloud) -> DecodedPoints:
     """Return the valid points of a cloud and their times.
 
@@ -114,11 +126,13 @@ def decode_points(cloud: RawCloud) -> DecodedPoints:
         for axis in (1, 2):
             np.maximum(largest, np.abs(points[:, axis]), out=largest)
         valid = (largest > 0) & (largest < _MAX_RANGE)
-    times = _point_times(rows["time"].reshape(-1), cloud.stamp) if "time" in (rows.dtype.names or ()) else None
-    if valid.all():
-        return DecodedPoints(np.ascontiguousarray(points), times, 0)
-    kept = np.flatnonzero(valid)
-    return DecodedPoints(points.take(kept, axis=0), None if times is None else times[kept], len(valid) - len(kept))
+    values = rows["time"].reshape(-1) if "time" in (rows.dtype.names or ()) else None
+    count = len(points)
+    if not valid.all():  # invalid points often have no time, either
+        kept = np.flatnonzero(valid)
+        points, values = points.take(kept, axis=0), None if values is None else values[kept]
+    times = None if values is None or not len(points) else point_times(values, cloud.stamp)
+    return DecodedPoints(np.ascontiguousarray(points), times, count - len(points))
 
 
 def encode_point_cloud2(
@@ -162,8 +176,8 @@ def replace_stamp(message: bytes, stamp: int) -> bytes:
     return message[:4] + struct.pack("<iI", *divmod(stamp, 10**9)) + message[12:]
 
 
-def _point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
-    """Return times after the stamp [s], or None if the values make no sense as times.
+def point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
+    """Return times after the stamp [ns] in seconds, or None if the values make no sense as times.
 
     Drivers write seconds, milliseconds, microseconds or nanoseconds, counted from the stamp, from 1970 or from the
     sensor's start, and the message does not say which. A sweep lasts between 1 ms and 2 s: that settles the unit.

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import multiply, quaternion_of_matrix, rotate
-from aero_planner.user_file import open_user_file
+from aero_planner.quaternions import multiply, quaternion_of_matrix, rotate, rotation_matrix
+from aero_planner.user_file import open_user_file, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.recordings.bag_file import one_line
@@ -177,6 +177,10 @@ def add_poses(recording: Recording, path: Path) -> None:
                 "have one pose per sweep; give TUM text, which has times."
             )
         times = sweeps
+        if mount := _camera_mount(path, recording.path):
+            name, camera = mount
+            table = _move_to_sensor(table, camera)
+            notices.append(f"{path.name} holds the poses of a camera: {name} moves them to the LiDAR")
     else:
         start, first = recording.start * 1e-9, table.times[0]
         candidates = [("", table.times - start), ("counted from the first sweep", table.times)]
@@ -191,6 +195,30 @@ def add_poses(recording: Recording, path: Path) -> None:
         raise UserError(f"the poses of {path} do not overlap the sweeps of {recording.path} in time.")
     recording.keep(covered)
     recording.use_poses(poses.shifted(float(sweeps[covered][0])), path.name, notices, origin="file")
+
+
+def _camera_mount(poses: Path, recording: Path) -> tuple[Path, NDArray[np.float64]] | None:
+    """Return KITTI's calibration beside the poses or the clouds, and the pose of the LiDAR in its camera [4, 4]."""
+    for folder in dict.fromkeys((poses.parent, recording, recording.parent)):
+        try:
+            lines = read_user_text(folder / "calib.txt", limit=_LINE_MAX).splitlines()
+        except (OSError, ValueError):
+            continue
+        for line in lines:
+            name, _, numbers = line.partition(":")
+            if name.strip() in ("Tr", "Tr_velo_to_cam") and len(numbers.split()) == 12:
+                matrix = np.vstack([np.array(numbers.split(), np.float64).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+                if abs(np.linalg.det(matrix) - 1.0) < 0.1:
+                    return folder / "calib.txt", matrix
+    return None
+
+
+def _move_to_sensor(table: PoseTable, mount: NDArray[np.float64]) -> PoseTable:
+    """Return the poses of a sensor from those of a camera and the pose of the sensor in it [4, 4]."""
+    poses = np.tile(np.eye(4), (len(table.positions), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = rotation_matrix(table.quaternions), table.positions
+    poses = np.linalg.inv(mount) @ poses @ mount
+    return table._replace(positions=poses[:, :3, 3], quaternions=quaternion_of_matrix(poses[:, :3, :3]))
 
 
 def _overlaps(times: NDArray[np.float64], sweeps: NDArray[np.float64]) -> bool:

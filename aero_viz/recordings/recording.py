@@ -125,6 +125,7 @@ class Recording:
         if source is not None:
             self.poses = source.poses.shifted(float(times[0] - start) * 1e-9)
             self.extrinsic = source.extrinsic
+        self._registered = self.poses if source is not None and source.in_world else None
 
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
@@ -149,6 +150,7 @@ class Recording:
         first = float(self.sweep_times[sweeps][0])
         self._entries = [entry for entry, kept in zip(self._entries, sweeps, strict=True) if kept]
         self.start += round(1e9 * first)
+        self._registered = None if self._registered is None else self._registered.shifted(first)
         self.sweep_times, self.sweep_counts = self.sweep_times[sweeps] - first, self.sweep_counts[sweeps]
         self._cached_sweep.cache_clear()
 
@@ -192,11 +194,14 @@ class Recording:
             decoded = DecodedPoints(np.empty((0, 3), np.float32), None, entry.count)
             self.damaged_sweeps.add(index)
         self._prefetch(index + 1)
-        points = decoded.points
+        points, times = decoded.points, decoded.times
+        if self._registered is not None:  # whoever moved the points to the world corrected their motion
+            pose, times = self._registered.interpolate(self.sweep_times[index]), None
+            points = (points - self._registered.offset - pose.position) @ rotation_matrix(pose.quaternion)
+            points = points.astype(np.float32)
         if self.extrinsic is not IDENTITY:
             rotation = rotation_matrix(self.extrinsic.quaternion).astype(np.float32)
             points = points @ rotation.T + self.extrinsic.position.astype(np.float32)
-        times = decoded.times
         if self._mask is not None:
             kept = ~((points >= self._mask[0]) & (points <= self._mask[1])).all(axis=1)
             points, times = points[kept], None if times is None else times[kept]

@@ -14,6 +14,12 @@ ENCODINGS = ("cdr", "ros1")
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Two names of one type."""
 
+_FOXGLOVE_TYPES = {
+    "foxglove_msgs/msg/PackedElementField": "string name\nuint32 offset\nuint8 type",
+    "foxglove_msgs/msg/PointCloud": "builtin_interfaces/Time timestamp\nstring frame_id\ngeometry_msgs/Pose pose\n"
+    "uint32 point_stride\nfoxglove_msgs/PackedElementField[] fields\nuint8[] data",
+}
+
 
 class DamagedMessage(ValueError):
     """A message that cannot be decoded. The text completes the sentence "The message cannot be used because ..."."""
@@ -74,8 +80,9 @@ def ros1_to_cdr(data: bytes, type_name: str) -> bytes:
 @cache
 def _typestore(encoding: str) -> Typestore:
     # All distributions define the types used here alike, so the definitions in the bag are not needed.
-    if encoding != "ros1":
-        return get_typestore(Stores.ROS2_HUMBLE)
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPES[0]))
+    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    if encoding == "ros1":
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPES[0]))
+    for name, definition in _FOXGLOVE_TYPES.items():
+        store.register(get_types_from_msg(definition, name))
     return store

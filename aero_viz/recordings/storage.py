@@ -14,8 +14,8 @@ import yaml
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
-from aero_viz.recordings.bag_file import ZSTD_MAGIC, BagFile, one_line
-from aero_viz.recordings.compressed_file import decompress_file
+from aero_viz.recordings.bag_file import BagFile, one_line
+from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_file
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
@@ -34,6 +34,14 @@ _READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
     ROS1_MAGIC: ("rosbag1", Ros1File),
     SQLITE_MAGIC: ("rosbag2-sqlite3", SqliteFile),
 }
+_UNREAD = {
+    b"PK\3\4": (0, "unpack this archive, and open the file or folder in it"),
+    b"ustar": (257, "unpack this archive with `tar -xf`, and open the file or folder in it"),
+    b"ASTM-E57": (0, "convert this E57 file with `pdal translate`, or CloudCompare, to LAZ or PLY"),
+}
+"""Starts of files that are not read, their offset, and what to do."""
+_START = 512
+"""Bytes of a file from which its format is found."""
 _METADATA_DEPTH = 20
 _SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
 
@@ -85,7 +93,7 @@ class Storage:
             packed: the compressed file that `path` was made from, by which the user knows it.
         """
         with open_user_file(path) as file:
-            start = file.read(max(map(len, _READERS)))
+            start = file.read(_START)
         name = packed or path
         if not start:
             raise UserError(f"{name} is empty: record or copy it again")
@@ -94,9 +102,12 @@ class Storage:
                 bag = reader(path)
                 bag.path = name
                 return format_name, bag
-        if start.startswith(ZSTD_MAGIC) and packed is None:
+        if start.startswith(COMPRESSED_MAGICS) and packed is None:
             content, problem = decompress_file(path, self._stack)
-            format_name, bag = self._open(content, path)
+            try:
+                format_name, bag = self._open(content, path)
+            except UserError as error:
+                raise UserError(str(error).replace(str(content), str(path))) from error
             if problem:
                 bag.problems.append(problem)
             return format_name, bag
@@ -106,8 +117,12 @@ class Storage:
         from aero_viz.recordings.other_formats import open_other_file
 
         if found := open_other_file(path, start):
+            found[1].path = name
             self.problems += found[1].notices
             return found
+        for magic, (offset, advice) in _UNREAD.items():
+            if start[offset:].startswith(magic):
+                raise UserError(f"{name} is not a recording: {advice}")
         raise UserError(f"{name} is not a recording that AERO-Viz can read; it reads {SUPPORTED}")
 
     def close(self) -> None:
@@ -122,6 +137,8 @@ def open_storage(path: str | Path) -> Storage:
     Raises UserError if there is none.
     """
     path = Path(path).expanduser()
+    if path.name == "metadata.yaml" and path.is_file():
+        path = path.parent
     with readable(path):
         if not path.exists():
             raise UserError(_missing(path))
@@ -129,12 +146,18 @@ def open_storage(path: str | Path) -> Storage:
             return Storage(path, [path], is_folder=False)
         if (path / "metadata.yaml").is_file():
             return _open_folder(path)
-        files = sorted(file for file in path.iterdir() if file.suffix in {".mcap", ".db3"})
+        files = sorted(path.iterdir())
+        ros2 = [file for file in files if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
         # A recorder that is killed writes no metadata.yaml. The files of one recording differ only in a number.
-        if len({re.sub(r"_\d+$", "", file.stem) for file in files}) == 1:
-            storage = Storage(path, sorted(files, key=_part), is_folder=True)
+        if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", "", file.name) for file in ros2}) == 1:
+            storage = Storage(path, sorted(ros2, key=_part), is_folder=True)
             storage.problems.append("the folder has no metadata.yaml: the recording was probably interrupted")
             return storage
+        ros1 = sorted((file for file in files if re.search(r"\.bag(\.active)?$", file.name)), key=_part)
+        # `rosbag record --split` appends the date and a number.
+        names = {re.sub(r"(_\d{4}(-\d\d){5})?_\d+\.bag.*$", "", file.name) for file in ros1}
+        if ros1 and not ros2 and len(names) == 1 and [_part(file) for file in ros1] == list(range(len(ros1))):
+            return Storage(path, ros1, is_folder=False)
         from aero_viz.recordings.other_formats import open_cloud_folder
 
         if folder := open_cloud_folder(path):
@@ -206,7 +229,7 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def _part(file: Path) -> int:
-    number = re.search(r"_(\d+)$", file.stem)
+    number = re.search(r"_(\d+)\.(mcap|db3|bag)(\.\w+)?$", file.name)
     return int(number[1]) if number else 0
 
 

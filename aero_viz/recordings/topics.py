@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from aero_viz.errors import UserError
 from aero_viz.recordings.clouds import CLOUD_TYPES
 from aero_viz.recordings.contents import CloudEntry, Contents, TopicContents
+from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
 from aero_viz.recordings.ros_messages import TF_TYPES
@@ -22,8 +24,15 @@ Array = NDArray[np.float64]
 _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
 """Types of messages that fit each role of a topic, and what to say about another type."""
 
-_PACKETS = ("/PacketMsg", "/VelodyneScan", "/VelodynePacket", "/RslidarScan", "/PandarScan", "/RslidarPacket")
-"""Ends of the types of messages that drivers of Ouster, Velodyne, RoboSense and Hesai record packets in."""
+_UNREAD = {
+    r"/(PacketMsg|UdpFrame|(velodyne|rslidar|pandar|lslidar)Scan|\w+Packets?)$": (
+        "record the clouds that the sensor's driver makes while it replays the packets"
+    ),
+    r"[/.]CompressedPointCloud2?$": (
+        "decompress its clouds with `ros2 run point_cloud_transport republish`, and record their PointCloud2 topic"
+    ),
+}
+"""What to do with types of messages that hold points in a form that is not read: packets and compressed clouds."""
 
 _SHOWN, _SHOWN_LENGTH = 8, 80
 """Number of names that a message lists, and their length."""
@@ -45,6 +54,8 @@ class PoseSource(NamedTuple):
     """Pose of the LiDAR in the body's frame."""
     notice: str
     """Notice for the user about the extrinsic; empty if there is nothing to say."""
+    in_world: bool = False
+    """True if the clouds are in the frame that the poses are in."""
 
 
 class ChosenPoses(NamedTuple):
@@ -72,23 +83,27 @@ def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: 
 def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     """Return the topic with the sweeps: the named one or the one with the most clouds.
 
+    Clouds that are already in the frame of the world come last, and before them planar scans.
+
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
     """
-    topics = sorted(contents.topics_with(CLOUD_TYPES), key=lambda topic: (-len(topic.clouds), topic.name))
+    worlds = {topic.parent for topic in contents.topics if topic.parent}
+
+    def order(topic: TopicContents) -> tuple[bool, bool, int, str]:
+        placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
+        return placed, topic.type == LASER_SCAN, -len(topic.clouds), topic.name
+
+    topics = sorted(contents.topics_with(CLOUD_TYPES), key=order)
     if name is not None:
         topics = [_find_topic(contents, name, "points")]
     if not topics:
         held = _join([f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics], ", ") or "no topics"
-        is_raw = any(topic.type.endswith(_PACKETS) and topic.count for topic in contents.topics)
+        present = [topic.type for topic in contents.topics if topic.count]
+        advice = (text for kind, text in _UNREAD.items() if any(re.search(kind, name, re.I) for name in present))
         raise UserError(
-            f"{contents.path} has no PointCloud2 topic with messages, and none of Livox's CustomMsg or LaserScan; it "
-            f"holds {held}: "
-            + (
-                "record the clouds that the sensor's driver makes while it replays the packets"
-                if is_raw
-                else "record the topic of the LiDAR, too"
-            )
+            f"{contents.path} has no PointCloud2 topic with messages, nor any other cloud that can be read; it holds "
+            f"{held}: {next(advice, 'record the topic of the LiDAR, too')}"
         )
     if not topics[0].clouds:
         reason = topics[0].reason or "there are no messages"
@@ -171,6 +186,9 @@ def _read_poses(
     rows = topic.poses.rows()
     times = np.asarray((topic.poses.times(stamped=stamped) - start) * 1e-9, np.float64)
     poses, outliers = _without_outliers(topic.name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
+    if topic.parent == frame != topic.child:
+        notice = f"clouds are in the frame of the world, {frame!r}: the poses on {topic.name} move them to the body"
+        return PoseSource(topic.name, poses, IDENTITY, "; ".join(filter(None, (outliers, notice))), in_world=True)
     if not topic.child or topic.child == frame:
         return PoseSource(topic.name, poses, IDENTITY, outliers)
     extrinsic, notice = contents.transforms.between(topic.child, frame), ""

@@ -11,13 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.scenes.decoder_checks import check_count
+from aero_viz.scenes.epsg_units import FOOT, US_FOOT, unit_of_heights, unit_of_system
 
 _CHUNK = 1_000_000  # points decoded at once
 _HEADER_MAX = 375  # [bytes]
-_FEET = {9002: 0.3048, 9003: 1200 / 3937}
-"""GeoTIFF codes of linear units: the international foot and the US survey foot [m]."""
+_LENGTHS = {9001: 1.0, 9002: FOOT, 9003: US_FOOT}
+"""GeoTIFF codes of linear units [m]."""
 _HORIZONTAL_KEY, _VERTICAL_KEY = 3076, 4099
 """ProjLinearUnitsGeoKey and VerticalUnitsGeoKey."""
+_SYSTEM_KEY, _VERTICAL_SYSTEM_KEY = 3072, 4096
+"""ProjectedCSTypeGeoKey and VerticalCSTypeGeoKey: codes of EPSG."""
+_MODEL_KEY, _PROJECTED = 1024, 1
+"""GTModelTypeGeoKey, and its value for coordinates that are lengths in a plane."""
 _GEO_KEYS, _GEO_TEXTS, _WKT = 34735, 34737, 2112
 _NOISE = (7, 18)
 """Classes of low and high noise."""
@@ -28,6 +33,8 @@ class LasUnits(NamedTuple):
 
     horizontal: float = 1.0
     vertical: float = 1.0
+    is_named: bool = True
+    """False if the file names no coordinate system."""
 
 
 def read_las(path: Path) -> NDArray[np.float64]:
@@ -99,8 +106,8 @@ def _check_laz_chunks(path: Path, first_point: int, size: int) -> None:
 
 
 def _units(header: Any) -> LasUnits:
-    keys, texts = {}, ""
-    for record in header.vlrs:
+    keys, texts, units = {}, "", None
+    for record in [*header.vlrs, *(header.evlrs or ())]:
         if record.record_id == _GEO_KEYS:  # rows of key, location, count, value
             content = record.record_data_bytes()[8:]
             rows = np.frombuffer(content[: len(content) // 8 * 8], "<u2").reshape(-1, 4)
@@ -108,16 +115,32 @@ def _units(header: Any) -> LasUnits:
         elif record.record_id == _GEO_TEXTS:
             texts = record.record_data_bytes().decode(errors="replace").lower()
         elif record.record_id == _WKT:
-            return _units_of_wkt(record.record_data_bytes().decode(errors="replace"))
-    if _HORIZONTAL_KEY in keys:
-        horizontal = _FEET.get(keys[_HORIZONTAL_KEY], 1.0)
-    elif "ftus" in texts or "us survey f" in texts or "foot_us" in texts:
-        horizontal = _FEET[9003]
-    elif _VERTICAL_KEY in keys and not texts:
-        horizontal = _FEET.get(keys[_VERTICAL_KEY], 1.0)
-    else:
-        horizontal = 1.0
-    return LasUnits(horizontal, _FEET.get(keys[_VERTICAL_KEY], 1.0) if _VERTICAL_KEY in keys else horizontal)
+            text = record.record_data_bytes().decode(errors="replace")
+            if re.search(r"GEO(G|D|C)(CS|CRS)", text, re.I) and not re.search(r"PROJ(CS|CRS)|PROJECTEDCRS", text, re.I):
+                _check_no_degrees(header)
+            units = _units_of_wkt(text)
+    if units is not None:
+        return units
+    if keys.get(_MODEL_KEY, _PROJECTED) != _PROJECTED:
+        _check_no_degrees(header)
+    by_text = US_FOOT if any(name in texts for name in ("ftus", "us survey f", "foot_us")) else None
+    by_height = _LENGTHS.get(keys.get(_VERTICAL_KEY, 0))
+    horizontal = _LENGTHS.get(keys.get(_HORIZONTAL_KEY, 0)) or unit_of_system(keys.get(_SYSTEM_KEY, 0)) or by_text
+    if horizontal is None and _SYSTEM_KEY not in keys and not texts:
+        horizontal = by_height
+    vertical = by_height or unit_of_heights(keys.get(_VERTICAL_SYSTEM_KEY, 0))
+    if vertical is None:  # a vertical system that is in no feet is in metres
+        vertical = 1.0 if _VERTICAL_SYSTEM_KEY in keys else horizontal
+    return LasUnits(horizontal or 1.0, vertical or 1.0, bool(keys or texts))
+
+
+def _check_no_degrees(header: Any) -> None:
+    """Refuse coordinates that are longitudes and latitudes, which say nothing about distances."""
+    if np.abs([*header.mins[:2], *header.maxs[:2]]).max() <= 360.0:
+        raise ValueError(
+            "its coordinates are degrees: convert it to metres, for example with "
+            "`pdal translate IN OUT reprojection --filters.reprojection.out_srs=EPSG:326NN`, NN being the UTM zone"
+        )
 
 
 def _units_of_wkt(text: str) -> LasUnits:

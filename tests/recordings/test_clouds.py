@@ -51,8 +51,25 @@ def test_invalid_points_are_dropped_and_counted(mcap_of):
         ("time", lambda s, stamp: (s * 1e6).astype("f4")),
         ("timestamp", lambda s, stamp: stamp * 1e-9 + s),
         ("timestamp", lambda s, stamp: stamp + s * 1e9),
+        ("timestamp", lambda s, stamp: stamp + (s * 1e9).astype("u8")),
+        ("time_offset_ns", lambda s, stamp: (s * 1e9).astype("i4")),
+        ("Time_Stamp", lambda s, stamp: (s * 1e6).astype("u4")),
+        ("t", lambda s, stamp: s * 1e3),
+        ("gps_time", lambda s, stamp: 3e5 + s),
     ],
-    ids=["ns u4", "livox ns u4", "s f4", "us f4", "absolute s f8", "absolute ns f8"],
+    ids=[
+        "ns u4",
+        "livox ns u4",
+        "s f4",
+        "us f4",
+        "absolute s f8",
+        "absolute ns f8",
+        "absolute ns u8",
+        "aeva ns i4",
+        "us u4",
+        "ms f8",
+        "another clock f8",
+    ],
 )
 def test_point_times_in_every_unit(mcap_of, name, values):
     seconds = np.linspace(0, 0.1, 200)
@@ -66,16 +83,17 @@ def test_times_before_the_stamp(mcap_of):
     np.testing.assert_allclose(point_times(sweep), seconds, atol=1e-7)
 
 
+@pytest.mark.parametrize("unset", [np.nan, 0.0])
+def test_times_of_invalid_points_do_not_matter(mcap_of, unset):
+    points, times = bags.wall(), bags.START * 1e-9 + np.linspace(0, 0.1, 200)
+    points[:50], times[:50] = np.nan, unset
+    sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(points), "timestamp": times})]))
+    np.testing.assert_allclose(point_times(sweep), np.linspace(0, 0.1, 200)[50:], atol=2e-6)
+
+
 def test_constant_time_field_is_ignored(mcap_of):
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "t": np.zeros(200, "u4")})]))
     assert sweep.point_times is None
-
-
-def test_livox_custom_messages(written):
-    offsets = np.arange(50) * 2_000_000
-    sweep = read(written([bags.livox(0, bags.wall(50), offsets)]))
-    np.testing.assert_array_equal(sweep.points, bags.wall(50).astype(np.float32))
-    np.testing.assert_allclose(point_times(sweep), offsets * 1e-9, rtol=1e-6)
 
 
 def test_unset_stamps_fall_back_to_the_time_of_recording(mcap_of):

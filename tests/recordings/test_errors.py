@@ -58,15 +58,26 @@ def test_no_clouds(mcap_of):
     assert info.sweeps == 0 and "no PointCloud2 topic" in info.problems[0]
 
 
-def test_raw_packets_in_a_bag_are_no_clouds(tmp_path):
+@pytest.mark.parametrize(
+    ("kind", "advice"),
+    [
+        ("ouster_ros/msg/PacketMsg", "driver makes while it replays the packets"),
+        ("velodyne_msgs/msg/VelodyneScan", "driver makes while it replays the packets"),
+        ("rslidar_msgs/msg/rslidarScan", "driver makes while it replays the packets"),
+        ("nebula_msgs/msg/NebulaPackets", "driver makes while it replays the packets"),
+        ("point_cloud_interfaces/msg/CompressedPointCloud2", "point_cloud_transport republish"),
+        ("sensor_msgs/msg/Image", "record the topic of the LiDAR, too"),
+    ],
+)
+def test_points_in_other_forms_name_the_next_step(tmp_path, kind, advice):
     with (tmp_path / "os.mcap").open("wb") as file:
         writer = McapWriter(file)
         writer.start()
-        schema = writer.register_schema("ouster_ros/msg/PacketMsg", "ros2msg", b"uint8[] buf")
-        channel = writer.register_channel("/os_node/lidar_packets", "cdr", schema)
+        schema = writer.register_schema(kind, "ros2msg", b"uint8[] buf")
+        channel = writer.register_channel("/raw", "cdr", schema)
         writer.add_message(channel, bags.START, bytes(64), bags.START)
         writer.finish()
-    with pytest.raises(UserError, match=r"os.mcap has no PointCloud2 .* driver makes while it replays the packets"):
+    with pytest.raises(UserError, match=f"os.mcap has no PointCloud2 .*: .*{advice}"):
         open_recording(tmp_path / "os.mcap")
 
 

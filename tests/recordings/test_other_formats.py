@@ -8,7 +8,7 @@ import bags
 import laspy
 import numpy as np
 import pytest
-from captures import laser_scan, livox_packets, write_las, write_lvx2, write_mid360, write_ulog, write_vlp16
+from captures import livox_packets, write_las, write_lvx2, write_mid360, write_ulog, write_vlp16
 from command_line import run, run_json, run_refused
 
 from aero_viz.errors import UserError
@@ -85,10 +85,24 @@ def test_kitti_with_times_and_one_pose_per_sweep(tmp_path: Path):
         open_recording(tmp_path)
 
 
-@pytest.mark.parametrize(("code", "unit"), [(9002, 0.3048), (9003, 1200 / 3937)])
-def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path: Path, code: int, unit: float):
+@pytest.mark.parametrize(
+    ("keys", "units"),
+    [
+        ({3076: 9002}, (0.3048, 0.3048)),
+        ({1024: 1, 3072: 2926, 3076: 9003}, (1200 / 3937, 1200 / 3937)),
+        ({1024: 1, 3072: 2926}, (1200 / 3937, 1200 / 3937)),  # Washington North, in US survey feet
+        ({1024: 1, 3072: 6559}, (0.3048, 0.3048)),  # Oregon South, in feet
+        ({1024: 1, 3072: 2926, 4096: 5703}, (1200 / 3937, 1.0)),
+        ({1024: 1, 3072: 2926, 4099: 9001}, (1200 / 3937, 1.0)),
+        ({1024: 1, 3072: 32610, 4096: 6360}, (1.0, 1200 / 3937)),
+    ],
+)
+def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(
+    tmp_path: Path, keys: dict[int, int], units: tuple[float, float]
+):
     path = tmp_path / "forest.las"
-    write_las(path, WALL / unit + [1_500_000.0, 4_600_000.0, 300.0], unit=code)
+    horizontal, vertical = units
+    write_las(path, WALL / [horizontal, horizontal, vertical] + [1_500_000.0, 4_600_000.0, 300.0], keys=keys)
     with open_recording(path) as recording:
         points = recording.sweep(0).points
         assert any("feet" in problem for problem in recording.problems)
@@ -97,9 +111,29 @@ def test_feet_and_map_coordinates_of_las_become_metres_near_the_origin(tmp_path:
     np.testing.assert_allclose(points - points.mean(axis=0), WALL - WALL.mean(axis=0), atol=2e-3)
 
 
+def test_a_plot_in_metres_says_only_what_was_subtracted_and_one_without_a_system_what_was_assumed(tmp_path: Path):
+    path = tmp_path / "plot.laz"
+    for keys, said in (({1024: 1, 3072: 32633}, False), (None, True)):
+        write_las(path, np.add(WALL, [500_000.0, 5_400_000.0, 600.0]), keys=keys)
+        with open_recording(path) as recording:
+            assert not any("feet" in problem for problem in recording.problems)
+            assert any("assumed to be metres" in problem for problem in recording.problems) == said
+
+
+@pytest.mark.parametrize(
+    "options", [{"keys": {1024: 2, 2048: 4326}}, {"wkt": 'GEOGCS["WGS 84",UNIT["degree",0.0175]]'}]
+)
+def test_coordinates_in_degrees_are_refused_with_the_next_step(tmp_path: Path, options: dict[str, Any]):
+    path = tmp_path / "plot.laz"
+    write_las(path, np.add(1e-4 * WALL, [13.4, 52.5, 30.0]), **options)
+    with pytest.raises(UserError, match=r"coordinates are degrees: .*pdal"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize("extended", [False, True])
 @pytest.mark.parametrize(("heights", "factor"), [("US survey foot", 1200 / 3937), ("metre", 1.0)])
 def test_units_of_a_well_known_text_are_those_of_the_plane_and_of_the_heights(
-    tmp_path: Path, heights: str, factor: float
+    tmp_path: Path, heights: str, factor: float, extended: bool
 ):
     foot = 1200 / 3937
     wkt = (
@@ -108,7 +142,7 @@ def test_units_of_a_well_known_text_are_those_of_the_plane_and_of_the_heights(
         f'VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["{heights}",{factor}]]]'
     )
     path = tmp_path / "plot.laz"
-    write_las(path, WALL / [foot, foot, factor] + [1_500_000.0, 600_000.0, 300.0], wkt=wkt)
+    write_las(path, WALL / [foot, foot, factor] + [1_500_000.0, 600_000.0, 300.0], wkt=wkt, extended=extended)
     with open_recording(path) as recording:
         points = recording.sweep(0).points
         assert any("feet" in problem for problem in recording.problems)
@@ -166,7 +200,10 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
     [
         ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
         ("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "--poses"),
-        ("odd.bin", bytes(17), "no rows of 16"),
+        ("odd.bin", bytes(17), "no rows of 16 or 20"),
+        ("flight.zip", b"PK\3\4" + bytes(30), "unpack this archive"),
+        ("flight.tar", bytes(257) + b"ustar" + bytes(250), "tar -xf"),
+        ("scan.e57", b"ASTM-E57" + bytes(40), "pdal translate"),
         ("cloud.dat", b"ply\nformat ascii 1.0\n", "rename it to cloud.ply"),
         ("empty.pcap", b"\xd4\xc3\xb2\xa1" + bytes(16) + b"\1\0\0\0", "no packets of a Livox"),
     ],
@@ -198,17 +235,6 @@ def test_a_cloud_of_foxglove(tmp_path: Path):
     with open_recording(path) as recording:
         np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2])
         np.testing.assert_allclose(recording.sweep(2).points, WALL + 0.2, atol=1e-5)
-
-
-def test_laser_scans_with_tf(written: Callable[[list[bags.Item]], Path]):
-    items = [bags.transform(0.0, "base", "laser", (0.5, 0.0, 0.2), topic="/tf_static")]
-    for k in range(5):
-        items += [bags.transform(0.1 * k, "odom", "base", (float(k), 0.0, 0.0)), laser_scan(0.1 * k)]
-    with open_recording(written(items)) as recording:
-        sweep = recording.sweep(0)
-        assert len(sweep.points) == 81 and recording.pose_topic == "/tf"
-        np.testing.assert_allclose(np.linalg.norm(sweep.points - [0.5, 0.0, 0.2], axis=1), 3.0, atol=1e-5)
-        assert sweep.point_times is not None and float(np.ptp(sweep.point_times)) == pytest.approx(0.087, abs=2e-3)
 
 
 def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callable[[list[bags.Item]], Path]):

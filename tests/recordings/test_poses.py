@@ -3,6 +3,7 @@
 import bags
 import numpy as np
 import pytest
+from captures import laser_scan
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import RecordedPoses, inspect, open_recording
@@ -67,15 +68,6 @@ def test_extrapolation_ends_at_the_tolerance():
 def test_long_gaps_are_not_interpolated():
     gap = poses([0.0, 0.1, 0.2, 5.0, 5.1], np.zeros((5, 3)))
     np.testing.assert_array_equal(gap.covers([0.15, 0.25, 2.0, 4.95, 5.05]), [True, True, False, True, True])
-
-
-def test_pose_stamped_only(written):
-    items = [bags.pose_stamped(0.1 * k, [0.5 * k, 0, 1]) for k in range(5)]
-    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(5)]
-    with open_recording(written(sorted(items, key=lambda item: item.time))) as recording:
-        assert recording.pose_topic == "/pose" and recording.poses is not None
-        assert not recording.poses.measured_velocity
-        np.testing.assert_allclose(recording.poses.velocities, np.tile([5.0, 0, 0], (5, 1)), atol=1e-6)
 
 
 def test_tf_chain_with_a_static_extrinsic(written):
@@ -157,3 +149,24 @@ def test_unset_quaternions_are_left_out(mcap_of):
     info = inspect(mcap_of(items))
     assert info.poses == 37
     assert any("1 of 38 messages on /odom" in problem for problem in info.problems)
+
+
+def registered(topic="/cloud_registered"):
+    """Return what FAST-LIO publishes: clouds in the frame of the world, and the pose of the body in it."""
+    items = [bags.odometry(0.1 * k, [0.5 * k, 0, 0], parent="camera_init", child="body") for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall()), frame="camera_init", topic=topic) for k in range(10)]
+    return items
+
+
+def test_clouds_in_the_frame_of_the_world_are_moved_to_the_body(mcap_of):
+    with open_recording(mcap_of(registered())) as recording:
+        for k in (0, 7):
+            np.testing.assert_allclose(recording.sweep(k).points, bags.wall() - [0.5 * k, 0, 0], atol=1e-5)
+        assert any("frame of the world, 'camera_init'" in problem for problem in recording.problems)
+
+
+def test_clouds_of_the_sensor_are_preferred_to_registered_ones_and_to_planar_scans(mcap_of):
+    sensor = [bags.cloud(0.1 * k, bags.xyz(bags.wall()), topic="/livox") for k in range(9)]
+    scans = [laser_scan(0.02 * k) for k in range(40)]
+    assert inspect(mcap_of([*registered(), *sensor, *scans])).points_topic == "/livox"
+    assert inspect(mcap_of([*registered(), *sensor]), points_topic="/cloud_registered").sweeps == 10

@@ -1,0 +1,136 @@
+"""Folders as public data sets have them, parts of one recording, and compressed files."""
+
+import bz2
+import gzip
+import lzma
+from collections.abc import Callable
+from pathlib import Path
+
+import bags
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from command_line import run_refused
+
+from aero_viz.errors import UserError
+from aero_viz.recordings import open_recording
+
+WALL = bags.wall(500)
+
+
+def write_bins(folder: Path, names: list[str], columns: int = 4) -> None:
+    """Write walls that approach by 2 m per file, with a ring in the fifth column."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, name in enumerate(names):
+        more = [np.full(len(WALL), 0.5), np.arange(len(WALL)) % 32][: columns - 3]
+        np.column_stack([WALL - [2.0 * k, 0, 0], *more]).astype("<f4").tofile(folder / name)
+
+
+def test_raw_data_of_kitti_have_dates(tmp_path: Path):
+    write_bins(tmp_path / "velodyne_points" / "data", [f"{k:010d}.bin" for k in range(3)])
+    dates = "".join(f"2011-09-26 13:02:{25 + 0.5 * k:012.9f}\n" for k in range(3))
+    (tmp_path / "velodyne_points" / "timestamps.txt").write_text(dates)
+    for path in (tmp_path, tmp_path / "velodyne_points", tmp_path / "velodyne_points" / "data"):
+        with open_recording(path) as recording:
+            np.testing.assert_allclose(recording.sweep_times, [0.0, 0.5, 1.0], atol=1e-6)
+            assert recording.start == pytest.approx(1_317_042_145_000_000_000)
+
+
+def test_odometry_of_kitti_is_moved_from_the_camera_to_the_lidar(tmp_path: Path):
+    sequence = tmp_path / "sequences" / "04"
+    write_bins(sequence / "velodyne", [f"{k:06d}.bin" for k in range(3)])
+    (sequence / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    # The camera looks along the LiDAR's x, and is 0.3 m in front of it.
+    (sequence / "calib.txt").write_text("P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0 0 0 -1 0 1 0 0 -0.3\n")
+    (tmp_path / "poses").mkdir()
+    rows = [np.hstack([np.eye(3), [[0.0], [0.0], [2.0 * k]]]).reshape(-1) for k in range(3)]
+    np.savetxt(tmp_path / "poses" / "04.txt", rows)
+    for path in (sequence, sequence / "velodyne"):
+        with open_recording(path) as recording:
+            assert recording.poses is not None
+            np.testing.assert_allclose(recording.poses.positions, [[0, 0, 0], [2, 0, 0], [4, 0, 0]], atol=1e-9)
+            np.testing.assert_allclose(np.abs(recording.poses.quaternions[:, 0]), 1.0)
+            assert any("calib.txt moves them" in problem for problem in recording.problems)
+
+
+def test_clouds_of_nuscenes_have_five_columns_and_a_time_in_their_names(tmp_path: Path):
+    names = [f"n015-2018-07-24-11-22-45+0800__LIDAR_TOP__{1532402927647951 + 50_000 * k}.pcd.bin" for k in range(3)]
+    write_bins(tmp_path, names, columns=5)
+    with open_recording(tmp_path) as recording:
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 0.05, 0.1], atol=1e-9)
+        np.testing.assert_allclose(recording.sweep(1).points, WALL - [2, 0, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("names", "times"),
+    [
+        (["cloud_1583836591_182590976.bin", "cloud_1583836591_282590976.bin"], [0.0, 0.1]),
+        (["scan-1700000000.500.bin", "scan-1700000001.25.bin"], [0.0, 0.75]),
+        (["1700000000000000000.bin", "1700000000250000000.bin"], [0.0, 0.25]),
+        (["scans_2.bin", "scans_10.bin"], [0.0, 0.1]),
+        (["0.9.bin", "0.10e1.bin"], [0.0, 0.1]),
+    ],
+)
+def test_the_names_of_clouds_give_their_order_and_time(tmp_path: Path, names: list[str], times: list[float]):
+    write_bins(tmp_path, names)
+    with open_recording(tmp_path) as recording:
+        np.testing.assert_allclose(recording.sweep_times, times, atol=1e-9)
+        assert recording.sweep(1).points[0, 0] == pytest.approx(3.0)
+
+
+def test_parts_of_a_split_bag_are_one_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    items = bags.drive()
+    for part, minute in enumerate((0, 5)):
+        bags.write_ros1(tmp_path / f"walk_2021-05-04-10-0{minute}-00_{part}.bag", items[part::2])
+    (tmp_path / "calibration.yaml").write_text("camera: 1")
+    with open_recording(tmp_path) as recording:
+        assert len(recording.sweep_times) == 10 and recording.format == "rosbag1"
+    bags.write_ros1(tmp_path / "other.bag", items)
+    assert "choose one of" in run_refused(capsys, "inspect", str(tmp_path))
+
+
+def test_a_folder_with_one_bag_and_the_metadata_of_a_folder_open(tmp_path: Path):
+    (tmp_path / "one").mkdir()
+    bags.write_ros1(tmp_path / "one" / "walk.bag", bags.drive())
+    folder = bags.write_ros2(tmp_path / "bag", bags.drive(), "sqlite3", "file")
+    for path in (tmp_path / "one", folder / "metadata.yaml"):
+        with open_recording(path) as recording:
+            assert len(recording.sweep_times) == 10
+    (folder / "metadata.yaml").unlink()
+    with open_recording(folder) as recording:
+        assert len(recording.sweep_times) == 10
+
+
+COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
+    "gz": gzip.compress,
+    "bz2": bz2.compress,
+    "xz": lzma.compress,
+    "lz4": lz4.frame.compress,
+    "zst": zstandard.compress,
+}
+
+
+@pytest.mark.parametrize("suffix", COMPRESSORS)
+def test_a_compressed_file_opens_as_the_file_in_it(tmp_path: Path, suffix: str):
+    bag = bags.write_ros1(tmp_path / "a.bag", bags.drive())
+    packed = tmp_path / f"packed.bag.{suffix}"
+    packed.write_bytes(COMPRESSORS[suffix](bag.read_bytes()))
+    with open_recording(packed) as recording:
+        assert len(recording.sweep_times) == 10 and recording.problems == []
+    whole = packed.read_bytes()
+    packed.write_bytes(whole[: len(whole) // 2])
+    try:
+        with open_recording(packed) as recording:
+            assert any("packed.bag" in problem and "truncated" in problem for problem in recording.problems)
+    except UserError as error:  # a small file is one block
+        assert "packed.bag" in str(error) and "truncated" in str(error)
+    np.save(tmp_path / "cloud.npy", WALL)
+    packed = tmp_path / f"cloud.npy.{suffix}"
+    packed.write_bytes(COMPRESSORS[suffix]((tmp_path / "cloud.npy").read_bytes()))
+    with open_recording(packed) as recording:
+        np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-4)
+    packed.write_bytes(COMPRESSORS[suffix](b"\x93NUMPY"))
+    with pytest.raises(UserError) as caught:
+        open_recording(packed)
+    assert str(packed) in str(caught.value)
