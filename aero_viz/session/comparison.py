@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import weakref
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -67,7 +68,7 @@ class Comparison:
         self._planner: Planner | None = None
         self._planned: tuple[Checkpoint, PlannerConfig] | None = None
         self._flight: _Flight | None = None
-        self._source = engine.source
+        self._source = weakref.ref(engine.source)
         self._when_over: Callable[[], None] | None = None
         self._events = Publisher[ComparisonEvent]()
 
@@ -149,8 +150,8 @@ class Comparison:
 
     def _follow_source(self) -> None:
         """Drop the plan and the flight of another source."""
-        if self._engine.source is not self._source:
-            self._source, self._flight, self.frame = self._engine.source, None, None
+        if self._engine.source is not self._source():
+            self._source, self._flight, self.frame = weakref.ref(self._engine.source), None, None
 
     def _clear(self) -> None:
         self.frame, self._planned, self._flight, self._when_over = None, None, None, None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import time
 from collections import deque
 from collections.abc import Callable
@@ -167,6 +168,8 @@ class Engine:
             source.close()
             raise
         before[0].close()
+        del before
+        gc.collect()  # a source refers to itself; without this, several of some 50 MB each wait for the collector
 
     def _start_over(self) -> None:
         """Discard all checkpoints and the previous plan; the source's current tick becomes the first one."""

@@ -1,6 +1,8 @@
 """The engine on a real flight: time, jumps, parameters, sinks, and failures."""
 
+import gc
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -288,6 +290,17 @@ def test_a_new_source_starts_from_its_beginning(live: Session):
     assert live.frame.index == 0
     assert live.source.world is not None
     assert live.source.world.goal[0] == 20.0
+
+
+def test_the_source_before_is_freed_at_once(live: Session):
+    live.step(2).result()
+    before = weakref.ref(live.source)
+    gc.disable()
+    try:
+        live.set_source(small_source(goal=20.0)).result()
+        wait_for(lambda: before() is None)
+    finally:
+        gc.enable()
 
 
 def test_a_source_whose_first_tick_fails_leaves_the_old_one(live: Session):
