@@ -151,9 +151,11 @@ class FlightBatch:
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
         self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
         self._observe()
+        self._lost_sweeps = np.zeros(len(worlds))
+        """Number of the newest sweeps of each flight that were lost, [B]."""
         for sweep in range(-SWEEPS, 0):
             self.simulator.measure_sweep(sweep)
-            self.planner.store_sweep(sweep % SWEEPS, self.simulator.lidar.points)
+            self._store(sweep)
 
     def step(self) -> None:
         """Fly one tick, and plan before it if a new plan is due. Finished flights do not change."""
@@ -165,7 +167,15 @@ class FlightBatch:
         sweep, _, end = self.simulator.advance(self.planner.command, phase=part * self._phase_step)
         if end == self.simulator.lidar.model.points_per_sweep:
             with self.simulator.timed("sweeps"):
-                self.planner.store_sweep(sweep % SWEEPS, self.simulator.lidar.points)
+                self._store(sweep)
+
+    def _store(self, sweep: int) -> None:
+        """Store a complete sweep in the cloud, and tell the planner how old the cloud is if sweeps are lost."""
+        lidar = self.simulator.lidar
+        self.planner.store_sweep(sweep % SWEEPS, lidar.points)
+        if lidar.model.sweep_loss > 0.0:
+            self._lost_sweeps = np.where(lidar.loses(sweep), self._lost_sweeps + 1, 0)
+            self.planner.inputs.cloud_age.assign((self._lost_sweeps / lidar.model.sweep_rate).astype(np.float32))
 
     def time_stages(self, ticks: int) -> dict[str, float]:
         """Fly some ticks and return the mean time of each stage of a tick [ms].

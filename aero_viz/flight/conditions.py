@@ -24,13 +24,13 @@ OFFERED: tuple[ParameterInfo, ...] = tuple(
 
 _LIVE = {
     StateNoise: _NAMES[StateNoise],
-    VehicleModel: _NAMES[VehicleModel],
-    LidarModel: ("range_noise", "dropout"),
+    VehicleModel: (*_NAMES[VehicleModel], "latency"),
+    LidarModel: ("range_noise", "dropout", "sweep_loss"),
 }
 LIVE: tuple[ParameterInfo, ...] = tuple(
     info for section, names in _LIVE.items() for info in section.parameters() if info.name in names
 )
-"""The parameters that may change during a flight: errors of the estimate, wind, and faults of the LiDAR."""
+"""The parameters that may change during a flight: errors of the estimate, wind, latency, and faults of the LiDAR."""
 _FIELDS = {"noise": "noise", "drone": "vehicle", "lidar": "lidar"}
 """Names in `Setting` of the sections of `LIVE`."""
 

@@ -49,6 +49,7 @@ class Simulator:
             flights of the batch.
         device: Warp device.
         noise: errors of the state estimate; None makes it the true state.
+        latency_max: largest latency of the drones that a later setting can have [s].
 
     Raises:
         ValueError: the sweep period is not a whole number of ticks.
@@ -75,6 +76,7 @@ class Simulator:
         seeds: Sequence[int],
         device: Any = "cpu",
         noise: StateNoise | None = None,
+        latency_max: float = 0.0,
     ) -> None:
         if len(worlds) == 0 or len(worlds) != len(seeds):
             raise ValueError(f"{len(worlds)} worlds and {len(seeds)} seeds; there must be one of each per flight.")
@@ -96,7 +98,8 @@ class Simulator:
         goals = np.stack([world.goal for world in worlds])
         direction = goals - starts
         headings = np.arctan2(direction[:, 1], direction[:, 0])
-        self.vehicle = Vehicle(vehicle, starts, headings, period=rules.period, device=self.device, seeds=seeds)
+        options: Any = {"seeds": seeds, "latency_max": latency_max}
+        self.vehicle = Vehicle(vehicle, starts, headings, period=rules.period, device=self.device, **options)
         self.estimate = StateEstimate(noise, self.vehicle, period=rules.period, seeds=seeds)
         self.lidar = Lidar(lidar, self._worlds, seeds=seeds)
         self._known_worlds: dict[int, tuple[World, DeviceWorlds]] = {}
@@ -117,7 +120,12 @@ class Simulator:
         return self.tick * self.rules.period
 
     def use(self, setting: Setting) -> None:
-        """Continue under another setting, in all flights. Sweeps in progress are not measured again."""
+        """Continue under another setting, in all flights. Sweeps in progress are not measured again.
+
+        Raises:
+            ValueError: the latency of the drone is too long, see `Vehicle.use`. Nothing changes.
+        """
+        self.vehicle.use(setting.vehicle)
         worlds = self._known_worlds.get(id(setting.world))
         if worlds is None or worlds[0] is not setting.world:
             worlds = (setting.world, DeviceWorlds([setting.world] * len(self.seeds), device=self.device))
@@ -126,7 +134,6 @@ class Simulator:
                 del self._known_worlds[next(iter(self._known_worlds))]
         self._worlds = worlds[1]
         self.lidar.use(setting.lidar, self._worlds)
-        self.vehicle.use(setting.vehicle)
         if setting.noise != self.noise:
             self.noise = setting.noise
             self.estimate = StateEstimate(setting.noise, self.vehicle, period=self.rules.period, seeds=self.seeds)

@@ -23,8 +23,11 @@ from aero_viz.flight.simulator import Setting, Simulator
 from aero_viz.flight.sweep_cache import Cloud, Pose, Scan, Sweep, SweepCache, join_returns
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.sensors.lidar import LIDARS, LidarModel, is_sweep_lost
 from aero_viz.session.source import Observation, SourceInfo
+
+LATENCY_MAX = 0.5
+"""Largest latency of the drone that can be chosen during a flight which began with less [s]."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -85,6 +88,7 @@ class FlightSource:
                 seeds=[seed],
                 device=device,
                 noise=noise,
+                latency_max=LATENCY_MAX,
             )
         except ValueError as error:
             raise UserError(f"Cannot fly {world.name!r}: {error}") from error
@@ -129,6 +133,7 @@ class FlightSource:
                 state=self._state,
                 goal=Goal(self._goal),
                 sweeps=self._cloud,
+                cloud_age=self._cloud_age,
                 ground_height=self._setting.world.ground_height,
                 true_state=self._true_state,
                 sweep_times=self._sweep_times,
@@ -265,8 +270,9 @@ class FlightSource:
         self._read_state()
 
     def _change(self, **changes: Any) -> None:
-        self._setting = dataclasses.replace(self._setting, **changes)
-        self._use(self._setting)
+        setting = dataclasses.replace(self._setting, **changes)
+        self._use(setting)
+        self._setting = setting
         self._read_state()
 
     def _use(self, setting: Setting) -> None:
@@ -338,7 +344,12 @@ class FlightSource:
         self._cloud = Sweeps((self._cache.points(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
         numbers = np.array([sweep.scans[-1].sweep for sweep in sweeps])
         self._sweep_times = (numbers + 1) / self.simulator.lidar.model.sweep_rate
+        lost_in_row = next((i for i, sweep in enumerate(reversed(sweeps)) if not self._is_lost(sweep)), len(sweeps))
+        self._cloud_age = lost_in_row / self.simulator.lidar.model.sweep_rate
         self._observation = None
+
+    def _is_lost(self, sweep: Sweep) -> bool:
+        return all(is_sweep_lost(self._seed, scan.sweep, scan.setting.lidar.sweep_loss) for scan in sweep.scans)
 
 
 def _settings(simulator: Simulator) -> dict[str, Any]:

@@ -43,7 +43,9 @@ class VehicleModel(ParameterSection, section="drone"):
     thrust_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the thrust's first-order response; 0 for none.")
     rate_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the body rates' first-order response; 0 for none.")
     drag: float = live(0.0, "1/s", 0.0, 100.0, "Linear drag in dv = .. - k (v - w), with w the wind.", symbol="k")
-    latency: float = live(0.0, "s", 0.0, 10.0, "Time from a command to its effect, rounded to whole integration steps.")
+    latency: float = live(
+        0.0, "s", 0.0, 10.0, "Time from a command to its effect, rounded to whole integration steps.", label="Latency"
+    )
     gust_speed: float = live(
         0.0, "m/s", 0.0, 100.0, "Standard deviation of the wind along each axis; it acts through the drag.", symbol="w"
     )
@@ -77,6 +79,7 @@ class Vehicle:
         period: time for which a command is held [s].
         device: Warp device.
         seeds: seeds of the gusts, one per vehicle; None is 0 for all.
+        latency_max: largest latency that `use` can give them later [s].
 
     Attributes:
         position, velocity, acceleration: vec3 [B], world frame, SI.
@@ -97,13 +100,15 @@ class Vehicle:
         period: float,
         device: Any,
         seeds: Sequence[int] | None = None,
+        latency_max: float = 0.0,
     ) -> None:
         self.model = model
+        self._latency_max = max(latency_max, model.latency)
         steps = math.ceil(period / model.step - 1e-6)
         self._parameters = _pack(model, step=period / steps)
         count = len(positions)
         hover = wp.vec4(model.mass * model.gravity, 0.0, 0.0, 0.0)
-        history = 1 + math.ceil(self._parameters.latency / steps)
+        history = 1 + math.ceil(round(self._latency_max / self._parameters.step) / steps)
         quaternions = [(math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)) for yaw in headings]
         with wp.ScopedDevice(device):
             self.position = wp.array(positions, dtype=wp.vec3)
@@ -138,7 +143,16 @@ class Vehicle:
         )
 
     def use(self, model: VehicleModel) -> None:
-        """Use another model from now on, with the same time step and latency."""
+        """Use another model from now on, with the same time step.
+
+        Raises:
+            ValueError: its latency is longer than the commands are kept. Nothing changes.
+        """
+        if model.latency > self._latency_max:
+            raise ValueError(
+                f"drone.latency is {model.latency:g} s; during a flight it can be at most {self._latency_max:g} s. "
+                "Start a flight with it for more."
+            )
         self.model, self._parameters = model, _pack(model, step=self._parameters.step)
 
     def state(self) -> list[wp.array]:

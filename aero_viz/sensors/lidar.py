@@ -21,6 +21,7 @@ from aero_viz.sensors.lidar_kernels import Beams, scan_kernel
 _BEAMS = 4
 _TURN_RATE = 176.4  # [Hz]
 _SWING_RATE = 10.016  # [Hz]
+_LOSS = 0x4C6F7373  # separates the random numbers of lost sweeps from others
 _TILT = 3.6  # tilt of the rings of the outer beams [deg]
 
 
@@ -52,6 +53,7 @@ class LidarModel(ParameterSection, section="lidar"):
     range_max: float = live(40.0, "m", 0.1, 1000.0, "Surfaces farther than this return no point.")
     range_noise: float = live(0.02, "m", 0.0, 10.0, "Standard deviation of the range.")
     dropout: float = live(0.02, "", 0.0, 1.0, "Fraction of the returns that are lost.")
+    sweep_loss: float = live(0.0, "", 0.0, 1.0, "Fraction of the sweeps that are lost as a whole.", label="Lost sweeps")
     pattern: str = choice("even", ("livox", "even", "rings"), "Scan pattern.")
     rings: int = structural(64, 1, 1024, "Number of beams of the pattern 'rings', evenly spaced in elevation.")
     mount_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -121,6 +123,13 @@ def pack_beams(model: LidarModel) -> Any:
     return beams
 
 
+def is_sweep_lost(seed: int, sweep: int, sweep_loss: float) -> bool:
+    """Return True if the sensor of a flight with this seed loses a sweep as a whole."""
+    if sweep_loss == 0.0:
+        return False
+    return np.random.default_rng([seed & 0x7FFFFFFF, sweep % 2**32, _LOSS]).random() < sweep_loss
+
+
 def _step(turns: float) -> int:
     """Return a step in units of 2^-32 turns.
 
@@ -149,11 +158,19 @@ class Lidar:
         self._beams = pack_beams(model)
         with wp.ScopedDevice(worlds.device):
             self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds], dtype=int)
+            self._lost = wp.zeros(len(seeds), dtype=int)
             self.points = wp.full((len(seeds), model.points_per_sweep), wp.vec3(math.nan), dtype=wp.vec3)
+        self._host_seeds = [seed & 0x7FFFFFFF for seed in seeds]
+        self._losing = False
+        """True if a sensor may have lost the sweep in progress."""
 
     def use(self, model: LidarModel, worlds: DeviceWorlds) -> None:
         """Use another model, with as many points per sweep, and other worlds from now on."""
         self.model, self._worlds, self._beams = model, worlds, pack_beams(model)
+
+    def loses(self, sweep: int) -> NDArray[np.bool_]:
+        """Return which sensors lose a sweep as a whole, [B]."""
+        return np.array([is_sweep_lost(seed, sweep, self.model.sweep_loss) for seed in self._host_seeds])
 
     def scan(
         self,
@@ -180,10 +197,14 @@ class Lidar:
             estimated_poses, estimated_poses_before: poses that place the points in the world; None for the true ones.
         """
         worlds = self._worlds
+        if self.model.sweep_loss > 0.0 or self._losing:
+            self._losing = self.model.sweep_loss > 0.0
+            self._lost.assign(self.loses(sweep).astype(np.int32))
         positions, quaternions = zip(poses_before, poses, strict=True)
         estimates = zip(estimated_poses_before or poses_before, estimated_poses or poses, strict=True)
         estimated_positions, estimated_quaternions = estimates
         inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, sweep, first, end - first, finished]
+        inputs.append(self._lost)
         inputs += [*positions, *quaternions, *estimated_positions, *estimated_quaternions]
         size = (len(self._seeds), end - first)
         wp.launch(scan_kernel, size, inputs=inputs, outputs=[self.points], device=worlds.device)

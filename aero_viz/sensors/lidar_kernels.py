@@ -99,6 +99,7 @@ def scan_kernel(
     count: int,
     # in
     finished: wp.array(dtype=int),  # [B]
+    lost: wp.array(dtype=int),  # [B]
     position_before: wp.array(dtype=wp.vec3),  # [B]
     position: wp.array(dtype=wp.vec3),  # [B]
     quaternion_before: wp.array(dtype=wp.vec4),  # [B]
@@ -122,7 +123,7 @@ def scan_kernel(
     direction = wp.quat_rotate(attitude, beam)
     distance = ray_range(geometry, world[b], origin, direction, beams.range_max)
     point = wp.vec3(wp.nan, wp.nan, wp.nan)
-    if distance <= beams.range_max and distance >= beams.range_min:
+    if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
         random = wp.rand_init(seeds[b], index)
         if wp.randf(random) >= beams.dropout:
             in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
