@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_of
+from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_entries
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.layout import build
@@ -162,7 +162,7 @@ class Dashboard:
     def legend(self) -> list[ColorKey | ColorScale]:
         """Return the meaning of the colours of the visible layers."""
         frame = self._session.frame
-        return [] if frame is None else legend_of(self.layers.values(), frame)
+        return [] if frame is None else legend_entries(self.layers.values(), frame)
 
     def drain(self, timeout: float = 10.0) -> bool:
         """Wait until the newest frame is sent; return False if that takes longer than `timeout` [s]."""

@@ -224,7 +224,7 @@ class Tour:
         source = self._open(stop.scene, seed=seed, conditions=conditions)
         self.director.shot = stop.shot
         self._session.configure(config_for_flight(self._config, source.info))
-        self._session.set_source(source).result()
+        self._session.set_source(source, seed=seed).result()
         self._dashboard.show_only([*_BASE, *stop.layers])
         self._session.play()
         self._watch(stop, shutdown)

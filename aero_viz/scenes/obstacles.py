@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +22,11 @@ _ROUNDING = 1e-3
 _ON_SURFACE, _FARTHEST, _STEPS = 1e-3, 1000.0, 500
 
 
+_new_numbers = itertools.count(1_000_000_000)
+
+
 class ObstacleKey(NamedTuple):
-    """Identity of a solid in a world."""
+    """Place of a solid in a world."""
 
     kind: str
     """Table of `World`: "cylinders", "boxes" or "spheres"."""
@@ -32,6 +36,14 @@ class ObstacleKey(NamedTuple):
     def name(self) -> str:
         """Name for the user, such as "box 7", as in `World.nearest`."""
         return f"{next(name for name, kind in KINDS.items() if kind == self.kind)} {self.row}"
+
+
+class ObstacleId(NamedTuple):
+    """Identity of a solid, in every world that was made from one world by `with_obstacle`."""
+
+    kind: str
+    """Table of `World`."""
+    number: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,24 +112,41 @@ def obstacle_at(world: World, key: ObstacleKey) -> Obstacle | None:
     return Obstacle(key.kind, table[key.row].copy()) if key.row < len(table) else None
 
 
+def identify(world: World, key: ObstacleKey) -> ObstacleId:
+    """Return the identity of a solid of a world."""
+    return ObstacleId(key.kind, int(_numbers(world, key.kind)[key.row]))
+
+
+def find_obstacle(world: World, identity: ObstacleId) -> ObstacleKey | None:
+    """Return the place of a solid in a world; None if it is not there."""
+    rows = np.flatnonzero(_numbers(world, identity.kind) == identity.number)
+    return ObstacleKey(identity.kind, int(rows[0])) if len(rows) else None
+
+
+def _numbers(world: World, kind: str) -> NDArray[np.int64]:
+    """Return what identifies each row of a table."""
+    return world.numbers.get(kind, np.arange(len(getattr(world, kind)), dtype=np.int64))
+
+
 def with_obstacle(world: World, obstacle: Obstacle | None, key: ObstacleKey | None = None) -> World:
     """Return the world with an obstacle in place of the solid `key`, or in addition; without that solid for None.
 
     Raises:
         ValueError: a size or a position is not a number that a world can have; names the row.
     """
-    if obstacle is None:
-        return world if key is None else _with_table(world, key.kind, np.delete(getattr(world, key.kind), key.row, 0))
-    table = getattr(world, obstacle.kind).copy()
+    if obstacle is None and key is None:
+        return world
+    kind = key.kind if obstacle is None and key is not None else obstacle.kind  # type: ignore[union-attr]
+    table, numbers = getattr(world, kind).copy(), _numbers(world, kind)
     if key is None:
-        table = np.vstack([table, obstacle.values])
+        assert obstacle is not None
+        table, numbers = np.vstack([table, obstacle.values]), np.append(numbers, next(_new_numbers))
+    elif obstacle is None:
+        table, numbers = np.delete(table, key.row, 0), np.delete(numbers, key.row)
     else:
         table[key.row] = obstacle.values
-    return _with_table(world, obstacle.kind, table)
-
-
-def _with_table(world: World, kind: str, table: NDArray[np.float64]) -> World:
-    return dataclasses.replace(world, **{kind: table})
+    changes: Any = {kind: table, "numbers": {**world.numbers, kind: numbers}}
+    return dataclasses.replace(world, **changes)
 
 
 def pick_obstacle(world: World, origin: ArrayLike, direction: ArrayLike) -> ObstacleKey | None:

@@ -52,6 +52,8 @@ class World:
             each direction.
         triangles: three corners per row, [n, 9]. Triangles form a surface without an inside; it is seen and hit from
             both sides.
+        numbers: per table, what identifies each row also after rows are removed, see `obstacles`; row numbers where a
+            table has none. Not part of the JSON file.
 
     Raises:
         ValueError: a number is missing, not finite or out of range. The message names the key and the row.
@@ -65,6 +67,7 @@ class World:
     spheres: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
     bounds: NDArray[np.float64] = None  # type: ignore[assignment]
     triangles: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 9)))
+    numbers: Any = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):

@@ -25,20 +25,23 @@ T = TypeVar("T")
 class SessionControls(Protocol):
     """Commands that change a session: its source, its goal, its speed and its configuration. Safe from any thread."""
 
-    seed: int
-    """Seed of the planner's noise."""
     device: str
     """Warp device of the planner."""
 
-    def set_source(self, source: Source) -> Future[Any]:
-        """Continue with another source, from its start."""
+    @property
+    def seed(self) -> int:
+        """Seed of the planner's noise."""
+        ...
+
+    def set_source(self, source: Source, *, seed: int | None = None) -> Future[Any]:
+        """Continue with another source, from its start, and with another seed of the planner's noise."""
         ...
 
     def set_goal(self, position: ArrayLike, *, quiet: bool = False) -> Future[Any]:
         """Move the goal [m], shape [3], world frame. With `quiet`, a refusal is reported in the future only."""
         ...
 
-    def alter(self, change: Callable[[Any], object], *, quiet: bool = False) -> Future[Any]:
+    def alter(self, change: Callable[[Any], object], *, quiet: bool = False, step: object = None) -> Future[Any]:
         """Call `change` with the source between two ticks, and plan the current tick again."""
         ...
 
@@ -59,11 +62,11 @@ class SessionControls(Protocol):
         ...
 
     def undo(self) -> PlannerConfig:
-        """Return to the configuration before the current one."""
+        """Take back the newest change of the configuration or of the world, and return the configuration."""
         ...
 
     def redo(self) -> PlannerConfig:
-        """Return to the configuration that `undo` left."""
+        """Make the change again that was undone last, and return the configuration."""
         ...
 
     @property

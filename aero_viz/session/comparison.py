@@ -59,12 +59,12 @@ class Comparison:
         config: returns configuration B.
     """
 
-    def __init__(self, engine: Engine, *, device: str, seed: int, config: Callable[[], PlannerConfig]) -> None:
+    def __init__(self, engine: Engine, *, device: str, config: Callable[[], PlannerConfig]) -> None:
         self.pinned: PlannerConfig | None = None
         """Configuration A; None while nothing is compared."""
         self.frame: Frame | None = None
         """A's plan of the session's tick; None until there is one."""
-        self._engine, self._device, self._seed, self._config = engine, device, seed, config
+        self._engine, self._device, self._config = engine, device, config
         self._planner: Planner | None = None
         self._planned: tuple[Checkpoint, PlannerConfig] | None = None
         self._flight: _Flight | None = None
@@ -152,6 +152,8 @@ class Comparison:
         """Drop the plan and the flight of another source."""
         if self._engine.source is not self._source():
             self._source, self._flight, self.frame = weakref.ref(self._engine.source), None, None
+            if self._planner is not None:
+                self._planner.reset(seed=self._engine.seed)
 
     def _clear(self) -> None:
         self.frame, self._planned, self._flight, self._when_over = None, None, None, None
@@ -167,7 +169,7 @@ class Comparison:
         """Return `frame` with the plan of A from its observation."""
         assert self.pinned is not None
         if self._planner is None:
-            self._planner = Planner(self.pinned, device=self._device, seed=self._seed)
+            self._planner = Planner(self.pinned, device=self._device, seed=self._engine.seed)
         elif self._planner.config is not self.pinned:
             self._planner.configure(self.pinned)
         self._planner.restore(history)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from aero_planner import PlannerConfig
+from aero_viz.session.world_history import NEVER
 
 _DRAG_INTERVAL = 1.0
 """Changes of the same parameters within this time are one step of undo, as when a slider is dragged [s]."""
@@ -15,11 +17,20 @@ _MOST = 500
 """Number of configurations that are kept; the oldest one goes first."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    config: PlannerConfig
+    changed_at: float = NEVER
+    """When it replaced the one before it [s]."""
+    undone_at: float = NEVER
+    """When it was left by an undo [s]."""
+
+
 class ConfigHistory:
     """Immutable configurations, each replaced as a whole. The version counts the replacements."""
 
     def __init__(self, config: PlannerConfig) -> None:
-        self._configs = [config]
+        self._entries = [_Entry(config)]
         self._index = 0
         self._version = 0
         self._last: tuple[frozenset[str], float] = (frozenset(), 0.0)
@@ -29,7 +40,19 @@ class ConfigHistory:
     def current(self) -> tuple[PlannerConfig, int]:
         """The current configuration and its version."""
         with self._lock:
-            return self._configs[self._index], self._version
+            return self._entries[self._index].config, self._version
+
+    @property
+    def changed_at(self) -> float:
+        """When the change was made that would be undone [s], `time.monotonic`."""
+        with self._lock:
+            return self._entries[self._index].changed_at
+
+    @property
+    def undone_at(self) -> float:
+        """When the change was undone that would be made again [s], `time.monotonic`; `NEVER` if there is none."""
+        with self._lock:
+            return max((entry.undone_at for entry in self._entries[self._index + 1 : self._index + 2]), default=NEVER)
 
     def change(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
         """Use another configuration, or change some parameters of the current one, and return the result.
@@ -38,40 +61,41 @@ class ConfigHistory:
             ValueError: a parameter is unknown or out of its bounds; the current configuration stays.
         """
         with self._lock:
-            current = self._configs[self._index]
+            current = self._entries[self._index].config
             config = change if isinstance(change, PlannerConfig) else current.replace(change)
             if config == current:
                 return current
             paths = frozenset() if isinstance(change, PlannerConfig) else frozenset(change)
             is_same_drag = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < _DRAG_INTERVAL
             self._last = (paths, time.monotonic())
-            del self._configs[self._index + 1 :]
+            del self._entries[self._index + 1 :]
             if is_same_drag:
-                self._configs[self._index] = config
+                self._entries[self._index] = _Entry(config, time.monotonic())
             else:
-                self._configs = [*self._configs, config][-_MOST:]
-                self._index = len(self._configs) - 1
+                self._entries = [*self._entries, _Entry(config, time.monotonic())][-_MOST:]
+                self._index = len(self._entries) - 1
             self._version += 1
             return config
 
     def go(self, step: int) -> PlannerConfig:
         """Undo (-1) or redo (+1) one change, if there is one, and return the resulting configuration."""
         with self._lock:
-            self._index = min(max(self._index + step, 0), len(self._configs) - 1)
+            self._entries[self._index] = replace(self._entries[self._index], undone_at=time.monotonic())
+            self._index = min(max(self._index + step, 0), len(self._entries) - 1)
             self._version += 1
             self._last = (frozenset(), 0.0)
-            return self._configs[self._index]
+            return self._entries[self._index].config
 
     def drop(self, failed: PlannerConfig, good: PlannerConfig) -> None:
         """Remove a configuration that cannot be used. If it is the current one, `good` replaces it."""
         with self._lock:
-            old_index, old = self._index, self._configs[self._index]
+            old_index, old = self._index, self._entries[self._index].config
             new = good if old == failed else old
-            configs = [config for config in self._configs if config != failed]
-            if new not in configs:
-                configs.insert(old_index, new)
-            indices = [i for i, config in enumerate(configs) if config == new]
+            entries = [entry for entry in self._entries if entry.config != failed]
+            if all(entry.config != new for entry in entries):
+                entries.insert(old_index, _Entry(new))
+            indices = [i for i, entry in enumerate(entries) if entry.config == new]
             index = min(indices, key=lambda i: abs(i - old_index))
-            self._version += configs[index] is not old
-            self._configs, self._index = configs, index
+            self._version += entries[index].config is not old
+            self._entries, self._index = entries, index
             self._last = (frozenset(), 0.0)

@@ -44,7 +44,8 @@ class Engine:
         self._configs = configs
         self._config = configs.current[0]
         self._planner = Planner(self._config, device=device, seed=seed)
-        self._seed = seed
+        self.seed = seed
+        """Seed of the planner's noise."""
         self._publish_frame = publish
         self._timeline = Timeline()
         self._tick_ends: deque[float] = deque(maxlen=200)
@@ -152,18 +153,19 @@ class Engine:
             self.source.seek(float(times[target - 1]))
             self.dropped_ticks += skipped
 
-    def set_source(self, source: Source) -> None:
-        """Continue with another source, from its start.
+    def set_source(self, source: Source, *, seed: int | None = None) -> None:
+        """Continue with another source, from its start, and with another seed of the planner's noise if one is given.
 
         If its first tick fails, the new source is closed and the current one stays.
         """
-        before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks)
-        self.source, self.dropped_ticks = source, 0
+        before = (self.source, self._timeline, self._planner.history(), self.dropped_ticks, self.seed)
+        self.source, self.dropped_ticks, self.seed = source, 0, self.seed if seed is None else seed
         self._start_over()
         try:
             self._plan()
         except Exception:
-            self.source, self._timeline, history, self.dropped_ticks = before
+            self.source, self._timeline, history, self.dropped_ticks, self.seed = before
+            self._planner.reset(seed=self.seed)
             self._planner.restore(history)
             source.close()
             raise
@@ -173,7 +175,7 @@ class Engine:
 
     def _start_over(self) -> None:
         """Discard all checkpoints and the previous plan; the source's current tick becomes the first one."""
-        self._planner.reset()
+        self._planner.reset(seed=self.seed)
         self._timeline = Timeline()
         self._epoch += 1
 
@@ -237,7 +239,7 @@ class Engine:
             epoch=self._epoch,
             source=self.source.info,
             checkpoint=self._timeline.current,
-            seed=self._seed,
+            seed=self.seed,
             device=self._planner.device,
         )
         return self._publish(frame)

@@ -7,7 +7,7 @@ import queue
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,10 @@ from aero_viz.session.engine import Engine
 from aero_viz.session.frame import Frame, end_sentence
 from aero_viz.session.source import Source, SourceInfo
 from aero_viz.session.timeline import Checkpoint
+from aero_viz.session.world_history import WorldHistory
+
+if TYPE_CHECKING:
+    from aero_viz.scenes import World
 
 _log = logging.getLogger(__name__)
 _CATCH_UP = 0.1
@@ -48,9 +52,10 @@ class Session(BaseSession):
         self._configs = ConfigHistory(config or PlannerConfig())
         super().__init__()
         self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
-        self.seed, self.device = seed, device
-        self.comparison = Comparison(self._engine, device=device, seed=seed, config=lambda: self.config)
+        self.device = device
+        self.comparison = Comparison(self._engine, device=device, config=lambda: self.config)
         """State of the comparison with a pinned configuration, A."""
+        self._worlds = WorldHistory()
         self._clock = Clock()
         self._commands = CommandQueue(self._report)
         self._thread: threading.Thread | None = None
@@ -69,6 +74,11 @@ class Session(BaseSession):
     @property
     def frame(self) -> Frame | None:
         return self._engine.frame
+
+    @property
+    def seed(self) -> int:
+        """Seed of the planner's noise."""
+        return self._engine.seed
 
     @property
     def source(self) -> SourceInfo:
@@ -155,7 +165,7 @@ class Session(BaseSession):
 
         return self.alter(lambda source: source.set_goal(goal), quiet=quiet)
 
-    def alter(self, change: Callable[[Any], object], *, quiet: bool = False) -> Future[Any]:
+    def alter(self, change: Callable[[Any], object], *, quiet: bool = False, step: object = None) -> Future[Any]:
         """Change the source between two ticks, such as its obstacles or its wind, and plan the current tick again.
 
         The change belongs to the current tick and those that follow: after going back to an earlier one, it is undone.
@@ -163,23 +173,29 @@ class Session(BaseSession):
         Args:
             change: called with the source on the session's thread; what it raises leaves the source as it was.
             quiet: report a refusal in the future only.
+            step: changes of the world in a row with the same `step` are undone together, such as those of a drag.
         """
 
         def command() -> None:
-            self._engine.alter(change)
-            if self._engine.source.outcome is None:
-                self._announced_epoch = None  # the flight continues and will end once more
+            before = self._world
+            self._alter(change)
+            self._worlds.note(before, self._world, step=step)
 
         return self._post(command, quiet=quiet)
 
-    def set_source(self, source: Source) -> Future[Any]:
+    def _alter(self, change: Callable[[Any], object]) -> None:
+        self._engine.alter(change)
+        if self._engine.source.outcome is None:
+            self._announced_epoch = None  # the flight continues and will end once more
+
+    def set_source(self, source: Source, *, seed: int | None = None) -> Future[Any]:
         """Continue with another source, from its start. If its first tick fails, the current source stays.
 
-        The session closes `source` in either case.
+        The session closes `source` in either case. `seed` is that of the planner's noise from now on; None leaves it.
         """
 
         def command() -> None:
-            self._engine.set_source(source)
+            self._engine.set_source(source, seed=seed)
             self._clock.restart(self._engine.next_time)
 
         future = self._post(command)
@@ -212,12 +228,22 @@ class Session(BaseSession):
         return config
 
     def undo(self) -> PlannerConfig:
-        """Return to the configuration before the current one."""
-        return self._go_to_config(-1)
+        """Take back the newest change of the configuration, or of the world at this tick; return the configuration."""
+        if self._worlds.changed_at(self._world) <= self._configs.changed_at:
+            return self._go_to_config(-1)
+        self._post(lambda: self._alter(self._worlds.undo))
+        return self.config
 
     def redo(self) -> PlannerConfig:
-        """Return to the configuration that `undo` left."""
-        return self._go_to_config(+1)
+        """Make the change again that was undone last, and return the configuration."""
+        if self._worlds.undone_at(self._world) <= self._configs.undone_at:
+            return self._go_to_config(+1)
+        self._post(lambda: self._alter(self._worlds.redo))
+        return self.config
+
+    @property
+    def _world(self) -> World | None:
+        return None if self.frame is None else self.frame.world
 
     def _go_to_config(self, step: int) -> PlannerConfig:
         config = self._configs.go(step)

@@ -105,9 +105,12 @@ class Planner:
         with wp.ScopedDevice(self._device):
             wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
             wp.launch(fill_noise, (sizes.N, sizes.T), outputs=[work.noise])
-        # Seeds may be of any size.
-        work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
+        self._assign_seeds()
         self.reset()
+
+    def _assign_seeds(self) -> None:
+        # Seeds may be of any size.
+        self._work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
 
     def _make_pipeline(self) -> Pipeline:
         return Pipeline(
@@ -241,8 +244,11 @@ class Planner:
             raise ValueError("there is no room for sweeps; call `reserve_sweeps` first.")
         self._memory.store(index, points)
 
-    def reset(self) -> None:
-        """Discard the previous plan and restart the noise sequence."""
+    def reset(self, *, seed: int | None = None) -> None:
+        """Discard the previous plan and restart the noise sequence, with another `seed` if one is given."""
+        if seed is not None:
+            self._seeds = [seed + b for b in range(len(self._seeds))]
+            self._assign_seeds()
         self._work.tick.zero_()
         self._work.previous_controls.zero_()
         self._work.previous_time.fill_(np.nan)

@@ -65,6 +65,24 @@ def test_wind_needs_no_other_setting_and_a_refused_number_returns(desk):
     desk.wait_for(lambda: float(gusts.input_value()) == 4.0, "the number that stays")
 
 
+def test_lost_sweeps_and_latency_belong_to_their_tick(desk):
+    desk.session.seek(0.0).result()
+    before = conditions(desk)
+    desk.session.seek(0.1).result()
+    for path, value in (("lidar.sweep_loss", 1.0), ("drone.latency", 0.1)):
+        field(desk, path).fill(str(value))
+        desk.wait_for(lambda path=path, value=value: conditions(desk)[path] == value, f"{path} {value}")
+        desk.page.wait_for_timeout(1200)
+    desk.session.step(60).result()
+    desk.page.get_by_text("no cloud").wait_for()
+    field(desk, "drone.latency").fill("3")
+    refusal = desk.refusal("at most 0.5 s")
+    refusal.wait_for()
+    desk.dismiss(refusal)
+    desk.session.seek(0.0).result()
+    assert conditions(desk) == before
+
+
 def test_the_drone_is_dragged_only_while_time_stands_still(desk):
     desk.session.seek(0.0).result()
     desk.checkbox("Drag the drone").click()

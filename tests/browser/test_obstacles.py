@@ -5,7 +5,7 @@ import pytest
 
 from aero_viz.catalog import open_source
 from aero_viz.scenes import World, scene
-from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, obstacle_at
+from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, obstacle_at, with_obstacle
 from tests.browser.desk import Desk, open_desk
 
 FOREST = scene("forest", seed=0)
@@ -129,6 +129,39 @@ def test_numbers_typed_in_two_fields_in_a_row_both_count(desk):
     desk.control("Size").locator("input").nth(0).fill("0.8")
     desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.8] * 3), "a smaller sphere")
     desk.wait_for(lambda: present(desk, "sphere").center == pytest.approx([*place[:2], 3.5], abs=1e-3), "a higher one")
+
+
+def test_ctrl_z_and_the_button_take_back_what_was_done_to_an_obstacle(desk):
+    throw(desk)
+    place = present(desk, "sphere").center
+    desk.control("Centre").locator("input").nth(2).fill("3.5")
+    desk.wait_for(lambda: present(desk, "sphere").center[2] == pytest.approx(3.5), "a higher sphere")
+    desk.page.mouse.click(*desk.place_on_page(present(desk, "sphere").center))  # out of the field
+    desk.click("Remove")
+    desk.wait_for(lambda: added(desk, "sphere") is None, "the removal")
+    desk.page.keyboard.press("Control+z")
+    desk.wait_for(lambda: added(desk, "sphere") is not None, "the sphere again")
+    desk.click("Undo")
+    desk.wait_for(lambda: present(desk, "sphere").center == pytest.approx(place), "the sphere where it was")
+    desk.click("Undo")
+    desk.wait_for(lambda: added(desk, "sphere") is None, "a world without it")
+    desk.page.keyboard.press("Control+Shift+z")
+    desk.wait_for(lambda: added(desk, "sphere") is not None, "the sphere once more")
+    assert present(desk, "sphere").center == pytest.approx(place)
+
+
+def test_the_selected_obstacle_stays_selected_when_another_is_removed_and_time_goes_back(desk):
+    first = ObstacleKey("spheres", len(FOREST.spheres))
+    throw(desk)
+    desk.page.get_by_role("button", name="sphere", exact=True).click()
+    name = f"Selected: sphere {first.row + 1}"
+    desk.page.get_by_text(name).wait_for()
+    time = desk.session.frame.time
+    desk.session.step(1).result()
+    desk.session.alter(lambda s: s.set_world(with_obstacle(s.observe().world, None, first))).result()
+    desk.page.get_by_text(f"Selected: sphere {first.row}").wait_for()
+    desk.session.seek(time).result()
+    desk.page.get_by_text(name).wait_for()
 
 
 def test_an_obstacle_that_does_not_exist_yet_is_not_removed(desk):

@@ -1,12 +1,15 @@
 """Scenes, worlds and recordings opened in the page, and the display of a recording."""
 
+import contextlib
 import re
 
 import numpy as np
 import pytest
 
-from aero_planner import PlannerConfig
-from aero_viz.scenes import World
+from aero_planner import PlannerConfig, VehicleState
+from aero_viz.flight import fly
+from aero_viz.scenes import World, scene
+from aero_viz.session.frame import Frame
 from tests.browser.desk import Desk, open_desk
 from tests.browser.pictures import differing, rollouts_drawn
 
@@ -53,6 +56,33 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     assert differing(solids(desk), room) > 20_000
     assert desk.console == []
     assert desk.dashboard.failures == 0
+
+
+class PathRecorder:
+    """Keeps the positions of a flight."""
+
+    def __init__(self) -> None:
+        self.positions: list[np.ndarray] = []
+
+    def write(self, frame: Frame) -> None:
+        pass
+
+    def write_pose(self, time: float, state: VehicleState) -> None:
+        self.positions.append(np.asarray(state.position))
+
+
+def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
+    desk = fresh_desk
+    desk.session.play()
+    field = desk.control("Seed").locator("input")
+    field.fill("3")
+    field.press("Enter")
+    choose(desk, "pillars")
+    desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
+    desk.wait_for(lambda: desk.session.frame.outcome is not None, "the end of the flight")
+    recorder = PathRecorder()
+    fly(scene("pillars", seed=3), seed=3, recorder=contextlib.nullcontext(recorder))
+    np.testing.assert_array_equal(desk.session.frame.trail, recorder.positions)
 
 
 def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(fresh_desk, tmp_path):

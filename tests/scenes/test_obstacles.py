@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from aero_viz.scenes import World
-from aero_viz.scenes.obstacles import KINDS, ObstacleKey, new_obstacle, obstacle_at, pick_obstacle, with_obstacle
+from aero_viz.scenes.obstacles import (
+    KINDS,
+    ObstacleKey,
+    find_obstacle,
+    identify,
+    new_obstacle,
+    obstacle_at,
+    pick_obstacle,
+    with_obstacle,
+)
 
 
 @pytest.fixture
@@ -68,6 +77,20 @@ def test_a_new_solid_has_its_centre_and_size_and_a_cylinder_keeps_its_base(world
         assert with_obstacle(world, new).nearest([1.0, 2.0, 3.0]) == (pytest.approx(-0.2), name)
     trunk = new_obstacle("cylinder", [0.0, 0.0, 2.0], [1.0, 1.0, 4.0]).resized([1.0, 1.0, 6.0])
     assert trunk.center == pytest.approx([0.0, 0.0, 3.0])
+
+
+def test_a_solid_keeps_its_identity_when_others_are_added_moved_and_removed(world):
+    for i in range(3):
+        world = with_obstacle(world, new_obstacle("box", [20.0 + i, 0, 2], [0.5, 0.5, 0.5]))
+    key = ObstacleKey("boxes", 3)
+    identity = identify(world, key)
+    removed = with_obstacle(world, None, ObstacleKey("boxes", 2))
+    assert find_obstacle(removed, identity) == ("boxes", 2) and find_obstacle(world, identity) == key
+    gone = with_obstacle(removed, None, ObstacleKey("boxes", 2))
+    again = with_obstacle(gone, new_obstacle("box", [21.0, 0, 2], [0.5, 0.5, 0.5]))
+    assert find_obstacle(gone, identity) is None and find_obstacle(again, identity) is None
+    moved = with_obstacle(removed, new_obstacle("box", [30, 0, 2], [1, 1, 1]), ObstacleKey("boxes", 2))
+    assert find_obstacle(moved, identity) == ("boxes", 2)
 
 
 def test_a_size_that_cannot_be_is_refused_by_name(world):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aero_planner import PlanStatus
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import World
@@ -69,6 +70,57 @@ def test_a_flight_with_another_world_and_wind_is_repeated_bit_for_bit(session):
     assert not np.array_equal(again[-1].observation.state.position, again[-1].observation.actual_state.position)
 
 
+def test_lost_sweeps_age_the_cloud_until_the_drone_brakes_and_latency_delays_it(session):
+    session.alter(lambda source: source.set_conditions({"lidar.sweep_loss": 1.0})).result()
+    blind = [session.tick() for _ in range(60)]
+    ages = [frame.observation.cloud_age for frame in blind]
+    assert ages[0] == 0.0 and ages[-1] == pytest.approx(1.1) and np.all(np.diff(ages) >= 0.0)
+    assert not len(list(blind[-1].observation.sweeps)[-1]) and blind[-1].plan.status == PlanStatus.STALE_CLOUD
+    session.alter(lambda source: source.set_conditions({"lidar.sweep_loss": 0.0, "drone.latency": 0.2})).result()
+    late = [session.tick() for _ in range(20)]
+    assert late[-1].observation.cloud_age == 0.0
+    for original in (blind[30], late[-1]):
+        session.seek(original.time).result()
+        assert np.array_equal(session.frame.observation.points, original.observation.points)
+        assert np.array_equal(session.frame.plan.command, original.plan.command)
+    source = FlightSource.twin(session.source)
+    again = list(repeat(source, session.flown().result(), device="cpu", seed=1))
+    assert np.array_equal(again[-1].observation.actual_state.position, late[-1].observation.actual_state.position)
+    session.seek(0.1).result()
+    assert session.frame.observation.conditions["drone.latency"] == 0.0
+
+
+def test_changes_of_world_and_configuration_are_undone_in_reverse_order(session):
+    before = session.frame.world
+    session.alter(with_wall).result()
+    walled = session.frame.world
+    session.configure({"costs.q_track": 8.0})
+    session.tick()
+    session.undo()
+    assert session.config.costs.q_track != 8.0 and session.frame.world is walled
+    session.undo()
+    assert session.frame.world is before and len(session.tick().world.boxes) == 1
+    session.redo()
+    assert session.frame.world is walled and session.config.costs.q_track != 8.0
+    session.redo()
+    assert session.config.costs.q_track == 8.0
+    session.seek(0.1).result()  # before the wall
+    session.undo()
+    assert session.frame.world is before and session.config.costs.q_track != 8.0
+
+
+def test_the_moves_of_a_drag_are_one_step_of_undo(session):
+    before = session.frame.world
+    for _ in range(3):
+        session.alter(with_wall, step=session).result()
+        session.tick()
+    session.alter(with_wall).result()
+    session.undo()
+    assert len(session.frame.world.boxes) == 4
+    session.undo()
+    assert session.frame.world is before
+
+
 def test_the_drone_can_be_moved_and_flies_on_from_there(session):
     session.alter(lambda source: source.set_position([3.0, 4.0, 2.0])).result()
     assert session.frame.observation.actual_state.position == pytest.approx([3.0, 4.0, 2.0])
@@ -84,6 +136,7 @@ def test_the_drone_can_be_moved_and_flies_on_from_there(session):
         (lambda source: source.set_position([np.nan, 0.0, 2.0]), UserError),
         (lambda source: source.set_conditions({"noise.position": -1.0}), ValueError),
         (lambda source: source.set_conditions({"drone.mass": 2.0}), ValueError),
+        (lambda source: source.set_conditions({"drone.latency": 2.0}), ValueError),
         (
             lambda source: source.set_world(
                 dataclasses.replace(source.observe().world, spheres=np.array([[20.0, 0.0, 2.0, 1.0]]))

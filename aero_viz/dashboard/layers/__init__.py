@@ -13,7 +13,7 @@ from aero_viz.dashboard.layers.base import (
     Layer,
     Option,
     apply,
-    legend_of,
+    legend_entries,
 )
 from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
@@ -35,7 +35,7 @@ __all__ = [
     "Layer",
     "Option",
     "apply",
-    "legend_of",
+    "legend_entries",
 ]
 
 LAYERS: tuple[type[Layer], ...] = (

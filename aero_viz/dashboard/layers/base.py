@@ -172,7 +172,7 @@ class Layer:
         return None
 
 
-def legend_of(layers: Iterable[Layer], frame: Frame) -> list[ColorKey | ColorScale]:
+def legend_entries(layers: Iterable[Layer], frame: Frame) -> list[ColorKey | ColorScale]:
     """Return the legend of those layers that are shown."""
     return [entry for layer in layers if layer.visible and layer.available for entry in layer.legend(frame)]
 

@@ -13,7 +13,7 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, to_see
 from aero_viz.scenes import Instances, Mesh, SightLines, World, world_instances, world_meshes
 from aero_viz.scenes.mesh import SHAPES, joined_mesh
-from aero_viz.scenes.obstacles import ObstacleKey
+from aero_viz.scenes.obstacles import ObstacleId, find_obstacle
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -34,7 +34,7 @@ class ObstacleLayer(Layer):
     keys = (ColorKey("obstacles", palette.OBSTACLE),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self.selected: ObstacleKey | None = None
+        self.selected: ObstacleId | None = None
         """Obstacle in the colour of a selection, which is never faint."""
         self._world: World | None = None
         self._sight: SightLines | None = None
@@ -116,9 +116,10 @@ class ObstacleLayer(Layer):
 
     def _selected_rows(self) -> dict[str, NDArray[np.int64]]:
         """Return the row of the selected obstacle among the instances of its kind; nothing if it is not there."""
-        if self.selected is None or self._world is None or self.selected.kind not in self._instances:
+        key = None if self.selected is None or self._world is None else find_obstacle(self._world, self.selected)
+        if key is None or self._world is None or key.kind not in self._instances:
             return {}
-        kind, row = self.selected
+        kind, row = key
         is_drawn = ~self._world.ground if kind == "boxes" else np.ones(len(getattr(self._world, kind)), dtype=bool)
         return {kind: np.flatnonzero(np.flatnonzero(is_drawn) == row)}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +27,28 @@ TYPING_DELAY = 0.2
 """Time after which a value that was typed just before a click has arrived [s]: the page sends it with a delay."""
 
 
+class Hold:
+    """Keeps what a user has just changed from being overwritten with what the session had before."""
+
+    SECONDS = 1.0
+    """Longest time of a hold [s]."""
+
+    def __init__(self) -> None:
+        self.began = -self.SECONDS
+        """When it began [s], `time.monotonic`."""
+
+    def begin(self) -> None:
+        """Hold from now on."""
+        self.began = time.monotonic()
+
+    def end(self) -> None:
+        """Hold no longer, so that the page shows what the session has."""
+        self.began = -self.SECONDS
+
+    def __bool__(self) -> bool:
+        return time.monotonic() - self.began < self.SECONDS
+
+
 @dataclass(frozen=True)
 class Page:
     """Objects on which panels act."""
@@ -39,7 +62,7 @@ class Page:
     refresh: Callable[[], None]
     """Shows the newest frame again, after a change that brings no new frame."""
 
-    def refresh_after(self, delay: float) -> None:
+    def refresh_after(self, delay: float = 1.1 * Hold.SECONDS) -> None:
         """Show the newest frame again in `delay` [s]. While time stands still, no later frame would."""
         timer = threading.Timer(delay, self.refresh)
         timer.daemon = True

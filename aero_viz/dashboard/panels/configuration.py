@@ -22,7 +22,7 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
 _CHANGED = "(changed)"
-_HISTORY_HINT = "undo and redo one change of the configuration; reset all returns to the preset."
+_HISTORY_HINT = "undo and redo one change of a parameter or an obstacle; reset all returns to the preset."
 _COPY = (
     "getSelection().selectAllChildren(this.nextElementSibling);document.execCommand('copy');this.textContent='copied'"
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import Any
 
 import numpy as np
@@ -11,18 +10,17 @@ import viser
 
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.base import Hold, Page, Panel
 from aero_viz.dashboard.panels.controls import SliderControl
 from aero_viz.flight.conditions import LIVE
+from aero_viz.flight.source import LATENCY_MAX
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-_HOLD = 1.0
-"""Time after a user's change for which the controls are not overwritten [s]."""
 _ENDS = {
     "noise.position": 0.5, "noise.velocity": 1.0, "noise.attitude": 5.0, "drone.drag": 1.0, "drone.gust_speed": 10.0,
-    "lidar.range_noise": 0.5, "lidar.dropout": 1.0,
+    "lidar.range_noise": 0.5, "lidar.dropout": 1.0, "lidar.sweep_loss": 1.0, "drone.latency": LATENCY_MAX,
 }  # fmt: skip
 """Upper ends of the sliders, in the unit of the parameter."""
 _DRAG = 0.3
@@ -43,7 +41,7 @@ class DisturbancePanel(Panel):
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._touched = self._dragged = -_HOLD
+        self._touched, self._dragged = Hold(), Hold()
         hint = "Show arrows at the drone that move it. They are there while time stands still."
         self._drag = gui.add_checkbox("Drag the drone", False, hint=hint)
         self._sliders = [SliderControl(gui, info, float(info.default), end=_ENDS[info.path]) for info in LIVE]
@@ -64,12 +62,12 @@ class DisturbancePanel(Panel):
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
-            self._dragged = time.monotonic()
+            self._dragged.begin()
             if not self.session.playing:
                 self._moves.put((tuple(self._arrows.position), event.phase != "end"))
 
     def _take(self, slider: SliderControl) -> None:
-        self._touched = time.monotonic()
+        self._touched.begin()
         with self._lock:
             self._waiting[slider.info.path] = slider.value
         self._changes.put(None)
@@ -83,17 +81,17 @@ class DisturbancePanel(Panel):
         if values.get("drone.gust_speed", 0.0) > 0.0 and not values.get("drone.drag", present.get("drone.drag")):
             values["drone.drag"] = _DRAG
         if values and self._controls.alter(lambda source: source.set_conditions(values)).exception() is not None:
-            self._touched = -_HOLD  # show the values that stay
+            self._touched.end()  # show the values that stay
         self.page.refresh()
-        self.page.refresh_after(1.1 * _HOLD)  # while time stands still, no frame would show an earlier tick
+        self.page.refresh_after()
 
     def _move(self, move: tuple[tuple[float, float, float], bool]) -> None:
         place, is_dragged = move
         self._controls.alter(lambda source: source.set_position(place), quiet=is_dragged).exception()
         if not is_dragged:
-            self._dragged = -_HOLD
+            self._dragged.end()
         self.page.refresh()
-        self.page.refresh_after(1.1 * _HOLD)
+        self.page.refresh_after()
 
     def close(self) -> None:
         self._changes.close()
@@ -103,13 +101,13 @@ class DisturbancePanel(Panel):
         return [(self._folder, "visible", source.closed_loop and source.world is not None)]
 
     def update(self, frame: Frame) -> list[Change]:
-        values, now = frame.observation.conditions, time.monotonic()
+        values = frame.observation.conditions
         changes: list[Change] = []
-        if values is not None and now - self._touched >= _HOLD:
+        if values is not None and not self._touched:
             changes = [change for slider in self._sliders for change in slider.show(values[slider.info.path])]
         is_offered = values is not None and self._drag.value and not self.session.playing
         changes.append((self._arrows, "visible", is_offered))
-        if now - self._dragged >= _HOLD:
+        if not self._dragged:
             place = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
             changes.append((self._arrows, "position", place))
         return changes

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import viser
 
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.base import Hold, Page, Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
-
-_HOLD = 0.7
-"""Time after a user's change for which the control is not overwritten [s]."""
 
 
 class GoalPanel(Panel):
@@ -25,7 +20,7 @@ class GoalPanel(Panel):
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._typed = self._dragged = -_HOLD
+        self._typed, self._dragged = Hold(), Hold()
         self._position = gui.add_vector3("Goal", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world frame [m].")
         self._position.precision = 3
         self._drag = gui.add_checkbox("Drag the goal", False, hint="Show arrows at the goal that move it.")
@@ -37,12 +32,12 @@ class GoalPanel(Panel):
         @self._position.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._typed = time.monotonic()
+                self._typed.begin()
                 self._moves.put((self._position.value, False))
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
-            self._dragged = time.monotonic()
+            self._dragged.begin()
             self._moves.put((tuple(self._arrows.position), event.phase != "end"))
 
         @self._drag.on_update
@@ -57,14 +52,16 @@ class GoalPanel(Panel):
         position, is_dragged = move
         is_refused = self._controls.set_goal(position, quiet=is_dragged).exception() is not None
         if is_refused and not is_dragged:
-            self._typed = self._dragged = -_HOLD  # show the goal that stays
+            self._typed.end()  # show the goal that stays
+            self._dragged.end()
         self.page.refresh()
+        self.page.refresh_after()
 
     def update(self, frame: Frame) -> list[Change]:
-        goal, now = np.asarray(frame.observation.goal.position, dtype=np.float64), time.monotonic()
+        goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         changes: list[Change] = []
-        if now - self._typed >= _HOLD:
+        if not self._typed:
             changes.append((self._position, "value", tuple(float(round(x, 3)) for x in goal)))
-        if now - self._dragged >= _HOLD:
+        if not self._dragged:
             changes.append((self._arrows, "position", goal))
         return changes

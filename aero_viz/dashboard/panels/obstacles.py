@@ -15,11 +15,14 @@ from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.scenery import ObstacleLayer
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.base import Hold, Page, Panel
 from aero_viz.errors import UserError
 from aero_viz.scenes.obstacles import (
     Obstacle,
+    ObstacleId,
     ObstacleKey,
+    find_obstacle,
+    identify,
     new_obstacle,
     obstacle_at,
     pick_obstacle,
@@ -29,8 +32,6 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
-_HOLD = 1.0
-"""Longest time after a user's change for which the controls are not overwritten [s]."""
 _PAUSE = 0.4
 """Time for which a number that is typed must stay the same [s]: 12 begins with 1."""
 _SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
@@ -52,18 +53,20 @@ class ObstaclePanel(Panel):
 
     def __init__(self, page: Page, controls: SessionControls) -> None:
         self._controls = controls
-        self._selected: ObstacleKey | None = None
+        self._selected: ObstacleId | None = None
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._touched = self._dragged = -_HOLD
+        self._touched, self._dragged = Hold(), Hold()
+        self._drag_step = object()
+        """Stands for the drag in progress, or else for the next one."""
         self._absence = gui.add_html(markup.note(_ABSENT), visible=False)
         with gui.add_folder(None) as self._folder:
             self._create_controls(gui)
         self._arrows = self.page.server.scene.add_transform_controls(
             "/obstacle_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
         )
-        self._typed: dict[tuple[ObstacleKey | None, str], Callable[[Obstacle], Obstacle]] = {}
+        self._typed: dict[tuple[ObstacleId | None, str], Callable[[Obstacle], Obstacle]] = {}
         """Changes by numbers that were typed and wait, by obstacle and label of the field."""
         self._lock = threading.Lock()
         self._numbers = Mailbox(self._use_typed, name="aero-viz-obstacle-numbers")
@@ -83,6 +86,8 @@ class ObstaclePanel(Panel):
         self._yaw = gui.add_number("Heading", 0.0, step=5.0, visible=False, hint="Rotation of the box about z [deg].")
         self._center.precision = self._size.precision = self._yaw.precision = 3
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
+        hint = "Take back, or make again, one change of the obstacles or of the parameters. Keys: Ctrl Z, Ctrl Shift Z."
+        self._history = gui.add_button_group("History", ("Undo", "Redo"), hint=hint)
         hint = "Download the world as it is now, as JSON that `aero-viz fly` and Open path read."
         self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
 
@@ -99,6 +104,11 @@ class ObstaclePanel(Panel):
         async def _(_: viser.GuiEvent) -> None:
             self.remove()
 
+        @self._history.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            action = self._controls.undo if self._history.value == "Undo" else self._controls.redo
+            self.page.attempt(action, event.client)
+
         @self._save.on_click
         async def _(event: viser.GuiEvent) -> None:
             frame = self.session.frame
@@ -112,7 +122,7 @@ class ObstaclePanel(Panel):
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
-            self._dragged = time.monotonic()
+            self._dragged.begin()
             self._drags.put((self._selected, tuple(self._arrows.position), event.phase != "end"))
 
         @self._switch.on_update
@@ -129,7 +139,8 @@ class ObstaclePanel(Panel):
         @control.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._touched, value = time.monotonic(), control.value
+                self._touched.begin()
+                value = control.value
                 if control is self._size and 0.0 in value:
                     return  # somebody begins to type 0.4
                 with self._lock:
@@ -141,13 +152,16 @@ class ObstaclePanel(Panel):
         # node of its own: the world is asked instead.
         frame = self.session.frame
         if frame is not None and frame.world is not None:
-            self._select(pick_obstacle(frame.world, event.ray_origin, event.ray_direction))
+            key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction)
+            self._select(None if key is None else identify(frame.world, key))
 
-    def _select(self, key: ObstacleKey | None) -> None:
-        self._selected, self._touched, self._dragged = key, -_HOLD, -_HOLD
+    def _select(self, identity: ObstacleId | None) -> None:
+        self._selected = identity
+        self._touched.end()
+        self._dragged.end()
         if isinstance(layer := self.page.layers.get("obstacles"), ObstacleLayer):
-            layer.selected = key
-        if key is not None:
+            layer.selected = identity
+        if identity is not None:
             self._switch.value = True
         self.page.refresh()
 
@@ -169,7 +183,8 @@ class ObstaclePanel(Panel):
             assert frame is not None
             obstacle = new_obstacle(kind, place(frame), _SIZES[kind])
             source.set_world(with_obstacle(_world(source), obstacle))
-            self._select(ObstacleKey(obstacle.kind, len(getattr(_world(source), obstacle.kind)) - 1))
+            world = _world(source)
+            self._select(identify(world, ObstacleKey(obstacle.kind, len(getattr(world, obstacle.kind)) - 1)))
 
         if not self._folder.visible:
             raise UserError(_ABSENT)
@@ -177,38 +192,50 @@ class ObstaclePanel(Panel):
 
     def _use_typed(self, _: None) -> None:
         """Use the numbers that were typed, on the mailbox's thread, once they stay the same or another is selected."""
-        while (rest := self._touched + _PAUSE - time.monotonic()) > 0.0:
+        while (rest := self._touched.began + _PAUSE - time.monotonic()) > 0.0:
             time.sleep(rest)
-        typed_at = self._touched
+        typed_at = self._touched.began
         with self._lock:
             typed, self._typed = self._typed, {}
-        for (key, _label), change in typed.items():
-            self._alter(key, change).exception()
-        if self._touched == typed_at:
-            self._touched = -_HOLD  # show what is in the world now
+        for (identity, _label), change in typed.items():
+            self._alter(identity, change).exception()
+        if self._touched.began == typed_at:
+            self._touched.end()  # show what is in the world now
         self.page.refresh()
 
-    def _drag(self, move: tuple[ObstacleKey | None, tuple[float, ...], bool]) -> None:
+    def _drag(self, move: tuple[ObstacleId | None, tuple[float, ...], bool]) -> None:
         """Move an obstacle, on the mailbox's thread. While it is dragged, a refusal is not reported."""
-        key, place, is_dragged = move
-        error = self._alter(key, lambda obstacle: obstacle.moved(place), quiet=is_dragged).exception()
-        if error is not None and not is_dragged:
-            self._dragged = -_HOLD
+        identity, place, is_dragged = move
+        step = self._drag_step
+        error = self._alter(identity, lambda obstacle: obstacle.moved(place), quiet=is_dragged, step=step).exception()
+        if not is_dragged:
+            self._drag_step = object()
+            if error is not None:
+                self._dragged.end()
         self.page.refresh()
-        self.page.refresh_after(1.1 * _HOLD)  # while time stands still, no frame would show an earlier tick
+        self.page.refresh_after()
 
     def _alter(
-        self, key: ObstacleKey | None, change: Callable[[Obstacle], Obstacle | None], *, quiet: bool = False
+        self,
+        identity: ObstacleId | None,
+        change: Callable[[Obstacle], Obstacle | None],
+        *,
+        quiet: bool = False,
+        step: object = None,
     ) -> Future[Any]:
         """Change an obstacle, or remove it if `change` returns None."""
 
         def alter(source: Any) -> None:
             world = _world(source)
-            if key is None or (obstacle := obstacle_at(world, key)) is None:
+            key = None if identity is None else find_obstacle(world, identity)
+            obstacle = None if key is None else obstacle_at(world, key)
+            if obstacle is None:
                 raise UserError("Select an obstacle first: the one that was selected is not in this world.")
-            source.set_world(with_obstacle(world, change(obstacle), key))
+            changed = change(obstacle)
+            if changed is None or not np.allclose(changed.values, obstacle.values, rtol=0.0, atol=1e-9):
+                source.set_world(with_obstacle(world, changed, key))
 
-        return self._controls.alter(alter, quiet=quiet)
+        return self._controls.alter(alter, quiet=quiet, step=step)
 
     def close(self) -> None:
         self._numbers.close()
@@ -224,7 +251,8 @@ class ObstaclePanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         """Show the selected obstacle. At a tick at which it does not exist, none is selected."""
-        key, world = self._selected, frame.world
+        identity, world = self._selected, frame.world
+        key = None if identity is None or world is None else find_obstacle(world, identity)
         obstacle = None if key is None or world is None else obstacle_at(world, key)
         controls = (self._center, self._size, self._remove, self._arrows)
         changes: list[Change] = [(control, "visible", obstacle is not None) for control in controls]
@@ -235,13 +263,13 @@ class ObstaclePanel(Panel):
             (self._yaw, "visible", obstacle.kind == "boxes"),
             (self._name, "content", markup.note(f"Selected: {key.name}")),
         ]
-        if time.monotonic() - self._touched >= _HOLD:
+        if not self._touched:
             changes += [
                 (self._center, "value", _rounded(obstacle.center)),
                 (self._size, "value", _rounded(obstacle.size)),
                 (self._yaw, "value", round(float(np.degrees(obstacle.yaw)), 3)),
             ]
-        if time.monotonic() - self._dragged >= _HOLD:
+        if not self._dragged:
             changes.append((self._arrows, "position", obstacle.center))
         return changes
 

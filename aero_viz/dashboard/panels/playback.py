@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from concurrent.futures import CancelledError
 
 import numpy as np
@@ -12,14 +11,12 @@ import viser
 
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.base import Hold, Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
-_HOLD = 0.7
-"""Time after a user's change for which the timeline is not overwritten [s]."""
 _STEPS_MAX = 50
 """Largest number of ticks of the clicks that wait while the session is moving: one second of a flight."""
 
@@ -28,7 +25,7 @@ class PlaybackPanel(Panel):
     """Controls of the session's clock and timeline."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._touched = -_HOLD
+        self._touched = Hold()
         hint = "Let time run, or stop it. Parameters still change the plan while it stands. Key: Space."
         self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint)
         if self.session.controls is not None:
@@ -79,7 +76,7 @@ class PlaybackPanel(Panel):
         @self._time.on_update
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._touched = time.monotonic()
+                self._touched.begin()
                 self.session.pause()
                 self._seek(float(self._time.value))
 
@@ -106,7 +103,7 @@ class PlaybackPanel(Panel):
         with contextlib.suppress(CancelledError):
             if time is not None:
                 self.session.seek(self._time_of_nearest_tick(time)).exception()
-                self.page.refresh_after(1.1 * _HOLD)
+                self.page.refresh_after()
             if steps:
                 self.session.step(steps).exception()
 
@@ -138,7 +135,7 @@ class PlaybackPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         changes = self.update_without_frame()
-        if time.monotonic() - self._touched > _HOLD:
+        if not self._touched:
             first, last = self.session.time_range
             changes += [
                 (self._time, "min", round(first, 3)),

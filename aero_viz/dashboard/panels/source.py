@@ -205,7 +205,7 @@ class SourcePanel(Panel):
         try:
             with self._progress_notification(f"Opening {spec} ..", reader, client):
                 source = self._read(reader, spec, options, client)
-                if source is not None and self._use(source, spec):
+                if source is not None and self._use(source, spec, seed=options["seed"]):
                     self.opening = Opening(spec, options["seed"], options.get("conditions"))
                     if link is not None:
                         self._go_to(link)
@@ -230,23 +230,24 @@ class SourcePanel(Panel):
                     return
                 frame = self.session.frame
 
-    def _use(self, source: Source, spec: str) -> bool:
+    def _use(self, source: Source, spec: str, *, seed: int) -> bool:
         """Make `source` the session's. It plays if the one before it did, also if that had come to its end.
 
         Returns:
             False if its first tick failed, so that the source before it stays.
         """
-        frame = self.session.frame
-        has_ended = frame is not None and frame.outcome is not None
+        frame, was_playing = self.session.frame, self.session.playing
+        had_ended = frame is not None and frame.outcome is not None
+        self.session.pause()  # no tick before the planner knows what is known about the flight
         with contextlib.suppress(CancelledError):  # the session was closed in the meantime
             # If its first tick fails, the session notifies everyone.
-            if self._controls.set_source(source).exception() is not None:
-                return False
-            self._plan_as_known(frame, source)
-            if has_ended:
+            is_used = self._controls.set_source(source, seed=seed).exception() is None
+            if is_used:
+                self._plan_as_known(frame, source)
+                self._opened, self._is_listed = spec, False
+            if was_playing or (is_used and had_ended):
                 self.session.play()
-            self._opened, self._is_listed = spec, False
-            return True
+            return is_used
         return False
 
     def _plan_as_known(self, before: Frame | None, source: Source) -> None:

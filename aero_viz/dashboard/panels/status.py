@@ -9,7 +9,7 @@ import viser
 
 from aero_planner import PlanStatus
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers import Change, legend_of
+from aero_viz.dashboard.layers import Change, legend_entries
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.session.frame import Frame
@@ -51,7 +51,7 @@ class StatusPanel(Panel):
             (self.html, "content", markup.block(self._state(frame), _figures(frame))),
             (self.costs, "content", markup.block(*self._charts(frame))),
             (self.stages, "content", markup.block(_stages(frame))),
-            (self.key, "content", markup.legend(legend_of(self.page.layers.values(), frame))),
+            (self.key, "content", markup.legend(legend_entries(self.page.layers.values(), frame))),
         ]
 
     def _state(self, frame: Frame) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_of
+from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_entries
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, Viewpoints
 from aero_viz.dashboard.server import LocalServer
@@ -117,7 +117,7 @@ class SceneRecording:
     def legend(self) -> list[ColorKey | ColorScale]:
         """Return the meaning of the colours in the last frame."""
         assert self._last is not None
-        return legend_of(self._layers.values(), self._last)
+        return legend_entries(self._layers.values(), self._last)
 
     def as_html(self) -> str:
         """Return a web page that plays the recording; nothing can be added afterwards."""

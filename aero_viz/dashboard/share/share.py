@@ -70,7 +70,7 @@ def share(
         raise
     session = Session(source, config=config, device=device, seed=seed)
     try:
-        frames = frames_of(session, duration, report)
+        frames = flight_frames(session, duration, report)
         if Path(path).suffix.lower() == ".png":
             _write_picture(session, frames, Path(path), layers)
         else:
@@ -162,7 +162,7 @@ def _in_thread(action: Callable[[], T]) -> T:
         return pool.submit(action).result()
 
 
-def frames_of(session: Session, duration: float, report: Report = lambda _: None) -> Iterator[Frame]:
+def flight_frames(session: Session, duration: float, report: Report = lambda _: None) -> Iterator[Frame]:
     """Yield the ticks of a session from now on, up to its end or for `duration` [s]."""
     frame = session.tick()
     start = frame.time
