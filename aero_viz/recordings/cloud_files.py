@@ -146,7 +146,8 @@ class CloudFiles(CloudSequence):
 
     def _load(self, index: int) -> StampedCloud:
         points = self._read_points(self._files[index]) - self._offset
-        return StampedCloud(self._stamps[index], points.astype(np.float32), None)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return StampedCloud(self._stamps[index], points.astype(np.float32), None)
 
     def _read_points(self, path: Path) -> NDArray[np.float64]:
         return read_bin(path) if path.suffix.lower() == ".bin" else read_points(path, self._process)
@@ -166,17 +167,18 @@ def read_bin(path: Path) -> NDArray[np.float64]:
             data = file.read((_BIN_ROW + 4) * SWEEP_POINTS_MAX + 1)
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
-    if data and not len(data) % (_BIN_ROW + 4):
-        rows = np.frombuffer(data, "<f4").reshape(-1, 5)
-        ring = rows[:, 4]
-        if len(data) % _BIN_ROW or ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
-            return rows[:, :3].astype(np.float64)
-    if not data or len(data) % _BIN_ROW:
-        raise UserError(
-            f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are no rows of {_BIN_ROW} or "
-            f"{_BIN_ROW + 4}, or too many."
-        )
-    return np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # bytes that are no numbers
+        if data and not len(data) % (_BIN_ROW + 4):
+            rows = np.frombuffer(data, "<f4").reshape(-1, 5)
+            ring = rows[:, 4]
+            if len(data) % _BIN_ROW or ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
+                return rows[:, :3].astype(np.float64)
+        if data and not len(data) % _BIN_ROW:
+            return np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+    raise UserError(
+        f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are no rows of {_BIN_ROW} or "
+        f"{_BIN_ROW + 4}, or too many."
+    )
 
 
 class PacketClouds(CloudSequence):

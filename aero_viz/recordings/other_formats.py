@@ -114,7 +114,8 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         folder = path / name
         if not folder.is_dir():
             continue
-        files = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES and file.is_file()]
+        named = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES]
+        files = [file for file in named if file.exists() and not file.is_dir()]  # what is no file is reported as lost
         if not files:
             continue
         suffix = Counter(file.suffix.lower() for file in files).most_common(1)[0][0]

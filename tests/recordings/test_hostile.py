@@ -178,6 +178,23 @@ def test_a_file_that_shrinks_while_it_plays_loses_sweeps_only(tmp_path, name):
     assert "0]" in done.stdout and "could not be read" in done.stdout
 
 
+@pytest.mark.filterwarnings("error")
+def test_clouds_of_a_folder_that_change_or_are_no_files_are_lost_alone(tmp_path):
+    for k in range(6):
+        np.full((50, 4), 1.5, "<f4").tofile(tmp_path / f"{k}.bin")
+    (tmp_path / "1.bin").unlink()
+    os.mkfifo(tmp_path / "1.bin")
+    with open_recording(tmp_path) as recording:
+        os.truncate(tmp_path / "2.bin", 163)
+        (tmp_path / "3.bin").unlink()
+        (tmp_path / "4.bin").write_bytes(np.random.default_rng(0).bytes(80_000))
+        counts = [len(recording.sweep(k).points) for k in range(6)]
+        assert counts[:4] == [50, 0, 0, 0] and counts[5] == 50
+        assert (
+            recording.damage and "3 of 6 sweeps could not be read and played without points: 1..3" in recording.damage
+        )
+
+
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket"])
 def test_only_regular_files_are_opened(tmp_path, kind):
     import socket
