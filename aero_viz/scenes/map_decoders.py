@@ -51,8 +51,10 @@ def _read_npy(path: Path) -> Points:
         version = np.lib.format.read_magic(file)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, is_fortran, dtype = read(file)
+        if len(shape) == 3 and not is_fortran:  # an organised cloud
+            shape = (shape[0] * shape[1], shape[2])
         if len(shape) != 2 or shape[1] < 3 or dtype.kind not in "fiu":
-            raise ValueError("it must hold one array of numbers with rows x, y, z, ..")
+            raise ValueError("it must hold one array of numbers with columns x, y, z")
         here = file.tell()
         check_count(shape[0], (file.seek(0, 2) - here) // (shape[1] * dtype.itemsize))
         file.seek(here)

@@ -38,6 +38,7 @@ WRITERS: dict[str, Callable[[Path, np.ndarray], object]] = {
     "cloud.las": write_las,
     "cloud.laz": write_las,
     "cloud.npy": lambda path, points: np.save(path, points),
+    "organised.npy": lambda path, points: np.save(path, points.reshape(20, -1, 3)),
     "cloud.bin": lambda path, points: np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(path),
 }
 
