@@ -1,8 +1,11 @@
 """The Share folder of the page: files of the flight so far, and a link to the present moment."""
 
+import imageio.v3 as iio
 import numpy as np
 
+from aero_viz.dashboard import palette
 from aero_viz.dashboard.links import Link
+from tests.browser.pictures import count
 
 
 def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(fresh_desk, tmp_path):
@@ -23,6 +26,21 @@ def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(fresh_d
     before = desk.session.frame.index
     desk.session.step(1).result()  # the session goes on
     assert desk.session.frame.index == before + 1
+
+
+def test_the_picture_shows_the_scene_and_the_panels(fresh_desk, tmp_path):
+    desk = fresh_desk
+    desk.dashboard.show_only(["drone", "rollouts"])
+    desk.open_folder("Share", "Picture")
+    with desk.page.expect_download() as download:
+        desk.click("Picture")
+    path = tmp_path / download.value.suggested_filename
+    download.value.save_as(path)
+    image = iio.imread(path)
+    height, width = image.shape[:2]
+    assert path.suffix == ".png" and width >= 1280 and height >= 720
+    assert count(image[:, : width - 400], palette.CHOSEN) > 50, "the chosen rollout"
+    assert count(image[:, width - 350 :], palette.PANEL[7]) > 0.3 * 350 * height, "the panel"
 
 
 def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(fresh_desk):

@@ -2,14 +2,15 @@
 
 import contextlib
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from aero_planner import PlannerConfig, VehicleState
+from aero_planner import PlannerConfig
 from aero_viz.flight import fly
 from aero_viz.scenes import World, scene
-from aero_viz.session.frame import Frame
 from tests.browser.desk import Desk, open_desk
 from tests.browser.pictures import differing, rollouts_drawn
 
@@ -58,19 +59,6 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     assert desk.dashboard.failures == 0
 
 
-class PathRecorder:
-    """Keeps the positions of a flight."""
-
-    def __init__(self) -> None:
-        self.positions: list[np.ndarray] = []
-
-    def write(self, frame: Frame) -> None:
-        pass
-
-    def write_pose(self, time: float, state: VehicleState) -> None:
-        self.positions.append(np.asarray(state.position))
-
-
 def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
     desk = fresh_desk
     desk.session.play()
@@ -80,9 +68,10 @@ def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
     choose(desk, "pillars")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
     desk.wait_for(lambda: desk.session.frame.outcome is not None, "the end of the flight")
-    recorder = PathRecorder()
+    path = []
+    recorder: Any = SimpleNamespace(write=lambda _: None, write_pose=lambda _, state: path.append(state.position))
     fly(scene("pillars", seed=3), seed=3, recorder=contextlib.nullcontext(recorder))
-    np.testing.assert_array_equal(desk.session.frame.trail, recorder.positions)
+    np.testing.assert_array_equal(desk.session.frame.trail, path)
 
 
 def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(fresh_desk, tmp_path):
