@@ -152,6 +152,11 @@ class ReaderProcess:
         """End the reading; the call raises `ReadCancelled`."""
         self._end(ReadCancelled("It was cancelled."))
 
+    @property
+    def is_cancelled(self) -> bool:
+        """True once `cancel` was called, unless the reading had failed before."""
+        return isinstance(self._verdict, ReadCancelled)
+
     def close(self) -> None:
         """End the process."""
         with self._lock:
@@ -248,12 +253,25 @@ def _answer(request: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]])
         return pickle.dumps(("error", f"{type(error).__name__}: {error}"))
 
 
+def _lower_priority() -> None:
+    """Run this process behind the one that started it, also if that has a real-time priority, which is inherited."""
+    if os.name != "posix":
+        return
+    if sys.platform == "linux":
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        # Where Linux weighs whole sessions against each other, niceness counts only within one.
+        if os.getsid(0) == os.getpid():
+            with contextlib.suppress(OSError):
+                Path("/proc/self/autogroup").write_text(str(_NICENESS))
+    os.nice(_NICENESS)
+
+
 def _serve() -> None:
     """Answer the requests on stdin on stdout, one after the other."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whatever a library prints is no answer
-    if os.name == "posix":
-        os.nice(_NICENESS)
+    _lower_priority()
     while True:
         try:
             limits, *request = pickle.load(sys.stdin.buffer)

@@ -5,6 +5,7 @@ import runpy
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,8 +110,32 @@ def collect_progress(reader: ReaderProcess, seen: list[str]) -> None:
     reader.cancel()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such priorities")
+def test_a_real_time_priority_is_not_inherited():
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    except PermissionError:
+        pytest.skip("this user may not have a real-time priority")
+    try:
+        policy = ReaderProcess()(os.sched_getscheduler, 0)
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    assert policy == os.SCHED_OTHER
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this system does not weigh sessions")
+def test_the_process_weighs_less_than_this_session_and_leaves_its_weight():
+    group, before = Path("/proc/self/autogroup"), Path("/proc/self/autogroup").read_text()
+    assert ReaderProcess()(Path.read_text, group).endswith("nice 10\n")
+    kept = ReaderProcess(is_kept=True)
+    assert kept(Path.read_text, group) == before == group.read_text()
+    kept.close()
+
+
 def test_a_cancelled_reader_starts_nothing():
     reader = ReaderProcess()
+    assert not reader.is_cancelled
     reader.cancel()
+    assert reader.is_cancelled
     with pytest.raises(ReadCancelled):
         reader(time.sleep, 60.0)

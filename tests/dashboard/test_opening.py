@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from small_source import small_config, small_source
@@ -14,6 +15,8 @@ from small_source import small_config, small_source
 from aero_viz.catalog import open_source, shipped_recordings
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.folders import Folders
+from aero_viz.dashboard.links import Link, Opening
+from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.reader_process import Reader, read_here
@@ -23,6 +26,8 @@ from aero_viz.session.source import Conditions, Source
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 SECRET = "hunter2"
+LATE = threading.Event()
+"""Ends the opening of the source "late"."""
 
 
 @pytest.fixture
@@ -45,6 +50,9 @@ def world() -> World:
 def slow_or_real(spec: str, /, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
     if spec == "slow":
         read(time.sleep, 600.0)
+    if spec == "late":
+        assert LATE.wait(60.0)
+        return small_source(goal=11.0)
     return open_source(spec, seed=seed, read=read, conditions=conditions)
 
 
@@ -54,7 +62,8 @@ def desk(folder: Path) -> Iterator[SimpleNamespace]:
     session = Session(small_source(goal=11.0), config=small_config())
     session.start(play=False)
     session.step(0).result()
-    choices = [("slow: takes for ever", "slow")]
+    LATE.clear()
+    choices = [("slow: takes for ever", "slow"), ("late: takes a while", "late")]
     dashboard = Dashboard(session, port=0, open_source=slow_or_real, choices=choices, folders=[folder])
     with join(dashboard.server) as client:
         send(client, **CAMERA)
@@ -65,14 +74,21 @@ def desk(folder: Path) -> Iterator[SimpleNamespace]:
 
 
 def set_control(desk: SimpleNamespace, label: str, value: object) -> None:
-    controls = desk.dashboard.server.gui._gui_input_handle_from_uuid
-    uuid = next(uuid for uuid, control in controls.items() if control.label == label)
+    uuid = next(control._impl.uuid for control in controls(desk) if control.label == label)
     send(desk.client, type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
+
+
+def controls(desk: SimpleNamespace) -> list[Any]:
+    return list(desk.dashboard.server.gui._gui_input_handle_from_uuid.values())
 
 
 def open_path(desk: SimpleNamespace, path: object) -> None:
     set_control(desk, "Path", str(path))
     set_control(desk, "Open path", True)
+
+
+def source_panel(desk: SimpleNamespace) -> SourcePanel:
+    return next(panel for panel in desk.dashboard.panels if isinstance(panel, SourcePanel))
 
 
 def nothing_is_being_opened() -> bool:
@@ -135,6 +151,29 @@ def test_opening_can_be_cancelled_and_many_clicks_open_one_source(desk, folder):
     assert desk.session.source is before
     open_path(desk, folder / "poles.json")
     wait_for(lambda: desk.session.source is not before, "another source")
+
+
+def test_a_source_that_is_complete_when_its_opening_is_cancelled_is_not_shown(desk):
+    before = desk.session.source
+    source_panel(desk).open_link(Link(Opening("late")), None)
+    read_until(desk.client, "Opening late ..")
+    set_control(desk, "Cancel opening", True)
+    set_control(desk, "Cancel opening", True)
+    set_control(desk, "Seed", 7)
+    wait_for(lambda: 7 in [control.value for control in controls(desk)], "all messages")
+    LATE.set()
+    read_until(desk.client, "late was not opened")
+    wait_for(nothing_is_being_opened, "the end of the opening")
+    assert desk.session.source is before
+
+
+def test_a_flight_to_the_time_of_a_link_can_be_cancelled(desk):
+    LATE.set()
+    source_panel(desk).open_link(Link(Opening("late"), time=1000.0, config={"vehicle.speed_limit": 0.5}), None)
+    wait_for(lambda: desk.session.frame.time > 0.2, "the flight", timeout=60.0)
+    set_control(desk, "Cancel opening", True)
+    wait_for(nothing_is_being_opened, "the end of the opening", timeout=60.0)
+    assert desk.session.frame.outcome is None
 
 
 def test_the_session_ticks_while_a_source_is_being_opened(desk):

@@ -208,7 +208,7 @@ class SourcePanel(Panel):
                 if source is not None and self._use(source, spec, seed=options["seed"]):
                     self.opening = Opening(spec, options["seed"], options.get("conditions"))
                     if link is not None:
-                        self._go_to(link)
+                        self._go_to(link, reader)
         finally:
             with self._lock:
                 self._reader = None
@@ -216,8 +216,8 @@ class SourcePanel(Panel):
                 self._cancel.visible = False
                 self.page.refresh()
 
-    def _go_to(self, link: Link) -> None:
-        """Use the configuration of a link from the start on, and fly to its time."""
+    def _go_to(self, link: Link, reader: ReaderProcess) -> None:
+        """Use the configuration of a link from the start on, and fly to its time, or until that is cancelled."""
         self.session.pause()
         self._controls.configure(PlannerConfig().replace(link.config))
         with contextlib.suppress(CancelledError):
@@ -225,6 +225,8 @@ class SourcePanel(Panel):
                 return
             frame = self.session.frame
             while frame is not None and frame.outcome is None and frame.time < link.time - 0.5 * frame.source.period:
+                if reader.is_cancelled:
+                    return
                 ticks = round((link.time - frame.time) / frame.source.period)
                 if frame.source.times is not None or self.session.step(min(ticks, _LINK_STEPS)).exception() is not None:
                     return
@@ -268,7 +270,11 @@ class SourcePanel(Panel):
             notify(self.page.server, str(error), level="error", client=client)
             return None
         try:
-            return self._open_source(path, read=reader, **options)
+            source = self._open_source(path, read=reader, **options)
+            if not reader.is_cancelled:
+                return source
+            source.close()
+            raise ReadCancelled
         except ReadCancelled:
             notify(self.page.server, f"{spec} was not opened, since that was cancelled.", client=client)
         except Exception as error:
