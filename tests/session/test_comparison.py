@@ -22,7 +22,7 @@ def session() -> Iterator[Session]:
     session.close()
 
 
-def wait_for(condition: Callable[[], Any], timeout: float = 30.0) -> None:
+def wait_for(condition: Callable[[], Any], timeout: float = 60.0) -> None:
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, f"the condition did not hold within {timeout} s"

@@ -38,7 +38,7 @@ def live(session: Session) -> Session:
     return session
 
 
-def wait_for(condition: Callable[[], Any], timeout: float = 20.0) -> None:
+def wait_for(condition: Callable[[], Any], timeout: float = 60.0) -> None:
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end, f"the condition did not hold within {timeout} s"
