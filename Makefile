@@ -2,8 +2,9 @@
 .PHONY: help demo test test-lowest check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
-# Two files of tests at a time. The order stays, so that no long file is the last one.
-TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder
+# Tests that drive a browser or watch the clock run alone, the others two files at a time.
+ALONE := tests/browser tests/cli tests/dashboard tests/gallery tests/logs tests/planner/onboard tests/rig tests/session tests/soak
+TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder $(addprefix --ignore=,$(ALONE))
 
 help:            ## show this help
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
@@ -19,10 +20,11 @@ demo: setup      ## fly through the forest in the browser
 
 test: setup-dev check  ## run all checks and tests
 	$(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES))
+	$(if $(ARGS),,$(PYTHON_BIN) -m pytest $(ALONE))
 	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest)
 
 test-lowest: setup-dev  ## run the planner's tests with the lowest versions that its wheel allows
-	@$(PYTHON_BIN) scripts/lowest.py $(or $(ARGS),$(TWO_FILES))
+	@$(PYTHON_BIN) scripts/lowest.py $(ARGS)
 
 check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .

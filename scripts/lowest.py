@@ -78,7 +78,7 @@ def install() -> None:
         others = re.findall(r"^[\w.-]+==[^\s;\\]+", CONSTRAINTS.read_text(), re.MULTILINE)
         others = [line for line in others if canonicalize_name(line.split("==")[0]) not in bounded]
         PINS.write_text("\n".join([*pins, *others, ""]))
-        pip("install", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]", "pytest-xdist")
+        pip("install", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]")
         print(f"The planner's wheel is tested with {', '.join(pins)}.", file=sys.stderr)
         (HOME / "environment").write_text(environment)
     else:

@@ -161,7 +161,10 @@ def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], 
         # The picture is transparent where nothing was drawn.
         cover = picture[..., 3:].astype(np.float32) / 255.0
         picture = (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
-        return _with_legend(picture, dashboard, browser) if legend else picture
+        if not legend:
+            return picture
+        page.close()  # Chromium may fail to capture a page while another one draws on a busy machine
+        return _with_legend(picture, dashboard, browser)
 
 
 def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard, browser: Browser) -> NDArray[np.uint8]:

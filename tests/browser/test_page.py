@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from aero_viz.dashboard import palette
+from tests.browser.desk import TIMEOUT
 from tests.browser.pictures import Image, count, differing
 
 
@@ -162,6 +163,7 @@ def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(f
     desk = fresh_desk
     desk.dashboard.show_only(["rollouts", "drone"])
     context = browser.new_context(viewport={"width": 1000, "height": 700})
+    context.set_default_timeout(1e3 * TIMEOUT)
     second = context.new_page()
     second.goto(desk.dashboard.url)
     desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "the second client")
