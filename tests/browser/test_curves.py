@@ -66,7 +66,7 @@ def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):
     assert desk.dashboard.history.past().differs_at == pytest.approx(0.42, abs=0.05)
     desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) > 20, "the path of the ghost")
     for name in ("speed", "clearance", "cost", "plan_ms"):
-        assert desk.page.locator(f'.aero-curve[data-curve="{name}"] .aero-ghost').count() > 0, "its curves stay"
+        desk.page.locator(f'.aero-curve[data-curve="{name}"] .aero-ghost').first.wait_for(state="attached")  # it stays
     mark = float(desk.page.locator(".aero-differs").get_attribute("x1"))
     assert mark == pytest.approx(300.0 * (0.42 - 0.0) / 0.82, abs=20.0), "where the two first differ"
     table = desk.page.locator(".aero-fork").inner_text()

@@ -65,7 +65,8 @@ def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
     desk.wait_for(lambda: desk.page.locator(".aero-changed").count() == 1, "one mark")
     assert session.config.costs.soft_speed != PlannerConfig().costs.soft_speed, "the others stay"
     flags = desk.page.locator(".aero-flags")
-    assert flags.inner_text() == f"--costs.soft-speed {session.config.costs.soft_speed}"
+    wanted = f"--costs.soft-speed {session.config.costs.soft_speed}"
+    desk.wait_for(lambda: flags.inner_text() == wanted, wanted)
     desk.page.get_by_role("button", name="copy yaml").click()
     desk.page.get_by_role("button", name="copied").wait_for()
     assert "soft_speed" in desk.page.evaluate("getSelection().toString()")

@@ -1,6 +1,7 @@
 """Flights as files: the page from disk without a network, the video, and mistakes."""
 
 import io
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -45,20 +46,25 @@ def open_offline(browser: Browser, path: Path) -> Page:
     return page
 
 
-def picture(page: Page, time: float) -> np.ndarray:
-    """The left half of the page at a time [s], without the figures."""
-    field = page.locator(".mantine-NumberInput-input")
-    field.fill(f"{time:g}")
-    page.wait_for_timeout(1500)
+def picture(page: Page, time_s: float) -> np.ndarray:
+    """The left half of the page shortly after going to a time [s], without the figures."""
+    page.locator(".mantine-NumberInput-input").fill(f"{time_s:g}")
+    page.locator("#aero-time", has_text=f"{time_s:.1f} s").wait_for()
+    page.wait_for_timeout(500)
     return iio.imread(io.BytesIO(page.screenshot()))[:340, 300:460, :3]
 
 
 def test_a_shared_page_plays_and_goes_to_any_time_from_disk_without_a_network(browser, shared):
     assert shared.stat().st_size < 15e6 / 4
     page = open_offline(browser, shared)
-    first, last = picture(page, 0.2), picture(page, 0.9)
-    assert differing(first, last) > 300
-    assert differing(picture(page, 0.2), first) < 100  # back in time
+
+    def goes_and_returns() -> bool:
+        first, other, again = (picture(page, time_s) for time_s in (0.2, 0.9, 0.2))
+        return differing(first, other) > 300 and differing(first, again) < 100
+
+    deadline = time.monotonic() + 1e-3 * TIMEOUT
+    while not goes_and_returns():  # the page may still draw what it showed before
+        assert time.monotonic() < deadline
     assert page.locator("#aero").inner_text().startswith("forest")
     assert "--seed 3" in (page.locator("#aero code").text_content() or "")
     page.locator(".mantine-NumberInput-input").blur()  # Space in the field is typed

@@ -249,4 +249,4 @@ def test_a_scene_is_opened_with_the_obstacles_lidar_noise_and_wind_of_the_page(f
     assert obstacles.input_value() == "40"
     choose(desk, "wall")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("wall"), "the wall")
-    assert obstacles.is_disabled()
+    desk.wait_for(obstacles.is_disabled, "a scene without a choice of obstacles")

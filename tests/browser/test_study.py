@@ -48,7 +48,7 @@ def test_a_point_of_the_front_becomes_b_and_the_page_follows_the_study(browser, 
         points = desk.page.locator(".aero-candidate")
         trials = [int(point.get_attribute("data-trial") or "") for point in points.all()]
         assert set(trials) == set(front) - {None}
-        assert desk.page.locator(".aero-importance").count() == 2
+        desk.wait_for(lambda: desk.page.locator(".aero-importance").count() == 2, "the importance of both parameters")
         for trial in dict.fromkeys((trials[0], trials[-1])):
             desk.page.locator(f'.aero-candidate[data-trial="{trial}"]').click(force=True)
             expected = front[trial].config
