@@ -34,14 +34,14 @@ def main() -> int:
     except subprocess.CalledProcessError as error:
         print(f"scripts/pin.py: constraints.txt is unchanged. uv said:\n{error.stderr.strip()}", file=sys.stderr)
         return 1
-    rows = [" \\\n    ".join([line, *hashes[name_and_version(line)]]) if "==" in line else line for line in lines]
+    rows = [" ".join([line, *hashes[name_and_version(line)]]) if "==" in line else line for line in lines]
     CONSTRAINTS.write_text("\n".join(rows) + "\n" + heading + rest)
     return 0
 
 
 def strip_hashes(text: str) -> list[str]:
     """Return the lines of pins and comments without their hashes."""
-    return re.sub(r"\s*\\\n\s*--hash=\S+", "", text).splitlines()
+    return re.sub(r" --hash=\S+", "", text).splitlines()
 
 
 def find_hashes(pins: list[str]) -> dict[str, list[str]]:
@@ -80,7 +80,7 @@ def is_supported(wheel: str) -> bool:
 
 def name_and_version(pin: str) -> str:
     """Return `name==version` of a pin, with the name normalized as package registries do."""
-    name, version = re.match(r"([\w.-]+)==([^\s;\\]+)", pin).groups()  # type: ignore[union-attr]
+    name, version = re.match(r"([\w.-]+)==([^\s;]+)", pin).groups()  # type: ignore[union-attr]
     return f"{re.sub(r'[-_.]+', '-', name).lower()}=={version}"
 
 

@@ -1,5 +1,9 @@
 """A small flight for tests of the engine: a real planner, LiDAR and vehicle in a world of three poles."""
 
+import time
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from aero_planner import PlannerConfig
@@ -22,3 +26,11 @@ def small_source(*, goal: float = 12.0, kind: type[FlightSource] = FlightSource)
     )  # fmt: skip
     lidar = LidarModel("sparse", points_per_sweep=2000)
     return kind(world, lidar=lidar, rules=FlightRules(time_limit=20.0), seed=1)
+
+
+def wait_for(condition: Callable[[], Any], timeout: float = 60.0) -> None:
+    """Wait until `condition` holds."""
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, f"the condition did not hold within {timeout} s"
+        time.sleep(0.005)

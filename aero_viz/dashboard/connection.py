@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import msgspec
@@ -11,15 +15,19 @@ import viser
 from viser import _messages
 from websockets.asyncio.server import ServerConnection
 
+from aero_viz.dashboard.message_limit import MessageLimit
 from aero_viz.dashboard.page_messages import (
     CameraMessage,
     FormMessage,
+    PageMessage,
     UploadPart,
     UploadStart,
     ValueMessage,
+    control_name,
     decode,
     fit,
     is_own,
+    replaces_earlier,
 )
 from aero_viz.dashboard.tokens import Role
 from aero_viz.dashboard.visitors import Visitors
@@ -27,6 +35,8 @@ from aero_viz.dashboard.visitors import Visitors
 _log = logging.getLogger(__name__)
 _PARTS_MAX = 10_000
 """Largest number of parts of a file; the page sends parts of 512 kB."""
+_MESSAGES_IN_A_ROW = 16
+"""Messages that are read before others than this client get a turn."""
 _REMINDER_PERIOD = 5.0
 """Shortest time between two notifications that a visitor only looks on [s]."""
 
@@ -39,7 +49,8 @@ class PageConnection(ServerConnection):
     """Connection that viser receives messages from.
 
     viser sets any attribute of a control that a message names, keeps the parts of any number of files of any size, and
-    ends with a traceback where a message has other fields or types than it expects. Here a message is checked first.
+    ends with a traceback where a message has other fields or types than it expects. Here a message is checked first,
+    and a flood is thinned out (`MessageLimit`).
     What belongs to the client alone (`client.gui`, `client.scene`) can always be used, what belongs to the server only
     by the visitor who holds control.
 
@@ -48,11 +59,18 @@ class PageConnection(ServerConnection):
         page: server of the page.
         visitors: who is on the page.
         upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
+        catch_up: returns a future that is done when the session has run all commands of the page.
         options: those of `ServerConnection`.
     """
 
     def __init__(
-        self, *arguments: Any, page: viser.ViserServer, visitors: Visitors, upload_limit: int, **options: Any
+        self,
+        *arguments: Any,
+        page: viser.ViserServer,
+        visitors: Visitors,
+        upload_limit: int,
+        catch_up: Callable[[], Future[Any]],
+        **options: Any,
     ) -> None:
         super().__init__(*arguments, **options)
         self.role = Role.CONTROL
@@ -66,6 +84,11 @@ class PageConnection(ServerConnection):
         """Bytes of the announced file that have not arrived yet."""
         self._parts_left: set[int] = set()
         """Parts of it that have not arrived yet."""
+        self._limit: MessageLimit[tuple[PageMessage, bytes]] = MessageLimit(catch_up)
+        self._admitted: deque[tuple[PageMessage, bytes]] = deque()
+        """Messages that have been read and will be handled."""
+        self._received = 0
+        """Number of messages that have been read."""
         self._warned = False
         self._number: int | None = None
         """Number of this client in viser."""
@@ -73,19 +96,46 @@ class PageConnection(ServerConnection):
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that a page may send."""
         while True:
-            data = await super().recv(decode)
             try:
-                if not isinstance(data, bytes):
-                    raise ValueError("it is a text")
-                return self._checked(data)
+                while not self._admitted:
+                    await self._receive(decode)
+                return self._checked(*self._admitted.popleft())
             except _LooksOn:
                 self._remind()
             except ValueError as error:
                 self._warn(f"A message is ignored, since no page sends it: {error}.")
 
-    def _checked(self, data: bytes) -> bytes:
-        """Return a message as viser may see it; ValueError unless a page may send it now."""
+    async def _receive(self, is_text: bool | None) -> None:
+        """Add what is handled next to `_admitted`, if it is time for that; ValueError if no page sends it."""
+        self._received += 1
+        if self._received % _MESSAGES_IN_A_ROW == 0:
+            await asyncio.sleep(0)  # websockets does not yield as long as messages wait
+        try:
+            async with asyncio.timeout(self._limit.delay):
+                data = await super().recv(is_text)
+        except TimeoutError:
+            self._admitted += self._limit.due()
+            return
+        if not isinstance(data, bytes):
+            raise ValueError("it is a text")
         message = decode(data)
+        name = control_name(message)
+        if name is None:
+            self._admitted.append((message, data))
+        else:
+            is_click = not replaces_earlier(message, self._control(message))
+            self._admitted += self._limit.admit((type(message), name), (message, data), is_click=is_click)
+
+    def _control(self, message: PageMessage) -> Any:
+        """Return the control of which a page sends the value, None if there is none."""
+        if not isinstance(message, ValueMessage):
+            return None
+        client = self._client()
+        gui = client.gui if client is not None and is_own(message, client) else self._page.gui
+        return gui._gui_input_handle_from_uuid.get(message.uuid)
+
+    def _checked(self, message: PageMessage, data: bytes) -> bytes:
+        """Return a message as viser may see it; ValueError unless a page may send it now."""
         client, number = self._client(), self._number
         assert number is not None
         if isinstance(message, CameraMessage):

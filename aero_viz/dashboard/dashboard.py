@@ -81,6 +81,7 @@ class Dashboard:
     ) -> None:
         self.server = LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
+        self.server.catch_up = session.catch_up
         kinds = [kind for kind in layers if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer] = {kind.name: kind(self.server) for kind in kinds}
         """The layers by name."""

@@ -191,6 +191,27 @@ def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
     return getattr(message, "owner", "") == str(client.client_id)
 
 
+def control_name(message: PageMessage) -> str | None:
+    """Return the name of the control or the object that a message concerns; None for what is no click or value."""
+    if isinstance(message, (CameraMessage, UploadPart, _Rendering, _StoredItem)):
+        return None
+    if isinstance(message, UploadStart):
+        return message.source_component_uuid
+    return getattr(message, "uuid", getattr(message, "name", ""))
+
+
+def replaces_earlier(message: PageMessage, control: Any) -> bool:
+    """Return True if earlier messages of the same kind are void after this one, such as values of a slider.
+
+    Args:
+        message: a message.
+        control: the control of a `ValueMessage`, if there is one.
+    """
+    if isinstance(message, ValueMessage):
+        return control is not None and not isinstance(control, (viser.GuiButtonHandle, viser.GuiButtonGroupHandle))
+    return isinstance(message, (_ArrowsMove, _ArrowsEnd, _NodeDrag))
+
+
 def _numbers(message: PageMessage) -> Iterator[float]:
     for value in msgspec.structs.astuple(message):
         if isinstance(value, float):

@@ -11,7 +11,8 @@ import logging
 import socket
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from aero_viz.dashboard.connection import PageConnection
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
+from aero_viz.session.base import completed
 from aero_viz.web_access import ANY_ADDRESS, SECURITY_HEADERS, Access, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
@@ -106,6 +108,8 @@ class LocalServer(viser.ViserServer):
         allowed_hosts: Sequence[str] = (),
         upload_limit: int = UPLOAD_LIMIT,
     ) -> None:
+        self.catch_up: Callable[[], Future[Any]] = completed
+        """Returns a future that is done when all that the page asked for is done; the dashboard asks its session."""
         self._access = Access(host, allowed_hosts)
         self.visitors = Visitors()
         """Who is on the page."""
@@ -115,7 +119,11 @@ class LocalServer(viser.ViserServer):
         _require_free(host, port)
         options = {
             "create_connection": functools.partial(
-                PageConnection, page=self, visitors=self.visitors, upload_limit=upload_limit
+                PageConnection,
+                page=self,
+                visitors=self.visitors,
+                upload_limit=upload_limit,
+                catch_up=lambda: self.catch_up(),
             ),
             "process_response": _add_security_headers,
             "max_queue": _QUEUED_FRAMES,

@@ -91,6 +91,13 @@ class SessionControls(Protocol):
         ...
 
 
+def completed() -> Future[Any]:
+    """Return a future that is done."""
+    future: Future[Any] = Future()
+    future.set_result(None)
+    return future
+
+
 class Publisher(Generic[T]):
     """Hands each item to any number of mailboxes, its sinks."""
 
@@ -189,6 +196,10 @@ class BaseSession(ABC):
     @abstractmethod
     def seek(self, time: float) -> Future[Any]:
         """Go to the frame at or before `time` [s]."""
+
+    def catch_up(self) -> Future[Any]:
+        """Return a future that is done when the commands that were given before have been run."""
+        return completed()
 
     def subscribe(
         self, callback: Callable[[Frame], None], *, every: bool = False, name: str = "frames"

@@ -14,7 +14,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.session.base import BaseSession
+from aero_viz.session.base import BaseSession, completed
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.node_client import NodeClient
 
@@ -115,7 +115,7 @@ class LiveSession(BaseSession):
             if self._current is not None:
                 place = self._kept.index(self._current) + count
                 self._jump_to(self._kept[min(max(place, 0), len(self._kept) - 1)])
-        return _completed()
+        return completed()
 
     def seek(self, time: float) -> Future[Any]:
         """Show the frame at or before `time` [s], or the oldest one kept."""
@@ -123,7 +123,7 @@ class LiveSession(BaseSession):
             earlier = [frame for frame in self._kept if frame.time <= time + 1e-9]
             if self._kept:
                 self._jump_to(earlier[-1] if earlier else self._kept[0])
-        return _completed()
+        return completed()
 
     def _jump_to(self, frame: Frame) -> None:
         self._epoch += 1
@@ -212,9 +212,3 @@ class LiveSession(BaseSession):
             if thread.is_alive():
                 thread.join(timeout=5.0)
         self.close_sinks()
-
-
-def _completed() -> Future[Any]:
-    future: Future[Any] = Future()
-    future.set_result(None)
-    return future

@@ -213,6 +213,9 @@ class Session(BaseSession):
 
         return self._post(command)
 
+    def catch_up(self) -> Future[Any]:
+        return self._post(lambda: None)
+
     def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:
         """Return every tick of the source so far, with the configuration of its last plan; see `repeat`."""
         return self._post(self._engine.flown)

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +16,20 @@ from aero_viz.session import Observation, Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
 CLICKS = 2000
+
+
+class CountingSession(Session):
+    """A session that counts what it is asked to do."""
+
+    pins = plays = 0
+
+    def pin(self) -> Future[Any]:
+        self.pins += 1
+        return super().pin()
+
+    def play(self) -> None:
+        self.plays += 1
+        super().play()
 
 
 class BlockingFlight(FlightSource):
@@ -39,7 +54,7 @@ def desk() -> Iterator[SimpleNamespace]:
     BlockingFlight.may_advance.clear()
     source = small_source(kind=BlockingFlight, goal=40.0)
     assert isinstance(source, BlockingFlight)
-    session = Session(source, config=small_config())
+    session = CountingSession(source, config=small_config())
     session.start(play=False)
     session.step(0).result()
     dashboard = Dashboard(session, port=0)
@@ -102,3 +117,32 @@ def test_a_layer_that_is_switched_many_times_is_planned_once(desk):
     release(desk)
     assert desk.source.observations <= before + 3
     assert desk.session.frame.plan.samples is not None
+
+
+def test_a_flood_of_clicks_becomes_few_commands_and_hides_no_other_click(desk):
+    for _ in range(CLICKS):
+        set_control(desk, "Compare: pin as A", True)
+    set_control(desk, "Play", True)
+    wait_for(lambda: desk.session.plays, "the click after the flood")
+    assert desk.session.plays == 1
+    assert desk.session.pins <= CLICKS // 10, "those that fit before the session was busy, and those that wait for it"
+    release(desk)
+
+
+def test_of_a_flood_of_values_few_are_handled_and_the_last_is_kept(desk):
+    number, handled = desk.dashboard.server.gui.add_number("Number", 0), []
+
+    @number.on_update
+    async def _(_: object) -> None:
+        handled.append(number.value)
+
+    for value in range(1, CLICKS + 1):
+        set_control(desk, "Number", value)
+    set_control(desk, "Play", True)
+    wait_for(lambda: desk.session.plays, "the click after the flood")
+    assert handled[-1] == CLICKS, "values that wait are handled before a click"
+    assert len(handled) <= CLICKS // 10
+    for value in range(CLICKS):
+        set_control(desk, "Number", value)
+    desk.source.may_advance.set()
+    wait_for(lambda: handled[-1] == CLICKS - 1, "the value that nothing follows")

@@ -1,12 +1,11 @@
 """A pinned configuration, A, beside the session's own, B: the same tick, the same flight, and no cost while playing."""
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from small_source import small_config, small_source
+from small_source import small_config, small_source, wait_for
 
 from aero_viz.errors import UserError
 from aero_viz.session import Session
@@ -20,13 +19,6 @@ def session() -> Iterator[Session]:
     session = Session(small_source(goal=8.0), config=small_config(), seed=3)
     yield session
     session.close()
-
-
-def wait_for(condition: Callable[[], Any], timeout: float = 60.0) -> None:
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, f"the condition did not hold within {timeout} s"
-        time.sleep(0.005)
 
 
 def listen(session: Session) -> list[ComparisonEvent]:

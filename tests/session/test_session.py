@@ -3,14 +3,13 @@
 import gc
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
-from small_source import small_config, small_source
+from small_source import small_config, small_source, wait_for
 
 from aero_planner import PlannerConfig
 from aero_planner.array_memory import allocate
@@ -36,13 +35,6 @@ def live(session: Session) -> Session:
     session.start(play=False)
     wait_for(lambda: session.frame is not None)
     return session
-
-
-def wait_for(condition: Callable[[], Any], timeout: float = 60.0) -> None:
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end, f"the condition did not hold within {timeout} s"
-        time.sleep(0.005)
 
 
 class Shortsighted(FlightSource):
