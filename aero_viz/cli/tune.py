@@ -26,8 +26,8 @@ from aero_viz.cli.flags import (
 from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, StudyFlags
-from aero_viz.cli.termination import is_terminating
 from aero_viz.errors import UserError
+from aero_viz.termination import is_terminating
 
 ObjectiveName = Literal["time", "clearance", "smoothness"]
 _CONFIG = ConfigFlags()

@@ -1,6 +1,5 @@
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -365,21 +364,6 @@ def test_a_drone_lost_before_its_first_plan_is_not_shown_as_connected():
     assert watcher.wait(lambda: any("is lost" in notice.text for notice in watcher.notices))
     assert "was lost" in session.waiting_message and "Connected" not in session.waiting_message
     session.close()
-
-
-def test_the_connect_verb_serves_the_page_until_it_is_terminated(telemetry: Telemetry):
-    script = (
-        "import sys\nfrom aero_viz.cli.page import connect\nfrom aero_viz.cli.serving import PageFlags\n"
-        "connect('127.0.0.1', drone_port=int(sys.argv[1]), page_flags=PageFlags(port=0))"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", script, str(telemetry.port)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None and process.stderr is not None
-        line = process.stdout.readline()
-        assert line.startswith("AERO-Viz shows 127.0.0.1 at http://127.0.0.1:"), process.stderr.read()
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20.0) == 0
 
 
 def test_an_address_without_a_node_is_named_in_the_error():

@@ -1,0 +1,57 @@
+"""SIGTERM: a program ends as after Ctrl-C and leaves nothing behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.telemetry import Telemetry
+
+
+def processes_with(tag: str) -> list[str]:
+    """Return the command lines of the processes that have inherited `tag`."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if tag in (folder / "environ").read_text(errors="replace"):
+                found.append((folder / "cmdline").read_text())
+        except OSError:  # it has ended, or is another user's
+            continue
+    return found
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "line", "code"),
+    [
+        ("aero_viz", ("demo", "{world}", "--port", "0", "--sampling.samples", "16"), " at http", 0),
+        ("aero_viz", ("play", "--port", "0"), " at http", 0),
+        ("aero_viz", ("connect", "127.0.0.1", "--drone-port", "{port}", "--port", "0"), " at http", 0),
+        ("aero_planner", ("rig", "{world}"), "node started", 130),
+    ],
+)
+def test_sigterm_leaves_nothing_behind(program, arguments, line, code, short_poles: str, tmp_path: Path):
+    tag = uuid.uuid4().hex
+    telemetry = Telemetry(PlannerConfig(), OnboardConfig().replace({"telemetry.port": 0}))
+    words = [word.format(world=short_poles, port=telemetry.port) for word in arguments]
+    environment = {**os.environ, "TMPDIR": str(tmp_path), "AERO_TEST_TAG": tag}
+    command = [sys.executable, "-m", program, *words]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        assert process.stdout is not None
+        assert line in process.stdout.readline()
+        process.send_signal(signal.SIGTERM)
+        try:
+            _, error = process.communicate(timeout=120.0)
+        finally:
+            process.kill()
+    telemetry.close()
+    assert process.returncode == code and "Traceback" not in error, error
+    assert processes_with(tag) == []
+    assert os.listdir(tmp_path) == []
