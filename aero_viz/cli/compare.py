@@ -17,12 +17,7 @@ _OtherLog = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="B.mcap")]
 
 
 def compare(
-    a: _Log,
-    b: _OtherLog,
-    *,
-    json: bool = False,
-    page: bool = False,
-    page_flags: Inline[PageFlags] = _PAGE,
+    a: _Log, b: _OtherLog, *, json: bool = False, page: bool = False, page_flags: Inline[PageFlags] = _PAGE
 ) -> None:
     """Compare two flight logs: figures, parameters and conditions.
 

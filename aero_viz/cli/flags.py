@@ -92,9 +92,7 @@ LidarFlags: Any = _flags_type(
     "LidarFlags", LidarModel.parameters(), "The LiDAR. Each flag overrides a value of the --lidar model."
 )
 DroneFlags: Any = _flags_type(
-    "DroneFlags",
-    VehicleModel.parameters(),
-    "The simulated drone. The --vehicle flags are the planner's model of it.",
+    "DroneFlags", VehicleModel.parameters(), "The simulated drone. The --vehicle flags are the planner's model of it."
 )
 NoiseFlags: Any = _flags_type("NoiseFlags", StateNoise.parameters(), (StateNoise.__doc__ or "").split("\n")[0])
 RulesFlags: Any = _flags_type(

@@ -203,13 +203,7 @@ def serve_flight(
 
 
 def flight_opener(
-    spec: str,
-    world_flags: WorldFlags,
-    flight_flags: FlightFlags,
-    config: PlannerConfig,
-    *,
-    lidar: str,
-    device: str,
+    spec: str, world_flags: WorldFlags, flight_flags: FlightFlags, config: PlannerConfig, *, lidar: str, device: str
 ) -> Opener:
     """Return a function that opens sources by name.
 

@@ -14,12 +14,7 @@ from aero_viz.errors import UserError
 _RECORDING = RecordingFlags()
 
 
-def inspect(
-    file: FileName,
-    *,
-    recording_flags: Inline[RecordingFlags] = _RECORDING,
-    json: bool = False,
-) -> None:
+def inspect(file: FileName, *, recording_flags: Inline[RecordingFlags] = _RECORDING, json: bool = False) -> None:
     """Show what a recording contains and which parts can be played.
 
     Args:

@@ -26,11 +26,7 @@ VERBS: dict[str, Verb] = {
     "bench worlds": _verb("bench", "bench_worlds", "Fly through all worlds in a folder and write a report."),
     "tune": _verb("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),
     "snapshot": _verb("tools", "snapshot", "Render a scene or a recording at a given time to a PNG file."),
-    "share": _verb(
-        "share",
-        "share",
-        "Write a flight to one file: page, video, picture or log.",
-    ),
+    "share": _verb("share", "share", "Write a flight to one file: page, video, picture or log."),
     "world": _verb("tools", "world", "Write a world to a file for other programs."),
     "world info": _verb(
         "tools", "world_info", "Describe a world: its obstacles, whether a path exists, and how difficult it is."

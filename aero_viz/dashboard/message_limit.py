@@ -1,4 +1,4 @@
-"""How many messages of one client are handled, so that a flood delays nothing else and leaves no queue behind."""
+"""How many messages of a client are handled, so that a flood delays nothing else."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, Generic, TypeVar
 T = TypeVar("T")
 
 _MESSAGES_MAX = 60
-"""Messages of one control that are handled in a row; a page sends 50 a second at most while something is dragged."""
+"""Messages of a control that are handled in a row; a page sends at most 50 a second."""
 _PERIOD = 1.0
-"""Shortest time after which as many are handled again [s]."""
+"""Shortest time until as many are handled again [s]."""
 _CONTROLS_MAX = 1000
-"""Controls that are told apart; the page has some 300."""
+"""Controls that are counted; the page has some 300."""
 _POLL_PERIOD = 0.1
 """Time between two looks at a session that has not answered [s]."""
 
@@ -23,8 +23,8 @@ _POLL_PERIOD = 0.1
 class MessageLimit(Generic[T]):
     """Thins out the messages of one client, each control by itself.
 
-    Only so many of one control are handled until a second has passed and the session has caught up with them. After
-    that, clicks are dropped. Of values, the newest one waits, and is handled before any other message.
+    So many of a control are handled until a second has passed and the session has caught up. Of more clicks the rest is
+    dropped. Of more values the newest one waits, and is handled before any other message.
 
     Args:
         catch_up: returns a future that is done when the session has run every command that it was given before.

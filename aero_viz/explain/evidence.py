@@ -17,15 +17,7 @@ from aero_planner.kernels.records import DroneState, bundle
 from aero_planner.kernels.records import Rollouts as StateRollouts
 from aero_planner.kernels.stops import evaluate_stops, roll_out_stops
 from aero_viz.errors import UserError
-from aero_viz.explain.terms import (
-    Obstacles,
-    Problem,
-    Rollouts,
-    collision_cost,
-    roll_out,
-    stage1_terms,
-    stage2_terms,
-)
+from aero_viz.explain.terms import Obstacles, Problem, Rollouts, collision_cost, roll_out, stage1_terms, stage2_terms
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]

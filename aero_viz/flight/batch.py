@@ -110,11 +110,7 @@ class FlightBatch:
         names = {id(c): config_name_of(c) for c in configs} if config_names is None else {}
         self._config_names = [names[id(c)] for c in configs] if config_names is None else list(config_names)
         self._seeds = [seed + b for b in range(len(worlds))] if isinstance(seed, int) else list(seed)
-        per_flight = {
-            "configurations": configs,
-            "names of configurations": self._config_names,
-            "seeds": self._seeds,
-        }
+        per_flight = {"configurations": configs, "names of configurations": self._config_names, "seeds": self._seeds}
         for noun, values in per_flight.items():
             if len(values) != len(worlds):
                 raise ValueError(f"{len(values)} {noun} were given for {len(worlds)} flights; give one for each.")
@@ -139,13 +135,7 @@ class FlightBatch:
         if any(c != configs[0] for c in configs):
             self.planner.configure(configs)
         self.simulator = Simulator(
-            worlds,
-            lidar=lidar,
-            vehicle=vehicle,
-            rules=rules,
-            seeds=self._seeds,
-            device=device,
-            noise=noise,
+            worlds, lidar=lidar, vehicle=vehicle, rules=rules, seeds=self._seeds, device=device, noise=noise
         )
         self.planner.reserve_sweeps(SWEEPS, SWEEPS * self.simulator.lidar.model.points_per_sweep, whole=WHOLE_SWEEPS)
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]

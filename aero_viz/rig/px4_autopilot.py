@@ -114,7 +114,7 @@ class Px4Autopilot:
             self._close_sockets()
             raise
 
-    # --- what a flight needs ----------------------------------------------------------------------------------------
+    # --- what a flight needs ---
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -197,7 +197,7 @@ class Px4Autopilot:
         for connection in (self._station, self._side_of_px4, self._side_of_node):
             connection.close()
 
-    # --- PX4's messages ---------------------------------------------------------------------------------------------
+    # --- PX4's messages ---
 
     def _wait_for_truth(self) -> None:
         end, next_request = time.monotonic() + 30.0, 0.0
@@ -255,7 +255,7 @@ class Px4Autopilot:
     def _handle_text(self, message: Any) -> None:
         self.messages.append(f"{self._now:7.2f} s  {message.text}")
 
-    # --- between PX4 and the node -----------------------------------------------------------------------------------
+    # --- between PX4 and the node ---
 
     def _pass_to_node(self, data: bytes) -> None:
         number = _message_id(data)
@@ -301,7 +301,7 @@ class Px4Autopilot:
         elif name in PILOT_MESSAGES:
             self.violations.append(name)
 
-    # --- the pilot --------------------------------------------------------------------------------------------------
+    # --- the pilot ---
 
     def _act_as_pilot(self) -> None:
         if self._now >= self._next_heartbeat:

@@ -156,10 +156,7 @@ SCENES: dict[str, SceneKind] = {
     "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide. Extremely dense.", verticals),
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees. Dense.", inclines),
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide. Dense.", density),
-    "density-6m": SceneKind(
-        "The cylinders of density, all 6 m high. Very dense.",
-        partial(density, height=(6.0, 6.0)),
-    ),
+    "density-6m": SceneKind("The cylinders of density, all 6 m high. Very dense.", partial(density, height=(6.0, 6.0))),
     "pillars": _room("A room with 6 pillars; the goal is 3.75 m ahead at 0.8 m.", rooms.pillars),
     "wall": _room("A room with a wall across the direct line, open at both ends.", rooms.wall, counted=False),
     "double_wall_trap": _room(

@@ -207,13 +207,7 @@ def _sample(triangles: Array) -> Array:
 
 
 def _choose_ends(
-    points: Array,
-    tables: dict[str, Array],
-    start: Array | None,
-    goal: Array | None,
-    *,
-    across: bool,
-    path: str | Path,
+    points: Array, tables: dict[str, Array], start: Array | None, goal: Array | None, *, across: bool, path: str | Path
 ) -> tuple[Array, Array]:
     """Return start and goal; each one that is None is chosen as `load_map` says."""
     from aero_viz.scenes.clearance_grid import ClearanceGrid

@@ -23,11 +23,7 @@ class SightLines:
     """
 
     def __init__(self, world: World) -> None:
-        self._tables = {
-            "cylinders": world.cylinders,
-            "boxes": world.boxes[~world.ground],
-            "spheres": world.spheres,
-        }
+        self._tables = {"cylinders": world.cylinders, "boxes": world.boxes[~world.ground], "spheres": world.spheres}
         self._spheres = {kind: _bounding_spheres(kind, table) for kind, table in self._tables.items()}
         self._triangles = world.triangles.reshape(-1, 3, 3)
         centers = self._triangles.mean(axis=1)

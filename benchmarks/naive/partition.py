@@ -146,8 +146,7 @@ def initial_anchors(a: Arrays):
     elevation = wp.atan2(way[2], wp.sqrt(way[0] * way[0] + way[1] * way[1]))
     elevation = elevation + (float(m // columns) - 0.5 * float(rows - 1)) * rise
     a.direction[b, m] = rotate_back(
-        a.q0[b],
-        wp.vec3(wp.cos(elevation) * wp.cos(azimuth), wp.cos(elevation) * wp.sin(azimuth), wp.sin(elevation)),
+        a.q0[b], wp.vec3(wp.cos(elevation) * wp.cos(azimuth), wp.cos(elevation) * wp.sin(azimuth), wp.sin(elevation))
     )
 
 

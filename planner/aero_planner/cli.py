@@ -117,9 +117,7 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
     export = verbs.add_parser("export", help="compile for a drone that has no compiler", description=_export.__doc__)
     export.add_argument("out", metavar="OUT[.tar]", help="folder or tar file to write")
     export.add_argument(
-        "--config",
-        default="default",
-        help="preset or YAML file; it may contain the node's settings under 'onboard:'",
+        "--config", default="default", help="preset or YAML file; it may contain the node's settings under 'onboard:'"
     )
     export.add_argument(
         "--arch", action="append", default=[], metavar="sm_87", help="GPU architecture; may be repeated"

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 from aero_planner.arrays import PlannerInputs, PlannerOutputs, Workspace
 from aero_planner.kernels.escape import Escape
-from aero_planner.kernels.records import (
-    DroneState,
-    GoalState,
-    GuideSet,
-    InstanceCosts,
-    PreviousPlan,
-    Rollouts,
-    bundle,
-)
+from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts, bundle
 
 
 class PipelineRecords:
@@ -44,10 +36,7 @@ class PipelineRecords:
         )
         self.given_goal, self.goal = (
             bundle(
-                GoalState,
-                position=i.goal_position,
-                velocity=arrays.goal_velocity,
-                quaternion=arrays.goal_quaternion,
+                GoalState, position=i.goal_position, velocity=arrays.goal_velocity, quaternion=arrays.goal_quaternion
             )
             for arrays in (i, w)
         )
@@ -59,11 +48,7 @@ class PipelineRecords:
             positions=o.guides,
         )
         self.rollouts = bundle(
-            Rollouts,
-            controls=o.controls,
-            positions=o.positions,
-            velocities=o.velocities,
-            quaternions=o.quaternions,
+            Rollouts, controls=o.controls, positions=o.positions, velocities=o.velocities, quaternions=o.quaternions
         )
         self.costs = bundle(
             InstanceCosts, goal_cost=o.goal_cost, collision_cost=o.collision_cost, stage2_cost=o.stage2_cost
@@ -79,10 +64,5 @@ class PipelineRecords:
             time=w.previous_time,
         )
         self.escape = bundle(
-            Escape,
-            places=w.places,
-            count=w.place_count,
-            goal=w.place_goal,
-            nearest=w.place_nearest,
-            idle=w.place_idle,
+            Escape, places=w.places, count=w.place_count, goal=w.place_goal, nearest=w.place_nearest, idle=w.place_idle
         )

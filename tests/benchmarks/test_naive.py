@@ -214,10 +214,7 @@ def test_clearance_at_the_same_positions(device: str, preset: str, seed: int):
     positions[:M, 0, :N] = plan.positions[:, 1:]
     a.positions.assign(positions)
     wp.launch(
-        mppi.clearance,
-        dim=a.distance.shape,
-        device=device,
-        inputs=[a.controls.shape[1], a, a.positions, a.distance],
+        mppi.clearance, dim=a.distance.shape, device=device, inputs=[a.controls.shape[1], a, a.positions, a.distance]
     )
     expected = np.minimum(a.distance.numpy()[:M, 0, :N], np.float32(config.costs.distance_max))
     np.testing.assert_allclose(plan.clearance, expected, rtol=3e-7)

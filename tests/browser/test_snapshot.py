@@ -43,26 +43,20 @@ def test_a_picture_from_the_command_line_has_the_layers_the_camera_and_the_legen
     del browser
     path = tmp_path / "a.png"
     camera = "--camera=-6,0,4,2,0,2"
-    main(
-        [
-            "snapshot",
-            "forest",
-            str(path),
-            "--time",
-            "0.2",
-            camera,
-            "--layers",
-            "guides",
-            "--legend",
-            "--size",
-            "640",
-            "400",
-        ]
-    )
+    options = ["--layers", "guides", "--legend", "--size", "640", "400"]
+    main(["snapshot", "forest", str(path), "--time", "0.2", camera, *options])
     image = iio.imread(path)
     corner = image[330:390, 20:280]
     assert structure(image[:300])["GUIDE"] > 100 and structure(image)["ANCHOR"] == 0
     assert structure(corner)["GUIDE"] > 10 and (corner.max(axis=-1) < 60).mean() > 0.5
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full needs Linux")
+def test_a_full_disk_is_named(browser, tmp_path):
+    del browser
+    (tmp_path / "a.png").symlink_to("/dev/full")
+    with pytest.raises(UserError, match=r"a\.png cannot be written: No space left on device\.$"):
+        snapshot(FlightSource(scene("forest", seed=0)), path=tmp_path / "a.png", **ARGUMENTS)
 
 
 @pytest.mark.parametrize(

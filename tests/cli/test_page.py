@@ -121,9 +121,3 @@ def test_a_busy_port_is_reported(start_python: StartPython, poles: str):
         _, error = process.communicate(timeout=60)
     assert process.returncode == 2
     assert str(port) in error and "--port" in error and "Traceback" not in error
-
-
-def test_play_without_arguments_opens_the_flight_that_ships(start_python: StartPython):
-    process = start_python("-m", "aero_viz", "play", "--port", "0", "--paused")
-    assert "forest_mid360.mcap" in read_line(process)
-    interrupt(process)

@@ -1,5 +1,6 @@
 """SIGTERM: a program ends as after Ctrl-C and leaves nothing behind."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -14,15 +15,12 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
 
 
-def processes_with(tag: str) -> list[str]:
-    """Return the command lines of the processes that have inherited `tag`."""
+def processes_with(tag: str) -> list[Path]:
+    """Return the processes that have inherited `tag`."""
     found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if tag in (folder / "environ").read_text(errors="replace"):
-                found.append((folder / "cmdline").read_text())
-        except OSError:  # it has ended, or is another user's
-            continue
+    for environment in Path("/proc").glob("[0-9]*/environ"):
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
+            found += [environment] * (tag in environment.read_text(errors="replace"))
     return found
 
 
@@ -30,7 +28,7 @@ def processes_with(tag: str) -> list[str]:
     ("program", "arguments", "line", "code"),
     [
         ("aero_viz", ("demo", "{world}", "--port", "0", "--sampling.samples", "16"), " at http", 0),
-        ("aero_viz", ("play", "--port", "0"), " at http", 0),
+        ("aero_viz", ("play", "--port", "0"), "forest_mid360.mcap at http", 0),
         ("aero_viz", ("connect", "127.0.0.1", "--drone-port", "{port}", "--port", "0"), " at http", 0),
         ("aero_planner", ("rig", "{world}"), "node started", 130),
     ],

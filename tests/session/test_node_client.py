@@ -190,10 +190,7 @@ def test_a_live_session_follows_pauses_and_steps_back(
 
 
 def test_a_long_pause_keeps_the_frames_around_it(
-    telemetry: Telemetry,
-    live: tuple[LiveSession, Watcher],
-    records: list[PlanRecord],
-    monkeypatch: pytest.MonkeyPatch,
+    telemetry: Telemetry, live: tuple[LiveSession, Watcher], records: list[PlanRecord], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(live_session, "_KEPT", 3)
     session, watcher = live

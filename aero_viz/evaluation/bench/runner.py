@@ -243,11 +243,7 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
     batch = _build(shard, worlds)
     built = time.perf_counter()
     results = batch.run(progress=progress)
-    about_batch = {
-        "batch_size": len(shard.flights),
-        "build_s": built - started,
-        "run_s": time.perf_counter() - built,
-    }
+    about_batch = {"batch_size": len(shard.flights), "build_s": built - started, "run_s": time.perf_counter() - built}
     if all(flight.row.batch for flight in shard.flights) and not batch.interrupted:
         about_batch |= _time_stages(shard, worlds)
     records = [

@@ -70,11 +70,7 @@ def kernels_in(folder: str | Path) -> Iterator[Path]:
 
 
 def compile_ahead(
-    folder: str | Path,
-    *,
-    architectures: Iterable[int] = (),
-    cpu: bool = True,
-    config: PlannerConfig | None = None,
+    folder: str | Path, *, architectures: Iterable[int] = (), cpu: bool = True, config: PlannerConfig | None = None
 ) -> list[Path]:
     """Compile all kernels into a folder, for this machine's CPU and for CUDA architectures, such as 87 for an Orin.
 

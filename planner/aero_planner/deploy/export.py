@@ -27,15 +27,7 @@ from aero_planner.cli_util import installed_version
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_planner.deploy.aot import compile_ahead, kernels_in, load_kernels
-from aero_planner.deploy.bundle import (
-    CONFIG,
-    FORMAT,
-    GRAPH,
-    KERNELS,
-    MANIFEST,
-    cpu_target,
-    planner_digest,
-)
+from aero_planner.deploy.bundle import CONFIG, FORMAT, GRAPH, KERNELS, MANIFEST, cpu_target, planner_digest
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
 
@@ -49,12 +41,7 @@ _GRAPH_FILE = "planner.wrp"
 
 
 def export(
-    out: str | os.PathLike[str],
-    *,
-    config: str,
-    max_points: int,
-    architectures: Iterable[int] = (),
-    cpu: bool = False,
+    out: str | os.PathLike[str], *, config: str, max_points: int, architectures: Iterable[int] = (), cpu: bool = False
 ) -> dict[str, Any]:
     """Write a bundle.
 

@@ -178,7 +178,7 @@ class FailsafeProcess:
             _log.error("the failsafe process has ended with code %s: nothing brakes if this process dies", code)
 
 
-# --- the failsafe process itself --------------------------------------------------------------------------------------
+# --- the failsafe process itself ---
 
 
 class FailsafeGuard:

@@ -107,7 +107,7 @@ class FlightLog(Observer):
         """Number of states, packets and plans that were dropped because the disk was too slow."""
         return self._mailbox.dropped + self._refused
 
-    # --- called by the node -----------------------------------------------------------------------------------------
+    # --- called by the node ---
 
     def observe(self, item: Observation) -> None:
         """Log an item."""
@@ -121,7 +121,7 @@ class FlightLog(Observer):
                 self.path, self.dropped,
             )  # fmt: skip
 
-    # --- the thread -------------------------------------------------------------------------------------------------
+    # --- the thread ---
 
     def _write(self, item: Observation) -> None:
         if self.failed:

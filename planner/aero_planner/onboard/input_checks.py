@@ -171,12 +171,7 @@ def _check_points(
             ok=per_sweep >= _MIN_POINTS,
             advice="Uncover the sensor, check its mode, and fly only where something is in range (40 m) all the time.",
         ),
-        Check(
-            "cloud",
-            newest,
-            ok=age <= onboard.limits.cloud_age,
-            advice="Check the sensor's clock and the cable.",
-        ),
+        Check("cloud", newest, ok=age <= onboard.limits.cloud_age, advice="Check the sensor's clock and the cable."),
         Check(
             "packets",
             f"{counters.packets}, lost {100.0 * loss:.1f} %, refused {counters.bad}",

@@ -146,7 +146,7 @@ class Node:
             "watchdog": PeriodicLoop(period, lambda: run_step(self.watch_once, "the watchdog"), **options),
         }
 
-    # --- may be read by any thread ----------------------------------------------------------------------------------
+    # --- may be read by any thread ---
 
     @property
     def state(self) -> State:
@@ -186,7 +186,7 @@ class Node:
             "changes": [f"{change.time:.3f} {change}" for change in self.changes],
         }
 
-    # --- one step of each thread ------------------------------------------------------------------------------------
+    # --- one step of each thread ---
 
     def control_once(self) -> Reaction:
         """Read what has arrived, decide, and send a command; return the decision."""
@@ -248,7 +248,7 @@ class Node:
             self._failsafe.report(action)  # this process acts, so that the failsafe process need not
         return action is not None
 
-    # --- parts of a tick --------------------------------------------------------------------------------------------
+    # --- parts of a tick ---
 
     def _read_state(self) -> None:
         sample, previous = self._link.state, self._sample
@@ -346,7 +346,7 @@ class Node:
         for observer in self._observers:
             run_step(lambda observer=observer: observer.observe(item), type(observer).__name__)
 
-    # --- start and end ----------------------------------------------------------------------------------------------
+    # --- start and end ---
 
     def warm_up(self) -> float:
         """Load the kernels before the first state arrives; return the time of a plan [s]. See `Replanner.warm_up`."""

@@ -144,22 +144,13 @@ class Replanner:
         return result
 
     def _plan(
-        self,
-        snapshot: ControlSnapshot,
-        goal: NDArray[np.float64],
-        cloud: Sweeps,
-        cloud_age: float,
-        start: float,
+        self, snapshot: ControlSnapshot, goal: NDArray[np.float64], cloud: Sweeps, cloud_age: float, start: float
     ) -> PlanResult | None:
         state = self._predict_state(snapshot, start)
         try:
             # A Mid-360 does not see the ground below it, so the planner keeps out of everything below the geofence.
             plan = self._planner.plan(
-                state,
-                Goal(goal),
-                cloud,
-                cloud_age=max(cloud_age, 0.0),
-                ground_height=snapshot.ground + self._floor,
+                state, Goal(goal), cloud, cloud_age=max(cloud_age, 0.0), ground_height=snapshot.ground + self._floor
             )
         except (ValueError, RuntimeError, MemoryError) as error:
             self._count_failure(f"the planner failed: {error}")

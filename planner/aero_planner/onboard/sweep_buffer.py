@@ -139,11 +139,7 @@ class SweepBuffer:
             older = [points for points, time in self._chunks if time <= middle]
             newer = [points for points, time in self._chunks if time > middle]
         none = np.zeros((0, 3), dtype=np.float32)
-        return (
-            np.concatenate(older) if older else none,
-            np.concatenate(newer) if newer else none,
-            0.5 * self._window,
-        )
+        return (np.concatenate(older) if older else none, np.concatenate(newer) if newer else none, 0.5 * self._window)
 
     def _place_waiting(self) -> None:
         newest = self._poses.newest_time

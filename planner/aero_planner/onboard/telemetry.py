@@ -107,7 +107,7 @@ class Telemetry(Observer):
         """Number of connected viewers."""
         return len(self._viewers)
 
-    # --- called by the node -----------------------------------------------------------------------------------------
+    # --- called by the node ---
 
     def observe(self, item: Observation) -> None:
         """Offer a plan or a transition; anything else is ignored."""
@@ -134,7 +134,7 @@ class Telemetry(Observer):
         with contextlib.suppress(OSError):  # the buffer is full, so the thread will wake up; or the socket is closed
             self._wake_up.send(b"\0")
 
-    # --- the thread -------------------------------------------------------------------------------------------------
+    # --- the thread ---
 
     def _run(self) -> None:
         lower_thread_priority()

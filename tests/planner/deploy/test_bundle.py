@@ -148,10 +148,7 @@ def list_file(name: str, description: object) -> Callable[[Path], None]:
         (lambda folder: (folder / "manifest.json").unlink(), "has no manifest.json"),
         (lambda folder: (folder / "manifest.json").write_text("{"), "has a manifest.json that is not JSON"),
         (lambda folder: (folder / "manifest.json").write_text("[" * 100_000), "has a manifest.json that is not JSON"),
-        (
-            lambda folder: (folder / "manifest.json").write_text("[1]"),
-            "manifest.json that does not describe a bundle",
-        ),
+        (lambda folder: (folder / "manifest.json").write_text("[1]"), "manifest.json that does not describe a bundle"),
         (lambda folder: (folder / "manifest.json").write_text(" " * 5_000_000), "manifest.json that does not describe"),
         (lambda folder: changed(folder, format=2), "has format '2'; this aero-planner reads format 1"),
         (lambda folder: changed(folder, files=[]), "has a manifest without a proper 'files'"),

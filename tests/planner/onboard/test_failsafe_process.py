@@ -44,7 +44,7 @@ def forward(now: float) -> MotionState:
     return MotionState(now, np.zeros(3), np.array([4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 
 
-# --- the memory -------------------------------------------------------------------------------------------------------
+# --- the memory ---
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_a_writer_stopped_anywhere_leaves_the_previous_heartbeat(memory: Heartbe
     assert found is not None and found[0] == written + 1 and found[2] == "/dev/ttyTHS1"
 
 
-# --- the process ------------------------------------------------------------------------------------------------------
+# --- the process ---
 
 
 class Autopilot:

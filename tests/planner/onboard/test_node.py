@@ -236,7 +236,7 @@ def test_a_goal_outside_the_fence_is_refused(small_planner: Planner, caplog: pyt
     assert caplog.text.count("is refused: it lies outside the geofence") == 3
 
 
-# --- faults -----------------------------------------------------------------------------------------------------------
+# --- faults ---
 
 
 def test_a_dead_lidar_brakes_in_time_and_hands_back(flight: Simulation):

@@ -86,7 +86,7 @@ def test_errors_for_wrong_arguments_say_what_to_do(small_planner: Planner):
         Simulation(small_planner, WORLD, GOAL, changes={"limits.plan_age": 1.5})
 
 
-# --- real threads -----------------------------------------------------------------------------------------------------
+# --- real threads ---
 
 
 class StandingLink:

@@ -22,8 +22,7 @@ class Clock(threading.Event):
 
 
 @pytest.mark.parametrize(
-    ("on_grid", "times"),
-    [(True, [0.0, 0.01, 0.02, 0.03, 0.07, 0.08]), (False, [0.0, 0.01, 0.02, 0.03, 0.065, 0.075])],
+    ("on_grid", "times"), [(True, [0.0, 0.01, 0.02, 0.03, 0.07, 0.08]), (False, [0.0, 0.01, 0.02, 0.03, 0.065, 0.075])]
 )
 def test_deadlines_are_absolute_and_late_calls_skip(on_grid: bool, times: list[float]):
     clock, begun = Clock(), []

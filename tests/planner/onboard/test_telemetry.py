@@ -209,7 +209,7 @@ def test_a_port_in_use_is_an_error(serve):
         serve(port=telemetry.port)
 
 
-# --- the messages -----------------------------------------------------------------------------------------------------
+# --- the messages ---
 
 ARRAYS = {
     "a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.zeros((0, 3), np.float64),
