@@ -185,6 +185,9 @@ class _Scanner:
                 cloud = read_cloud(layout, channel.type, channel.encoding)
                 entry = CloudEntry(cloud.stamp, message.time, cloud.rows.size, cloud.frame, file, message.position)
                 topic.clouds.append(entry)
+                notice = f"clouds on {topic.name}: {cloud.notice}" if cloud.notice else ""
+                if notice and notice not in self.contents.problems:
+                    self.contents.problems.append(notice)
                 return
             data = message.head if len(message.head) == message.size else file.read(message.position)
             poses = decode_poses(data, channel.type, channel.encoding)

@@ -75,17 +75,19 @@ def _cloud(content: _Content) -> RawCloud:
     formats, offsets = zip(*chosen.values(), strict=True)
     dtype = np.dtype({"names": list(chosen), "formats": formats, "offsets": offsets, "itemsize": step})
     rows = np.ndarray((1, count), dtype, content.data)
-    return RawCloud(content.stamp, content.frame.lstrip("/"), _moved(rows, np.array(content.pose, np.float64)))
+    pose = np.array(content.pose, np.float64)
+    notice = "" if pose[3:].any() or not pose.any() else "the orientation of their pose is unset: none is assumed"
+    return RawCloud(content.stamp, content.frame.lstrip("/"), _moved(rows, pose), notice)
 
 
 def _moved(rows: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return the rows with x, y and z moved by a pose, position and quaternion (x, y, z, w)."""
-    length = np.linalg.norm(pose[3:])
+    """Return the rows with x, y and z moved by a pose, position and quaternion (x, y, z, w), which may be unset."""
     if not np.isfinite(pose).all():
         raise DamagedMessage("its pose is not finite")
-    if not length or not pose[:6].any():  # unset, or the identity
+    if not pose[:6].any():  # unset, or the identity
         return rows
-    quaternion = pose[[6, 3, 4, 5]] / length
+    length = np.linalg.norm(pose[3:])
+    quaternion = pose[[6, 3, 4, 5]] / length if length else np.array([1.0, 0.0, 0.0, 0.0])
     points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1) @ rotation_matrix(quaternion).T + pose[:3]
     names = rows.dtype.names or ()
     moved = np.empty(rows.shape, [(name, "<f4" if name in "xyz" else rows.dtype[name]) for name in names])

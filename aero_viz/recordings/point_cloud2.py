@@ -41,6 +41,8 @@ class RawCloud(NamedTuple):
     """Frame of the coordinates."""
     rows: NDArray[np.void]
     """View of the message as structured array [height, width] with the fields x, y, z and, if recorded, time."""
+    notice: str = ""
+    """Assumption about such clouds, for the user."""
 
 
 class DecodedPoints(NamedTuple):

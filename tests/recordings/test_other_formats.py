@@ -1,5 +1,7 @@
 """Recordings that are not bags, written by the libraries that define their formats."""
 
+import base64
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from captures import livox_packets, write_las, write_lvx2, write_mid360, write_ulog, write_vlp16
 from command_line import run, run_json, run_refused
+from mcap.writer import Writer
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import open_recording
@@ -236,6 +239,39 @@ def test_a_cloud_of_foxglove(tmp_path: Path):
     with open_recording(path) as recording:
         np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2])
         np.testing.assert_allclose(recording.sweep(2).points, WALL + 0.2, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "expected"),
+    [
+        ({"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}, WALL * [-1, -1, 1] + [1, 2, 3]),
+        ({"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}, WALL + [1, 2, 3]),
+        (None, WALL + [1, 2, 3]),
+    ],
+)
+def test_a_cloud_of_foxglove_in_json_with_a_pose(tmp_path: Path, orientation: dict[str, float] | None, expected):
+    path, start = tmp_path / "json.mcap", 1_700_000_000
+    rows = np.rec.fromarrays([*WALL.T.astype("<f8"), np.arange(500, dtype="<u4") * 200_000], names="x,y,z,t")
+    fields = [{"name": axis, "offset": 8 * i, "type": 5 if axis == "t" else 8} for i, axis in enumerate("xyzt")]
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, **({"orientation": orientation} if orientation else {})}
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.PointCloud", "jsonschema", b'{"type": "object"}')
+        channel = writer.register_channel("/cloud", "json", schema)
+        for k in range(3):
+            data = base64.b64encode(rows.tobytes()).decode()
+            cloud = {"timestamp": {"sec": start + k, "nsec": 5}, "frame_id": "lidar", "pose": pose, "fields": fields}
+            message = json.dumps({**cloud, "point_stride": rows.itemsize, "data": data}).encode()
+            writer.add_message(channel, (start + k) * 10**9, message, (start + k) * 10**9)
+        writer.finish()
+    with open_recording(path) as recording:
+        sweep = recording.sweep(2)
+        np.testing.assert_allclose(recording.sweep_times, [0.0, 1.0, 2.0])
+        np.testing.assert_allclose(sweep.points, expected, atol=1e-5)
+        np.testing.assert_allclose(sweep.point_times, rows.t * 1e-9, atol=1e-7)  # type: ignore[arg-type]
+        said = [problem for problem in recording.problems if "orientation" in problem]
+        assert len(said) == (0 if orientation and any(orientation.values()) else 1)
 
 
 def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callable[[list[bags.Item]], Path]):
