@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections.abc import Collection, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import SWEEP_POINTS_MAX, LimitExceeded, ReadingBudget
+from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
-from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp, valid_points
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.las import LasUnits
-from aero_viz.scenes.map_files import read_points
+from aero_viz.scenes.map_files import read_timed_points
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
 """Names of files that hold one cloud each. A .bin has rows of float32: see `read_bin`."""
@@ -43,8 +44,8 @@ class StampedCloud(NamedTuple):
     """[ns]."""
     points: NDArray[np.float32]
     """[P, 3] [m]."""
-    times: NDArray[np.uint32] | None
-    """Time of each point after the stamp [P] [ns]."""
+    times: NDArray[np.uint32] | NDArray[np.float32] | None
+    """Time of each point after the stamp [P], uint32 [ns] or float32 [s]."""
 
 
 class CloudSequence(BagFile):
@@ -136,7 +137,7 @@ class CloudFiles(CloudSequence):
         errors: list[UserError] = []
         for file in self._files[:_TRIED]:
             try:
-                return file, self._read_points(file)
+                return file, self._read_points(file)[0]
             except UserError as error:
                 errors.append(error)
         raise errors[0]
@@ -145,12 +146,20 @@ class CloudFiles(CloudSequence):
         return iter([(stamp, self._count) for stamp in self._stamps])
 
     def _load(self, index: int) -> StampedCloud:
-        points = self._read_points(self._files[index]) - self._offset
+        stamp, (table, values) = self._stamps[index], self._read_points(self._files[index])
         with np.errstate(over="ignore", invalid="ignore"):
-            return StampedCloud(self._stamps[index], points.astype(np.float32), None)
+            points = (table - self._offset).astype(np.float32)
+            valid = valid_points(points)
+        seconds = None if values is None or not valid.any() else point_times(values[valid], stamp)
+        if seconds is None:
+            return StampedCloud(stamp, points, None)
+        times = np.zeros(len(points), np.float32)
+        times[valid] = seconds
+        return StampedCloud(stamp, points, times)
 
-    def _read_points(self, path: Path) -> NDArray[np.float64]:
-        return read_bin(path) if path.suffix.lower() == ".bin" else read_points(path, self._process)
+    def _read_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+        """Return points [n, 3] [m] and their times [n] as they are in the file, None without any."""
+        return (read_bin(path), None) if path.suffix.lower() == ".bin" else read_timed_points(path, self._process)
 
     def close(self) -> None:
         self._process.close()

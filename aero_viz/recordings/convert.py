@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from aero_planner import VehicleState
 from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, Encoded, pose_messages
 from aero_viz.errors import UserError
+from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import BagFile, Channel, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.other_clouds import LASER_SCAN
-from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, point_times
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import (
     ENCODINGS,
@@ -182,7 +183,7 @@ class _Output:
             cloud = read_cloud(data, channel.type, channel.encoding)
             rows = cloud.rows.reshape(-1)[:: self._decimate]
             points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
-            return encode_point_cloud2(points, cloud.stamp, cloud.frame, times=_nanoseconds(rows, cloud.stamp))
+            return encode_point_cloud2(points, cloud.stamp, cloud.frame, times=_times(rows, cloud.stamp))
         if channel.encoding == "ros1":
             return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
         return data
@@ -224,14 +225,14 @@ def _definition(kind: str) -> str | None:
     return DEFINITIONS.get(kind) or message_definition(kind)
 
 
-def _nanoseconds(rows: NDArray[np.void], stamp: int) -> NDArray[np.uint32] | None:
-    """Return the times of points after the stamp of their cloud [ns], None where there are none or some are before."""
+def _times(rows: NDArray[np.void], stamp: int) -> NDArray[np.uint32] | NDArray[np.float32] | None:
+    """Return the times of points after the stamp of their cloud: [ns] or, where some are before it, float32 [s]."""
     if "time" not in (rows.dtype.names or ()) or not len(rows):
         return None
     values = rows["time"]
     times = point_times(values, stamp)
     if times is None or times.min() < 0.0:
-        return None
+        return times
     if values.dtype.kind in "iu" and abs(1e-9 * float(values.max()) - times.max()) < 1e-6:
         return values.astype(np.uint32)  # exact, as they were recorded
     return np.rint(1e9 * times.astype(np.float64)).astype(np.uint32)

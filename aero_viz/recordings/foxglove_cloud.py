@@ -12,7 +12,8 @@ import numpy as np
 
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.input_limits import NAME_MAX, SWEEP_POINTS_MAX
-from aero_viz.recordings.point_cloud2 import RawCloud, time_field
+from aero_viz.point_times import time_field
+from aero_viz.recordings.point_cloud2 import RawCloud
 from aero_viz.recordings.ros_messages import ENCODINGS, DamagedMessage, decode_message
 
 FOXGLOVE_CLOUD, FOXGLOVE_ROS_CLOUD = "foxglove.PointCloud", "foxglove_msgs/msg/PointCloud"

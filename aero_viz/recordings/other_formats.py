@@ -52,6 +52,11 @@ _UNITS = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
 """Smallest number that is a time since 1970 in ns, us, ms, s, and the length of its unit [ns]."""
 
 
+def is_oxts(folder: Path) -> bool:
+    """Return True for a folder with the poses of KITTI's raw data, see `aero_viz.recordings.oxts`."""
+    return (folder / "data").is_dir() and (folder / "timestamps.txt").is_file()
+
+
 class CloudFolder(NamedTuple):
     """A folder of clouds."""
 
@@ -127,9 +132,10 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         clouds.notices += [notice] if notice else []
         pose_file = next((place / pose for place in places for pose in _POSES if (place / pose).is_file()), None)
         pose_file = pose_file or next((file for place in places for file in sorted(place.glob("*.tum"))), None)
-        if pose_file is None:  # KITTI's odometry: poses/00.txt for sequences/00
-            kitti = [place.parent.parent / "poses" / f"{place.name}.txt" for place in places]
-            pose_file = next((file for file in kitti if file.is_file()), None)
+        if pose_file is None:  # KITTI's raw data, or its odometry: poses/00.txt for sequences/00
+            kitti = [near / "oxts" for place in places for near in (place, place.parent) if is_oxts(near / "oxts")]
+            kitti += [place.parent.parent / "poses" / f"{place.name}.txt" for place in places]
+            pose_file = next((file for file in kitti if file.exists()), None)
         return CloudFolder(f"folder of {suffix.lstrip('.')}", clouds, pose_file)
     return None
 
@@ -144,7 +150,7 @@ def _in_order(files: list[Path], places: list[Path]) -> tuple[list[Path], list[i
     files = sorted(files, key=_natural)
     text = next((place / name for place in places for name in _TIMES if (place / name).is_file()), None)
     if text is not None:
-        return files, _read_times(text, len(files)), ""
+        return files, read_stamps(text, files), ""
     named = sorted((stamp, file) for file in files if (stamp := _time_in_name(file)) is not None)
     if len(named) == len(files):
         return [file for _, file in named], [stamp for stamp, _ in named], ""
@@ -173,7 +179,12 @@ def _time_in_name(file: Path) -> int | None:
     return stamp if stamp < STAMP_END else None
 
 
-def _read_times(path: Path, count: int) -> list[int]:
+def read_stamps(path: Path, files: list[Path]) -> list[int]:
+    """Return the times in a text [ns], one per file; where files are missing, their names are numbers of lines.
+
+    Raises:
+        UserError: the text cannot be read, or does not fit the files.
+    """
     try:
         text = read_user_text(path, limit=TEXT_MAX)
         values = [_seconds(line) for line in text.splitlines() if line.strip()]
@@ -184,8 +195,11 @@ def _read_times(path: Path, count: int) -> list[int]:
     except ValueError as error:
         problem = one_line(error)[:200]
         raise UserError(f"{path} must hold one time or date per line ({problem}); correct or remove it.") from error
-    if len(values) != count:
-        raise UserError(f"{path} holds {len(values)} times for {count} clouds; correct or remove it.")
+    if len(values) != len(files):
+        lines = [int(file.stem) if file.stem.isdecimal() else len(values) for file in files]
+        if max(lines) >= len(values):
+            raise UserError(f"{path} holds {len(values)} times for {len(files)} clouds; correct or remove it.")
+        values = [values[line] for line in lines]
     unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
     first = 0 if values[0] > 1.0 else _FIRST_STAMP
     if max(values) * unit >= STAMP_END - first:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.input_limits import NAME_MAX, SWEEP_POINTS_MAX
+from aero_viz.point_times import point_times, time_field
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
 
 if TYPE_CHECKING:
@@ -20,16 +20,9 @@ POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 _MAX_RANGE = 1e4
 """No LiDAR measures farther [m]. A larger coordinate is damaged and would overflow later."""
 
-_TIME_FIELDS = ("t", "time", "timestamp", "offsettime", "timeoffset", "timeoffsetns", "timestampoffset", "pointtime")
-_TIME_FIELDS += ("pointtimeoffset", "relativetime", "relativetimestamp", "ts", "stamp", "gpstime")
-"""Names of a time per point, without underscores and in lower case; the preferred one first."""
-
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8", 9: "i8", 10: "u8"}
 """NumPy formats of sensor_msgs/PointField.datatype."""
-_COORDINATE_FORMATS, _TIME_FORMATS = ("f4", "f8"), ("i4", "u4", "f4", "f8", "i8", "u8")
-
-_MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
-"""Limits of a sweep's duration [s]."""
+_COORDINATE_FORMATS = ("f4", "f8")
 
 
 class RawCloud(NamedTuple):
@@ -101,33 +94,14 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
     return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)
 
 
-def time_field(formats: Mapping[str, str]) -> str | None:
-    """Return the name of the field that holds the time of a point, None without one.
-
-    Args:
-        formats: NumPy format of each field, such as "f4" or "<u4", by its name.
-    """
-    plain = {name.lower().replace("_", ""): name for name, code in formats.items() if code.strip("<>") in _TIME_FORMATS}
-    return next((plain[name] for name in _TIME_FIELDS if name in plain), None)
-
-
 def decode_points(cloud: RawCloud) -> DecodedPoints:
-    """Return the valid points of a cloud and their times.
-
-    Points are invalid if they are not finite, lie beyond the range of any LiDAR, or are exactly zero, which is how
-    spinning LiDARs report that nothing returned.
-    """
+    """Return the valid points of a cloud and their times."""
     rows = cloud.rows
     if not rows.size:
         return DecodedPoints(np.empty((0, 3), np.float32), None, 0)
     with np.errstate(over="ignore", invalid="ignore"):
         points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1).astype(np.float32, copy=False)
-        # NaN compares false, so the largest coordinate answers all three questions. A maximum along the axis of three
-        # takes twenty times as long.
-        largest = np.abs(points[:, 0])
-        for axis in (1, 2):
-            np.maximum(largest, np.abs(points[:, axis]), out=largest)
-        valid = (largest > 0) & (largest < _MAX_RANGE)
+        valid = valid_points(points)
     values = rows["time"].reshape(-1) if "time" in (rows.dtype.names or ()) else None
     count = len(points)
     if not valid.all():  # invalid points often have no time, either
@@ -137,8 +111,26 @@ def decode_points(cloud: RawCloud) -> DecodedPoints:
     return DecodedPoints(np.ascontiguousarray(points), times, count - len(points))
 
 
+def valid_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which of the points [P, 3] are valid [P].
+
+    Points are invalid if they are not finite, lie beyond the range of any LiDAR, or are exactly zero, which is how
+    spinning LiDARs report that nothing returned.
+    """
+    # NaN compares false, so the largest coordinate answers all three questions. A maximum along the axis of three
+    # takes twenty times as long.
+    largest = np.abs(points[:, 0])
+    for axis in (1, 2):
+        np.maximum(largest, np.abs(points[:, axis]), out=largest)
+    return (largest > 0) & (largest < _MAX_RANGE)
+
+
 def encode_point_cloud2(
-    points: NDArray[np.float32], stamp: int, frame: str, *, times: NDArray[np.uint32] | None = None
+    points: NDArray[np.float32],
+    stamp: int,
+    frame: str,
+    *,
+    times: NDArray[np.uint32] | NDArray[np.float32] | None = None,
 ) -> bytes:
     """Return a sensor_msgs/PointCloud2 as CDR.
 
@@ -146,14 +138,15 @@ def encode_point_cloud2(
         points: [P, 3] [m].
         stamp: [ns].
         frame: frame of the coordinates.
-        times: time of each point after the stamp [P] [ns], None if it is not known.
+        times: time of each point after the stamp [P], uint32 [ns] or float32 [s]; None if it is not known.
     """
-    names = ["x", "y", "z"] if times is None else ["x", "y", "z", "t"]
+    time_name = "t" if times is not None and times.dtype == np.uint32 else "time"
+    names = ["x", "y", "z"] if times is None else ["x", "y", "z", time_name]
     rows = np.empty(len(points), [(name, "<u4" if name == "t" else "<f4") for name in names])
     for axis, name in enumerate("xyz"):
         rows[name] = points[:, axis]
     if times is not None:
-        rows["t"] = times
+        rows[time_name] = times
     time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
     make_field = message_type("sensor_msgs/msg/PointField")
     fields = [
@@ -176,25 +169,3 @@ def encode_point_cloud2(
 def replace_stamp(message: bytes, stamp: int) -> bytes:
     """Return a message of `encode_point_cloud2`, or its head, with another stamp [ns]."""
     return message[:4] + struct.pack("<iI", *divmod(stamp, 10**9)) + message[12:]
-
-
-def point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
-    """Return times after the stamp [ns] in seconds, or None if the values make no sense as times.
-
-    Drivers write seconds, milliseconds, microseconds or nanoseconds, counted from the stamp, from 1970 or from the
-    sensor's start, and the message does not say which. A sweep lasts between 1 ms and 2 s: that settles the unit.
-    """
-    units = (1.0, 1e-9, 1e-6, 1e-3) if values.dtype.kind == "f" else (1e-9, 1e-6, 1e-3)
-    times = values.astype(np.float64)
-    if not np.isfinite(times).all():
-        return None
-    first, last = float(times.min()), float(times.max())
-    unit = next((unit for unit in units if _MIN_SWEEP <= (last - first) * unit <= _MAX_SWEEP), None)
-    if unit is None:
-        return None
-    if abs(first * unit) <= _MAX_SWEEP:
-        return (times * unit).astype(np.float32)
-    offset = first * unit - stamp * 1e-9
-    # If the times are those of another clock than the stamp's, the stamp is the first point's.
-    offset = offset if abs(offset) <= _MAX_SWEEP else 0.0
-    return ((times - first) * unit + offset).astype(np.float32)

@@ -15,7 +15,10 @@ from aero_planner.user_file import open_user_file, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.recordings.bag_file import one_line
+from aero_viz.recordings.other_formats import is_oxts
+from aero_viz.recordings.oxts import oxts_mount, read_oxts
 from aero_viz.recordings.poses import RecordedPoses
+from aero_viz.recordings.transforms import IDENTITY
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
@@ -34,7 +37,7 @@ class PoseTable(NamedTuple):
     """The poses in a file."""
 
     format: str
-    """"TUM", "KITTI" or "ULog"."""
+    """"TUM", "KITTI", "KITTI's oxts" or "ULog"."""
     times: NDArray[np.float64] | None
     """[n] [s] on the file's own clock; None for KITTI, which has one pose per sweep."""
     positions: NDArray[np.float64]
@@ -48,13 +51,15 @@ class PoseTable(NamedTuple):
 
 
 def read_pose_file(path: Path) -> PoseTable:
-    """Return the poses in a file, whose content decides its format.
+    """Return the poses in a file, whose content decides its format, or in a folder oxts of KITTI's raw data.
 
     TUM: lines of time x y z qx qy qz qw. KITTI: lines of the 12 numbers of a 3 x 4 matrix.
 
     Raises:
         UserError: the file cannot be read or is of another format.
     """
+    if is_oxts(path):
+        return PoseTable("KITTI's oxts", *read_oxts(path))
     try:
         with open_user_file(path) as file:
             size = os.fstat(file.fileno()).st_size
@@ -189,6 +194,9 @@ def add_poses(recording: Recording, path: Path) -> None:
         candidates.append(("the first pose is assumed to be that of the first sweep", table.times - first))
         choice, times = next((c for c in candidates if _overlaps(c[1], sweeps)), candidates[-1])
         notices += [f"the times of {path.name}: {choice}"] if choice else []
+    if is_oxts(path) and recording.extrinsic is IDENTITY and (imu := oxts_mount(path)):
+        recording.mount(imu[1])
+        notices.append(f"{path.name} holds the poses of the IMU: {imu[0].name} places the LiDAR on it")
     poses = RecordedPoses(times, table.positions, table.quaternions, table.twists)
     covered = poses.covers(sweeps)
     if not covered.any():

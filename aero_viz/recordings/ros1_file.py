@@ -54,6 +54,8 @@ class Ros1File(ChunkedFile):
                 yield from self._read_chunk(record, types)
             elif record.op == _CONNECTION and record.complete:
                 self._read_connection(self._bytes, record)
+            elif record.op == _MESSAGE and record.complete:  # of the last chunk, if recording was interrupted
+                yield from self._read_message(self._bytes, record, None, types)
         self.truncated = not complete
         if self._found < declared:
             lost = declared - self._found
@@ -91,19 +93,32 @@ class Ros1File(ChunkedFile):
             if not record.complete:
                 self.damaged += chunk.complete
                 break
-            try:
-                if record.op == _CONNECTION:
-                    self._read_connection(buffer, record)
-                elif record.op == _MESSAGE:
-                    channel = self.channels[_U32.unpack(record.header[b"conn"])[0]]
-                    seconds, nanoseconds = struct.unpack("<II", record.header[b"time"])
-                    position = (offset, record.start, record.stop)
-                    head = buffer[record.start : min(record.stop, record.start + HEAD_BYTES)]
-                    message = self.message(channel, seconds * 10**9 + nanoseconds, position, head, types)
-                    self._found += 1
-                    yield message
-            except (KeyError, struct.error):
-                self.damaged += 1
+            if record.op == _CONNECTION:
+                self._read_connection(buffer, record)
+            elif record.op == _MESSAGE:
+                yield from self._read_message(buffer, record, offset, types)
+
+    def _read_message(
+        self, buffer: Buffer, record: _Record, chunk: int | None, types: Collection[str]
+    ) -> Iterator[Message]:
+        """Yield the message of a record, nothing if it is damaged.
+
+        Args:
+            buffer: holds the record.
+            record: the record.
+            chunk: first byte of its compressed chunk, None if it is not in one.
+            types: see `scan`.
+        """
+        try:
+            channel = self.channels[_U32.unpack(record.header[b"conn"])[0]]
+            seconds, nanoseconds = struct.unpack("<II", record.header[b"time"])
+        except (KeyError, struct.error):
+            self.damaged += 1
+            return
+        head = buffer[record.start : min(record.stop, record.start + HEAD_BYTES)]
+        position = (chunk, record.start, record.stop)
+        self._found += 1
+        yield self.message(channel, seconds * 10**9 + nanoseconds, position, head, types)
 
     def _read_connection(self, buffer: Buffer, record: _Record) -> None:
         try:

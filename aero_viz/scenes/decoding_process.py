@@ -33,6 +33,14 @@ class DecodingProcess:
         """
         return self._run(path, _decode, content)
 
+    def decode_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+        """Return what `aero_viz.scenes.map_decoders.decode_points` returns for the same argument.
+
+        Raises:
+            OSError, ValueError: as for `decode`.
+        """
+        return self._run(path, _decode_points)
+
     def las_units(self, path: Path) -> LasUnits:
         """Return the units of a LAS or LAZ file.
 
@@ -72,6 +80,13 @@ def _decode(path: Path, content: str) -> NDArray[np.float64]:
 
     with _one_sentence():
         return np.ascontiguousarray(decode(path, content), dtype=np.float64)
+
+
+def _decode_points(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+    from aero_viz.scenes.map_decoders import decode_points
+
+    with _one_sentence():
+        return decode_points(path)
 
 
 def _las_units(path: Path) -> LasUnits:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count
 from aero_viz.scenes.epsg_units import FOOT, US_FOOT, unit_of_heights, unit_of_system
 
@@ -37,10 +38,10 @@ class LasUnits(NamedTuple):
     """False if the file names no coordinate system."""
 
 
-def read_las(path: Path) -> NDArray[np.float64]:
-    """Return the points of a LAS or LAZ file [n, 3] [m], without those that are withheld or classified as noise.
+def read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+    """Return the points of a LAS or LAZ file [n, 3] [m], and their times [n] as they are in it, None without any.
 
-    Coordinates in feet are converted.
+    Points that are withheld or classified as noise are left out. Coordinates in feet are converted.
 
     Raises:
         Exception: the file is damaged or truncated; a ValueError has a text for the user.
@@ -50,12 +51,18 @@ def read_las(path: Path) -> NDArray[np.float64]:
     _check_header(path)
     with laspy.open(path) as reader:
         declared, units, present, parts = reader.header.point_count, _units(reader.header), 0, [np.zeros((0, 3))]
+        time = time_field(
+            {row.name: row.type_str() or "" for row in reader.header.point_format if row.num_elements == 1}
+        )
+        times = []
         for chunk in reader.chunk_iterator(_CHUNK):
             present += len(chunk)
-            is_left_out = np.asarray(chunk.withheld, np.bool_) | np.isin(np.asarray(chunk.classification), _NOISE)
-            parts.append(np.array([chunk.x, chunk.y, chunk.z], dtype=np.float64).T[~is_left_out])
+            is_kept = ~(np.asarray(chunk.withheld, np.bool_) | np.isin(np.asarray(chunk.classification), _NOISE))
+            parts.append(np.array([chunk.x, chunk.y, chunk.z], dtype=np.float64).T[is_kept])
+            times += [] if time is None else [np.asarray(chunk[time])[is_kept]]
     check_count(declared, present)
-    return np.vstack(parts) * (units.horizontal, units.horizontal, units.vertical)
+    points = np.vstack(parts) * (units.horizontal, units.horizontal, units.vertical)
+    return points, np.concatenate(times) if times else None
 
 
 def read_las_units(path: Path) -> LasUnits:

@@ -1,15 +1,14 @@
-"""Points from files, decoded by open3d (PLY), laspy (LAS, LAZ) and NumPy; triangles by `mesh_decoder`.
+"""Points from files, decoded by laspy (LAS, LAZ) and NumPy; triangles by `mesh_decoder`.
 
-Run it in a process of its own, see `decoding_process`. The libraries are imported on first use, since open3d alone
-takes 0.6 s. They trust the counts in a header, so that counts are compared with the size of the file before anything
-is allocated, and with what was read.
+Run it in a process of its own, see `decoding_process`. The libraries are imported on first use. They trust the counts
+in a header, so that counts are compared with the size of the file before anything is allocated, and with what was read.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,10 @@ from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 from aero_viz.scenes.las import read_las
 from aero_viz.scenes.mesh_decoder import read_triangles
 from aero_viz.scenes.pcd import read_pcd
+from aero_viz.scenes.ply import read_ply
 
 Points = NDArray[np.float64]
-
-_PLY_SIZES = {"char": 1, "short": 2, "int": 4, "float": 4, "double": 8} | {"int8": 1, "int16": 2, "int32": 4}
-_PLY_SIZES |= {f"u{name}": size for name, size in _PLY_SIZES.items()} | {"float32": 4, "float64": 8}
+Times = NDArray[Any]
 
 
 def decode(path: Path, content: str) -> Points:
@@ -42,11 +40,24 @@ def decode(path: Path, content: str) -> Points:
         return read_triangles(path)
     if content == "mesh" or reader is None:
         return np.zeros((0, 9))
-    points = reader(path).astype(np.float64)
-    return points[np.isfinite(points).all(axis=1)]
+    return decode_points(path)[0]
 
 
-def _read_npy(path: Path) -> Points:
+def decode_points(path: Path) -> tuple[Points, Times | None]:
+    """Return the finite points of a file [n, 3] [m], and their times [n] as they are in it, None without any.
+
+    Raises:
+        Exception: as for `decode`.
+    """
+    table, times = _READERS[path.suffix.lower()](path)
+    points = np.ascontiguousarray(table, np.float64)
+    is_finite = np.isfinite(points).all(axis=1)
+    if is_finite.all():
+        return points, times
+    return points[is_finite], None if times is None else times[is_finite]
+
+
+def _read_npy(path: Path) -> tuple[Points, None]:
     with path.open("rb") as file:
         version = np.lib.format.read_magic(file)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -60,10 +71,10 @@ def _read_npy(path: Path) -> Points:
         file.seek(here)
         table = np.fromfile(file, dtype, shape[0] * shape[1])
     table = table.reshape(shape[::-1]).T if is_fortran else table.reshape(shape)
-    return table[:, :3].astype(np.float64)
+    return table[:, :3], None
 
 
-def _read_text(path: Path) -> Points:
+def _read_text(path: Path) -> tuple[Points, None]:
     declared, skipped, rows = None, 0, path.stat().st_size // len("0 0 0\n") + 1
     if path.suffix.lower() == ".pts":
         with path.open("rb") as file:
@@ -74,7 +85,7 @@ def _read_text(path: Path) -> Points:
     )  # fmt: skip
     check_count(len(points) if declared is None else declared, len(points))
     _check_last_line(path)
-    return points
+    return points, None
 
 
 def _check_last_line(path: Path) -> None:
@@ -86,45 +97,13 @@ def _check_last_line(path: Path) -> None:
         raise ValueError(f"it is truncated: its last row has {len(rows[-1])} columns, and others have {len(rows[-2])}")
 
 
-def _read_ply(path: Path) -> Points:
-    header, counts = read_ply_header(path)
-    vertices, size = counts.get(b"vertex", 0), path.stat().st_size - len(header)
-    if not vertices:
-        raise ValueError("it has no vertices")
-    properties = re.findall(
-        rb"\nproperty[ \t]+(\w+)", re.split(rb"\nelement[ \t]+vertex", header)[1].split(b"\nelement")[0]
-    )
-    # A list holds at least its length; other elements only add to what the file must hold.
-    record = sum(_PLY_SIZES.get(name.decode(), 1) for name in properties)
-    if b"format ascii" in header:
-        record = 2 * len(properties)  # a digit and a space
-        check_count(vertices, (size + 1) // max(record, 1))
-        values = len(path.read_bytes()[len(header) :].split())
-        check_count(vertices, values // max(len(properties), 1))
-    else:
-        check_count(vertices, size // max(record, 1))
-    points = _read_with_open3d(path)
-    check_count(vertices, len(points))
-    return points
-
-
 def _has_faces(path: Path) -> bool:
     return path.suffix.lower() == ".ply" and read_ply_header(path)[1].get(b"face", 0) > 0
 
 
-def _read_with_open3d(path: Path) -> Points:
-    try:
-        import open3d
-    except (ImportError, OSError) as error:  # OSError: a system library is missing
-        reason = str(error).splitlines()[0]
-        raise ValueError(f"open3d does not load ({reason}); run aero-viz doctor, or convert the file to PCD") from error
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        return np.asarray(open3d.io.read_point_cloud(path).points, dtype=np.float64)
-
-
-_READERS: dict[str, Callable[[Path], Points]] = {
+_READERS: dict[str, Callable[[Path], tuple[NDArray[Any], Times | None]]] = {
     ".pcd": read_pcd,
-    ".ply": _read_ply,
+    ".ply": read_ply,
     ".las": read_las,
     ".laz": read_las,
     ".npy": _read_npy,

@@ -7,7 +7,10 @@ file does not slow down a session that flies meanwhile.
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +53,16 @@ def read_points(path: str | Path, process: DecodingProcess | None = None) -> Poi
     if path.suffix.lower() not in _POINTS:
         raise UserError(f"{path} is not a map: its name must end in one of {', '.join(MAP_SUFFIXES)}.")
     return _points(path, _decode(path, "map", "points", process))
+
+
+def read_timed_points(path: Path, process: DecodingProcess) -> tuple[Points, NDArray[Any] | None]:
+    """Return the points of a file as `read_points` does, and their times [n] as they are in it, None without any.
+
+    PCD, PLY, LAS and LAZ may have times; their unit is that of `aero_viz.point_times`.
+    """
+    with _named(path, "cloud"):
+        points, times = process.decode_points(path)
+    return _points(path, points), times
 
 
 def read_mesh(path: str | Path) -> Points:
@@ -112,15 +125,22 @@ def read_solids(path: str | Path, *, pixel: float | None = None) -> Solids:
 
 
 def _decode(path: Path, noun: str, content: str, process: DecodingProcess | None = None) -> Points:
+    with _named(path, noun):
+        if process is not None:
+            return process.decode(path, content)
+        with DecodingProcess() as own:
+            return own.decode(path, content)
+
+
+@contextmanager
+def _named(path: Path, noun: str) -> Iterator[None]:
+    """Check that there is a file with content, and turn what keeps it from being read into a UserError."""
     try:
         with open_user_file(path) as file:
             is_empty = not file.read(1)
         if is_empty:
             raise ValueError("it is empty")
-        if process is not None:
-            return process.decode(path, content)
-        with DecodingProcess() as own:
-            return own.decode(path, content)
+        yield
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise UserError(f"Cannot read the {noun} {path}: {reason.rstrip('.')}.") from error

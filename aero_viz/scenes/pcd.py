@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count, read_header
 
 Points = NDArray[np.float64]
@@ -23,8 +24,12 @@ Points = NDArray[np.float64]
 _LZF_RATIO_MAX = 88  # a copy of 3 bytes yields at most 264
 
 
-def read_pcd(path: Path) -> Points:
-    """Return the points of a PCD file [n, 3] [m]; raises an exception where it is damaged."""
+def read_pcd(path: Path) -> tuple[Points, NDArray[Any] | None]:
+    """Return the points of a PCD file [n, 3] [m], and their times [n] as they are in it, None without any.
+
+    Raises:
+        Exception: the file is damaged; a ValueError has a text for the user.
+    """
     header, size = read_header(
         path, rb"(?s)^.*?(?:^|\n)DATA[ \t]+\w+[ \t]*\r?\n", "it has no PCD header that ends in DATA"
     )
@@ -38,25 +43,28 @@ def read_pcd(path: Path) -> Points:
         present = sum(1 for line in _lines(path, header.count(b"\n")) if line.strip())
     record, points = _layout(entries, fields, size, present)
     counts = [record[i].shape[0] for i in range(len(record.names or ()))]
-    axes = [fields.index(axis) for axis in "xyz"]
+    formats = ["f8" if data == "ascii" else record[i].base.str for i in range(len(counts))]
+    time = time_field(dict(zip(fields, formats, strict=False)))
+    used = [fields.index(name) for name in ("x", "y", "z", time) if name is not None]
     if points == 0:
-        return np.zeros((0, 3))
+        return np.zeros((0, 3)), None
     if data == "ascii":
-        columns = [sum(counts[:i]) for i in axes]
+        columns = [sum(counts[:i]) for i in used]
         check_count(points, (size + 1) // (2 * sum(counts)))  # a digit and a space for each value
         table: NDArray[Any] = np.loadtxt(path, skiprows=header.count(b"\n"), usecols=columns, max_rows=points, ndmin=2)
         check_count(points, len(table))
         last = next(islice(_lines(path, header.count(b"\n")), points - 1, None), b"")
         if len(last.split()) < sum(counts):
             raise ValueError(f"it is truncated: its last point has {len(last.split())} of {sum(counts)} values")
-        return table
+        return table[:, :3], None if time is None else table[:, 3]
     names = record.names or ()
     if data == "binary":
         check_count(points, size // record.itemsize)
     content = path.read_bytes()[len(header) :]
     if data == "binary":
         table = np.frombuffer(content, record, points)
-        return np.column_stack([table[names[i]][:, 0] for i in axes])
+        columns = [table[names[i]][:, 0] for i in used]
+        return np.column_stack(columns[:3]), None if time is None else columns[3]
     if data != "binary_compressed":
         raise ValueError(f"its data are {data}; they must be ascii, binary or binary_compressed")
     packed_size, plain_size = struct.unpack_from("<II", content)
@@ -66,10 +74,10 @@ def read_pcd(path: Path) -> Points:
     plain = _decompress_lzf(content[8 : 8 + packed_size], plain_size)
     # Compressed data are stored field by field, not point by point.
     columns = []
-    for i in axes:
+    for i in used:
         first = points * sum(record[name].itemsize for name in names[:i])
         columns.append(np.frombuffer(plain, record[i].base, points * counts[i], first)[:: counts[i]])
-    return np.column_stack(columns)
+    return np.column_stack(columns[:3]), None if time is None else columns[3]
 
 
 def _entries(header: bytes) -> dict[str, list[str]]:

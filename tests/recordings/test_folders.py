@@ -37,6 +37,34 @@ def test_raw_data_of_kitti_have_dates(tmp_path: Path):
             assert recording.start == pytest.approx(1_317_042_145_000_000_000)
 
 
+def test_raw_data_of_kitti_play_with_the_poses_of_the_imu_also_where_clouds_are_missing(tmp_path: Path):
+    drive, speed = tmp_path / "2011_09_26" / "2011_09_26_drive_0009_sync", 2.0
+    write_bins(drive / "velodyne_points" / "data", [f"{k:010d}.bin" for k in (0, 2, 3)])
+    (drive / "oxts" / "data").mkdir(parents=True)
+    for k in range(4):  # it flies north, and its LiDAR looks to its left: west
+        latitude, up = 49.0 + np.degrees(0.1 * k * speed / 6_378_137.0), 100.0 + 0.01 * k
+        row = [latitude, 8.4, up, 0.0, 0.0, np.pi / 2, speed, 0.0, speed, 0.0, 0.1, *np.zeros(19)]
+        (drive / "oxts" / "data" / f"{k:010d}.txt").write_text(" ".join(f"{value:.12f}" for value in row))
+    dates = "".join(f"2011-09-26 13:02:{25 + 0.1 * k:012.9f}\n" for k in range(4))
+    for folder in ("velodyne_points", "oxts"):
+        (drive / folder / "timestamps.txt").write_text(dates)
+    (drive.parent / "calib_imu_to_velo.txt").write_text("calib_time: x\nR: 0 1 0 -1 0 0 0 0 1\nT: 0 0.8 0\n")
+    for path in (drive, drive / "velodyne_points", drive / "velodyne_points" / "data"):
+        with open_recording(path) as recording:
+            assert recording.poses is not None and recording.pose_topic == "oxts"
+            assert any("calib_imu_to_velo.txt places" in problem for problem in recording.problems)
+            np.testing.assert_allclose(recording.sweep_times, [0.0, 0.2, 0.3], atol=1e-6)
+            pose = recording.poses.interpolate(0.2)
+            np.testing.assert_allclose(pose.position, [0.0, 0.4, 0.02], atol=1e-4)
+            np.testing.assert_allclose(pose.velocity, [0.0, speed, 0.1], atol=1e-6)
+            # The wall is 5 m along the LiDAR's x, which is the IMU's y, and the LiDAR is 0.8 m in front of the IMU.
+            np.testing.assert_allclose(recording.sweep(0).points[:, 1], WALL[:, 0], atol=1e-4)
+            np.testing.assert_allclose(recording.sweep(0).points[:, 0], 0.8 - WALL[:, 1], atol=1e-4)
+    (drive / "oxts" / "data" / "0000000002.txt").write_text("49.0 8.4 x")
+    with pytest.raises(UserError, match=r"0000000002\.txt is no row of KITTI's oxts"):
+        open_recording(drive)
+
+
 def test_odometry_of_kitti_is_moved_from_the_camera_to_the_lidar(tmp_path: Path):
     sequence = tmp_path / "sequences" / "04"
     write_bins(sequence / "velodyne", [f"{k:06d}.bin" for k in range(3)])

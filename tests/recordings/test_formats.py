@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import struct
 
 import bags
 import numpy as np
@@ -39,9 +40,23 @@ def test_format_name(tmp_path, name, expected):
     assert inspect(bags.FORMATS[name](tmp_path, bags.drive())).format == expected
 
 
-def test_content_decides_the_format_and_not_the_suffix(tmp_path):
-    path = bags.write_ros1(tmp_path / "a.bag", bags.drive())
-    assert inspect(path.rename(tmp_path / "flight.bag.active")).format == "rosbag1"
+def test_a_bag_that_is_being_recorded_plays_up_to_its_last_whole_message(tmp_path):
+    raw = bytearray(bags.write_ros1(tmp_path / "a.bag", bags.drive()).read_bytes())
+    first = 13  # behind "#ROSBAG V2.0"
+    header = first + 4 + struct.unpack_from("<I", raw, first)[0]
+    chunk = header + 4 + struct.unpack_from("<I", raw, header)[0]
+    header = chunk + 4 + struct.unpack_from("<I", raw, chunk)[0]
+    end = header + 4 + struct.unpack_from("<I", raw, header)[0]
+    # `rosbag record` writes the place of the index and the length of a chunk when these are complete.
+    for at, length in ((raw.index(b"index_pos=") + 10, 8), (raw.index(b"size=", chunk) + 5, 4), (header, 4)):
+        raw[at : at + length] = bytes(length)
+    path = tmp_path / "flight.bag.active"
+    path.write_bytes(raw[: end - 3000])
+    info = inspect(path)
+    assert info.format == "rosbag1" and info.sweeps == 9
+    assert any("`rosbag reindex` repairs it" in problem for problem in info.problems)
+    with open_recording(path) as recording:
+        assert all(len(recording.sweep(k).points) == 200 for k in range(9))
 
 
 @pytest.mark.parametrize("compression", ["NONE", "ZSTD", "LZ4"])

@@ -15,7 +15,7 @@ from command_line import run, run_json, run_refused
 from mcap.writer import Writer
 
 from aero_viz.errors import UserError
-from aero_viz.recordings import open_recording
+from aero_viz.recordings import RecordingSource, open_recording
 from aero_viz.recordings.convert import convert
 from aero_viz.recordings.imu import read_imu
 from aero_viz.recordings.pose_files import read_pose_file
@@ -71,6 +71,52 @@ def test_a_folder_of_clouds_plays_with_tum_poses(tmp_path: Path, name: str):
             pose = recording.poses.interpolate(float(k))
             world = recording.sweep(k).points + pose.position + recording.poses.offset
             np.testing.assert_allclose(world, WALL + np.array([10, 2, 3]), atol=1e-3)
+
+
+def write_timed(path: Path, points: np.ndarray, name: str, times: np.ndarray, ascii: bool) -> None:
+    if path.suffix in (".las", ".laz"):
+        write_las(path, points)
+        las = laspy.read(path)
+        if name != "gps_time":
+            las.add_extra_dim(laspy.ExtraBytesParams(name, times.dtype.str))
+        las[name] = times
+        las.write(str(path))
+        return
+    import open3d
+
+    cloud = open3d.t.geometry.PointCloud(open3d.core.Tensor(points.astype("f4")))
+    cloud.point[name] = open3d.core.Tensor(times.reshape(-1, 1))
+    assert open3d.t.io.write_point_cloud(str(path), cloud, write_ascii=ascii)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "name", "times"),
+    [
+        ("pcd", "t", lambda start, s: (1e9 * s).astype("u4")),
+        ("pcd", "timestamp", lambda start, s: start + s),
+        ("ascii pcd", "offset_time", lambda start, s: (1e9 * s).astype("u4")),
+        ("ply", "scalar_GpsTime", lambda start, s: 3e5 + s),
+        ("ply", "time", lambda start, s: (1e6 * s).astype("f4")),
+        ("ascii ply", "t", lambda start, s: 1e3 * s),
+        ("las", "gps_time", lambda start, s: start - 1_315_964_782 + s),
+        ("laz", "time_offset", lambda start, s: (1e6 * (s - 0.1)).astype("i4")),
+    ],
+)
+def test_times_of_points_deskew_a_folder_of_clouds(tmp_path: Path, suffix: str, name: str, times: Any):
+    form, suffix, seconds = suffix.split()[0], suffix.split()[-1], np.linspace(0.0, 0.1, len(WALL))
+    for k in range(3):
+        start = 1_700_000_000 + 0.1 * k
+        values = times(start, seconds)
+        since = 0.1 * k + seconds - (0.1 if values.min() < 0 else 0.0)
+        moved = WALL - 3.0 * since[:, None] * [1, 0, 0]
+        write_timed(tmp_path / f"{start:.1f}.{suffix}", moved, name, values, form == "ascii")
+    rows = [f"{1_700_000_000 - 0.2 + 0.05 * i} {0.15 * i - 0.6} 0 0 0 0 0 1" for i in range(20)]
+    (tmp_path / "poses.txt").write_text("\n".join(rows))
+    with open_recording(tmp_path) as recording:
+        assert recording.sweep(1).point_times is not None and recording.poses is not None
+        source = RecordingSource(recording, sweeps=1)
+        source.seek(0.2)
+        np.testing.assert_allclose(source.observe().points + recording.poses.offset, WALL, atol=2e-3)
 
 
 def test_kitti_with_times_and_one_pose_per_sweep(tmp_path: Path):
@@ -244,9 +290,9 @@ def test_a_cloud_of_foxglove(tmp_path: Path):
 @pytest.mark.parametrize(
     ("orientation", "expected"),
     [
-        ({"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}, WALL * [-1, -1, 1] + [1, 2, 3]),
-        ({"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}, WALL + [1, 2, 3]),
-        (None, WALL + [1, 2, 3]),
+        ({"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}, np.add(WALL * [-1, -1, 1], [1, 2, 3])),
+        ({"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}, np.add(WALL, [1, 2, 3])),
+        (None, np.add(WALL, [1, 2, 3])),
     ],
 )
 def test_a_cloud_of_foxglove_in_json_with_a_pose(tmp_path: Path, orientation: dict[str, float] | None, expected):

@@ -1,10 +1,13 @@
 """A recording in a session: indices of frames, skipped ticks, and notices about damage."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import bags
+import numpy as np
 import pytest
+from mcap.writer import CompressionType
 from small_source import small_config
 
 from aero_viz.recordings import RecordingSource, open_recording
@@ -84,3 +87,21 @@ def test_sweeps_damaged_during_playback_are_reported(session: Session, source: R
     assert 0 < count < 14 and frame.explanation is not None
     assert frame.explanation.startswith(f"{count} of 14 sweeps could not be read and played without points: ")
     assert notices == [f"{source.info.name}: end of the recording. {frame.explanation}"]
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="the system takes no advice")
+@pytest.mark.parametrize(("point_step", "ahead"), [(12, 4), (50_000, 3)])
+def test_playback_reads_four_sweeps_ahead_but_at_most_32_mib(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_step: int, ahead: int
+):
+    advised: list[int] = []
+    monkeypatch.setattr(os, "posix_fadvise", lambda file, start, length, advice: advised.append(length))
+    items = [bags.cloud(0.1 * k, bags.xyz(np.ones((200, 3), "f4")), point_step=point_step) for k in range(7)]
+    path = bags.write_mcap(tmp_path / "a.mcap", items, compression=CompressionType.NONE)
+    with open_recording(path) as recording:
+        for index in range(1, 7):
+            advised.clear()
+            assert len(recording.sweep(index).points) == 200
+            assert len(advised) == min(ahead, 6 - index)
+            assert all(200 * point_step < length < 200 * point_step + 1000 for length in advised)
+            assert sum(advised) <= 32 << 20

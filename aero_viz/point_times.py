@@ -1,0 +1,52 @@
+"""Names and units of the time of a point, in messages and in files of clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+_NAMES = ("t", "time", "timestamp", "offsettime", "timeoffset", "timeoffsetns", "timestampoffset", "pointtime")
+_NAMES += ("pointtimeoffset", "relativetime", "relativetimestamp", "timens", "timestampns", "deltatime", "ts", "stamp")
+_NAMES += ("gpstime",)
+"""Names without underscores, spaces and CloudCompare's "scalar" and in lower case; the preferred one first."""
+_FORMATS = ("i4", "u4", "f4", "f8", "i8", "u8")
+_MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
+"""Limits of a sweep's duration [s]."""
+
+
+def time_field(formats: Mapping[str, str]) -> str | None:
+    """Return the name of the field that holds the time of a point, None without one.
+
+    Args:
+        formats: NumPy format of each field, such as "f4" or "<u4", by its name.
+    """
+    plain = {
+        name.lower().replace("_", "").replace(" ", "").removeprefix("scalar"): name
+        for name, code in formats.items()
+        if code.lstrip("<>=") in _FORMATS
+    }
+    return next((plain[name] for name in _NAMES if name in plain), None)
+
+
+def point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
+    """Return times after the stamp [ns] in seconds, or None if the values make no sense as times.
+
+    Drivers write seconds, milliseconds, microseconds or nanoseconds, counted from the stamp, from 1970 or from the
+    sensor's start, and the message does not say which. A sweep lasts between 1 ms and 2 s: that settles the unit.
+    """
+    units = (1.0, 1e-9, 1e-6, 1e-3) if values.dtype.kind == "f" else (1e-9, 1e-6, 1e-3)
+    times = values.astype(np.float64)
+    if not np.isfinite(times).all():
+        return None
+    first, last = float(times.min()), float(times.max())
+    unit = next((unit for unit in units if _MIN_SWEEP <= (last - first) * unit <= _MAX_SWEEP), None)
+    if unit is None:
+        return None
+    if abs(first * unit) <= _MAX_SWEEP:
+        return (times * unit).astype(np.float32)
+    offset = first * unit - stamp * 1e-9
+    # If the times are those of another clock than the stamp's, the stamp is the first point's.
+    offset = offset if abs(offset) <= _MAX_SWEEP else 0.0
+    return ((times - first) * unit + offset).astype(np.float32)
