@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata
 import os
 import platform
@@ -12,7 +11,7 @@ from aero_planner.check_report import Check, CheckReport
 from aero_viz.browser import find_chromium
 from aero_viz.errors import UserError
 
-_PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "open3d", "rosbags", "mcap", "trimesh", "tyro")
+_PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "rosbags", "mcap", "trimesh", "tyro")
 
 
 def examine() -> CheckReport:
@@ -23,7 +22,6 @@ def examine() -> CheckReport:
         Check("system", f"{platform.platform()}, {os.cpu_count()} cores"),
         *map(_check_package, _PACKAGES),
         *_check_devices(),
-        _check_open3d(),
         _check_package("playwright", needed_for="snapshots and browser tests"),
         _check_browser(),
     ]
@@ -70,19 +68,6 @@ def _check_device(device: str) -> Check:
         advice = "Delete Warp's kernel cache (python -c 'import warp; warp.clear_kernel_cache()') or update the driver."
         return Check(name, f"cannot plan: {error}", ok=False, required=device == "cpu", advice=advice)
     return Check(name, f"{wp.get_device(device).name}: plans in {plan.stage_ms['total']:.1f} ms")
-
-
-def _check_open3d() -> Check:
-    try:
-        importlib.import_module("open3d")
-    except Exception as error:  # a missing system library raises OSError
-        advice = (
-            "Needed only for PCD, PLY, XYZ and PTS maps. Install the system libraries that Open3D needs "
-            "(Debian, Ubuntu: sudo apt-get install libgl1 libgomp1 libusb-1.0-0)."
-        )
-        finding = (str(error) or type(error).__name__).splitlines()[0]
-        return Check("open3d loads", finding, ok=False, required=False, advice=advice)
-    return Check("open3d loads", "yes")
 
 
 def _check_browser() -> Check:
