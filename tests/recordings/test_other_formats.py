@@ -1,6 +1,7 @@
 """Recordings that are not bags, written by the libraries that define their formats."""
 
 import base64
+import importlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -82,7 +83,7 @@ def write_timed(path: Path, points: np.ndarray, name: str, times: np.ndarray, as
         las[name] = times
         las.write(str(path))
         return
-    import open3d
+    open3d: Any = importlib.import_module("open3d")
 
     cloud = open3d.t.geometry.PointCloud(open3d.core.Tensor(points.astype("f4")))
     cloud.point[name] = open3d.core.Tensor(times.reshape(-1, 1))
@@ -297,7 +298,8 @@ def test_a_cloud_of_foxglove(tmp_path: Path):
 )
 def test_a_cloud_of_foxglove_in_json_with_a_pose(tmp_path: Path, orientation: dict[str, float] | None, expected):
     path, start = tmp_path / "json.mcap", 1_700_000_000
-    rows = np.rec.fromarrays([*WALL.T.astype("<f8"), np.arange(500, dtype="<u4") * 200_000], names="x,y,z,t")
+    kind = np.dtype([(axis, "<u4" if axis == "t" else "<f8") for axis in "xyzt"])
+    rows = np.rec.fromarrays([*WALL.T, 200_000 * np.arange(500)], kind)
     fields = [{"name": axis, "offset": 8 * i, "type": 5 if axis == "t" else 8} for i, axis in enumerate("xyzt")]
     pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, **({"orientation": orientation} if orientation else {})}
     with path.open("wb") as file:
