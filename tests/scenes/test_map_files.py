@@ -356,7 +356,7 @@ def test_a_mesh_that_is_cut_is_refused(tmp_path, name):
     content, path = as_bytes(MESHES[name]()), tmp_path / f"m.{name.split()[0]}"
     path.write_bytes(content)
     assert len(read_mesh(path)) == len(BOX.faces)
-    for length in np.linspace(0, len(content.rstrip()) - 6, 4).astype(int):
+    for length in (*np.linspace(0, len(content.rstrip()) - 6, 4).astype(int), content.rstrip().rfind(b"\n")):
         path.write_bytes(content[:length])
         with pytest.raises(UserError, match=path.name):
             read_mesh(path)
