@@ -1,7 +1,7 @@
 """Makes the recordings in this folder: `.venv/bin/python datasets/make.py`. The result is the same, byte for byte.
 
 Two flights of the simulated drone with a simulated Livox Mid-360, without noise of the state estimate. To keep the
-files small, one ray of 97, one pose of four and one plan of fifty are kept, coordinates are rounded to 1/16 m and
+files small, one ray of 89, one pose of four and one plan of twenty are kept, coordinates are rounded to 1/16 m and
 times to 1 ms, and the compression is strong.
 """
 
@@ -19,7 +19,7 @@ from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
 from aero_viz.scenes import scene
 
 FOLDER = Path(__file__).parent
-OPTIONS = SensorLogOptions(every=97, pose_every=4, resolution=1 / 16, time_resolution=1e-3, plan_period=1.0)
+OPTIONS = SensorLogOptions(every=89, pose_every=4, resolution=1 / 16, time_resolution=1e-3, plan_period=0.4)
 
 
 def main() -> None:
