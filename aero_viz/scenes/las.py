@@ -50,18 +50,20 @@ def read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
 
     _check_header(path)
     with laspy.open(path) as reader:
-        declared, units, present, parts = reader.header.point_count, _units(reader.header), 0, [np.zeros((0, 3))]
-        time = time_field(
-            {row.name: row.type_str() or "" for row in reader.header.point_format if row.num_elements == 1}
-        )
-        times = []
+        declared, units, present = reader.header.point_count, _units(reader.header), 0
+        time = time_field({row.name: row.type_str() or "" for row in reader.header.point_format})
+        parts, times = [np.zeros((0, 3))], []
         for chunk in reader.chunk_iterator(_CHUNK):
             present += len(chunk)
-            is_kept = ~(np.asarray(chunk.withheld, np.bool_) | np.isin(np.asarray(chunk.classification), _NOISE))
-            parts.append(np.array([chunk.x, chunk.y, chunk.z], dtype=np.float64).T[is_kept])
-            times += [] if time is None else [np.asarray(chunk[time])[is_kept]]
+            kept = np.flatnonzero(
+                ~(np.asarray(chunk.withheld, np.bool_) | np.isin(np.array(chunk.classification), _NOISE))
+            )
+            used: Any = chunk if len(kept) == len(chunk) else chunk[kept]
+            parts.append(np.column_stack([used.x, used.y, used.z]))
+            times += [] if time is None else [np.asarray(used[time])]
     check_count(declared, present)
-    points = np.vstack(parts) * (units.horizontal, units.horizontal, units.vertical)
+    points = np.concatenate(parts)
+    points *= (units.horizontal, units.horizontal, units.vertical)
     return points, np.concatenate(times) if times else None
 
 
