@@ -126,7 +126,8 @@ def test_a_real_time_priority_is_not_inherited():
 @pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this system does not weigh sessions")
 def test_the_process_weighs_less_than_this_session_and_leaves_its_weight():
     group, before = Path("/proc/self/autogroup"), Path("/proc/self/autogroup").read_text()
-    assert ReaderProcess()(Path.read_text, group).endswith("nice 10\n")
+    # Linux lets unprivileged users change ten weights per second, all together.
+    assert any(ReaderProcess()(Path.read_text, group).endswith("nice 10\n") for _ in range(20))
     kept = ReaderProcess(is_kept=True)
     assert kept(Path.read_text, group) == before == group.read_text()
     kept.close()

@@ -27,7 +27,7 @@ def test_the_own_page_and_a_program_get_the_scene(server: LocalServer, origin):
 
 def test_a_foreign_name_does_not_get_the_files_of_the_page(server: LocalServer):
     for host, status in ((None, 200), ("evil.example", 403)):
-        connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=20.0)
+        connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=60.0)
         connection.request("GET", "/", headers={"Host": host} if host else {})
         answer = connection.getresponse()
         assert answer.status == status

@@ -47,7 +47,7 @@ class WaitingSession(Session):
 
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
         self.is_asked.set()
-        assert self.may_configure.wait(30.0)
+        assert self.may_configure.wait(60.0)
         return super().configure(change)
 
 

@@ -25,7 +25,7 @@ def query(server: LocalServer, *, view_only: bool = False) -> str:
 
 
 def get(server: LocalServer, path: str, headers: dict[str, str] | None = None) -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=20.0)
+    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=60.0)
     connection.request("GET", path, headers=headers or {})
     answer = connection.getresponse()
     answer.read()

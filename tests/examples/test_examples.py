@@ -46,7 +46,7 @@ def test_the_page_of_an_example_is_served_until_enter(tmp_path: Path):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
-        with urllib.request.urlopen(address, timeout=20) as page:
+        with urllib.request.urlopen(address, timeout=60) as page:
             assert page.status == 200
         process.communicate("\n", timeout=60)
     assert process.returncode == 0

@@ -188,7 +188,7 @@ def test_a_node_starts_waits_and_ends(flight_file: Path, tmp_path: Path):
             if "waiting for states, points and a goal" in line:
                 process.send_signal(signal.SIGTERM)
         statistics = json.loads(process.stdout.read())
-        assert process.wait(30.0) == 0
+        assert process.wait(60.0) == 0
     text = "".join(lines)
     assert "viewers may connect to 127.0.0.1:" in text and "silent: the autopilot has the drone" in text
     assert statistics["state"] == "WAITING" and statistics["commands_sent"] == 0
@@ -228,7 +228,7 @@ def test_a_stalled_and_lost_terminal_does_not_prevent_the_end(flight_file: Path)
                 assert any("waiting for states, points and a goal" in line for line in lines)
             fill(writing)
             process.send_signal(signal.SIGHUP)
-            output, _ = process.communicate(timeout=30.0)
+            output, _ = process.communicate(timeout=60.0)
         finally:
             process.kill()
             os.close(reading)
@@ -265,7 +265,7 @@ def test_a_hanging_plan_does_not_prevent_the_end(flight_file: Path):
         assert process.stderr is not None and any("a plan hangs" in line for line in process.stderr)
         process.send_signal(signal.SIGTERM)
         try:
-            output, _ = process.communicate(timeout=30.0)
+            output, _ = process.communicate(timeout=60.0)
         finally:
             process.kill()
     assert process.returncode == 0 and json.loads(output)["state"] == "WAITING"

@@ -27,7 +27,7 @@ def slow() -> SlowCallback:
 def test_it_keeps_the_newest_items_and_never_delays_the_sender(slow: SlowCallback, capacity: int, expected, end):
     mailbox = Mailbox(slow, capacity=capacity, name="test")
     mailbox.put(0)
-    assert slow.started.wait(10.0)
+    assert slow.started.wait(60.0)
     for i in range(1, 100):
         mailbox.put(i)  # returns at once although the callback hangs
     slow.gate.set()
@@ -59,16 +59,16 @@ def test_finishing_delivers_waiting_items_and_closing_drops_them(slow: SlowCallb
     mailbox = Mailbox(slow, capacity=10, name="test", at_end=lambda: ends.append(len(slow.seen)))
     for i in range(4):
         assert mailbox.put(i)
-    assert slow.started.wait(10.0) and not mailbox.drain(0.01)
+    assert slow.started.wait(60.0) and not mailbox.drain(0.01)
     assert not mailbox.close(0.01) and mailbox.dropped == 3
     assert not mailbox.put(4) and mailbox.dropped == 3
     slow.gate.set()
-    assert mailbox.close(10.0) and slow.seen == [0] and ends == [1]
+    assert mailbox.close(60.0) and slow.seen == [0] and ends == [1]
 
     mailbox = Mailbox(slow, capacity=10, name="test", at_end=lambda: ends.append(len(slow.seen)))
     for i in range(5, 8):
         mailbox.put(i)
-    assert mailbox.finish(10.0) and slow.seen == [0, 5, 6, 7] and ends == [1, 4] and mailbox.dropped == 0
+    assert mailbox.finish(60.0) and slow.seen == [0, 5, 6, 7] and ends == [1, 4] and mailbox.dropped == 0
 
 
 def test_items_arrive_in_order():
@@ -85,7 +85,7 @@ def test_close_without_timeout_waits_for_the_delivery_in_progress(slow: SlowCall
     mailbox = Mailbox(slow, capacity=3, name="test")
     for i in range(3):
         mailbox.put(i)
-    assert slow.started.wait(5.0) and not mailbox.drain(0.05)
+    assert slow.started.wait(60.0) and not mailbox.drain(0.05)
     mailbox.close(timeout=0.05)
     assert (slow.seen, mailbox.dropped) == ([], 2)
     mailbox.put(3)

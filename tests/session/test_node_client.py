@@ -430,5 +430,5 @@ def test_a_greeting_that_trickles_in_does_not_hold_up_the_connection():
         thread.start()
         with pytest.raises(UserError, match="sends no greeting"):
             NodeClient("127.0.0.1", server.getsockname()[1], timeout=0.5)
-        thread.join(timeout=30.0)
+        thread.join(timeout=60.0)
         assert not thread.is_alive(), "the connection was closed"

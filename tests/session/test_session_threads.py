@@ -26,7 +26,7 @@ class Gated(FlightSource):
 
     def advance(self, plan: Plan) -> None:
         self.inside.set()
-        assert self.go_on.wait(20.0)
+        assert self.go_on.wait(60.0)
         super().advance(plan)
 
     def close(self) -> None:
@@ -59,11 +59,11 @@ def test_a_command_from_another_thread_waits_for_the_end_of_the_tick(session: Se
     ticked: list[Frame] = []
     ticker = threading.Thread(target=lambda: ticked.append(session.tick()))
     ticker.start()
-    assert source.inside.wait(20.0)
+    assert source.inside.wait(60.0)
     moved = session.set_goal(GOAL)
     assert not moved.done() and session.frame is first
     source.go_on.set()
-    moved.result(timeout=20.0)
+    moved.result(timeout=60.0)
     ticker.join()
     assert [frame.index for frame in ticked] == [1]
     assert goal_of(ticked[0]) == goal_of(first)
@@ -74,7 +74,7 @@ def test_a_tick_runs_after_the_commands_given_before_it(session: Session, source
     session.tick()
     stepper = threading.Thread(target=session.step)
     stepper.start()
-    assert source.inside.wait(20.0)
+    assert source.inside.wait(60.0)
     session.set_goal(GOAL)
     threading.Timer(0.2, source.go_on.set).start()
     assert goal_of(session.tick()) == GOAL
@@ -90,7 +90,7 @@ def test_commands_from_a_page_do_not_disturb_a_loop_of_ticks():
 
         def page(session: Session = session, stop: threading.Event = stop) -> None:
             while not stop.wait(0.001):
-                session.set_samples(False).result(timeout=20.0)
+                session.set_samples(False).result(timeout=60.0)
 
         pages = [threading.Thread(target=page) for _ in range(2 * disturbed)]
         for thread in pages:
@@ -132,7 +132,7 @@ def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated):
     session.tick()
     ticker = threading.Thread(target=session.tick)
     ticker.start()
-    assert source.inside.wait(20.0)
+    assert source.inside.wait(60.0)
     closer = threading.Thread(target=session.close)
     closer.start()
     closer.join(0.2)
@@ -146,11 +146,11 @@ def test_a_session_is_closed_between_two_ticks(session: Session, source: Gated):
 def test_commands_given_while_a_started_session_closes_are_cancelled(session: Session, source: Gated):
     session.start(play=False)
     session.step()
-    assert source.inside.wait(20.0)  # the session's thread is busy
+    assert source.inside.wait(60.0)  # the session's thread is busy
     queued = session.step()
     closer = threading.Thread(target=session.close)
     closer.start()
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     while not session.step().cancelled():  # until `close` has begun
         assert time.monotonic() < deadline
     late = session.step()
@@ -158,6 +158,6 @@ def test_commands_given_while_a_started_session_closes_are_cancelled(session: Se
     source.go_on.set()
     for command in (queued, late):
         with pytest.raises(CancelledError):
-            command.result(timeout=20.0)
+            command.result(timeout=60.0)
     closer.join()
     assert source.closed.is_set()

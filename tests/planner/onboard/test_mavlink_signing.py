@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import select
 import socket
 import time
 
@@ -47,6 +48,8 @@ class Autopilot:
         self.socket.sendto(data, self.peer)
 
     def receive(self) -> list[str]:
+        """Return the names of all messages, once there are some."""
+        assert select.select([self.socket], [], [], 60.0)[0]
         names = []
         while True:
             try:

@@ -127,7 +127,7 @@ class StandingLink:
     def wait_for_commands(self) -> bool:
         self.count = 0
         self.many.clear()
-        return self.many.wait(20.0)
+        return self.many.wait(60.0)
 
     def close(self) -> None:
         pass

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-PATIENCE = 30.0
+PATIENCE = 60.0
 """Timeout for a busy machine [s]."""
 
 LOGGING = """

@@ -35,7 +35,7 @@ class Viewer:
 
     def __init__(self, port: int, *, buffer: int | None = None) -> None:
         self.socket = socket.socket()
-        self.socket.settimeout(20.0)
+        self.socket.settimeout(60.0)
         if buffer is not None:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
         self.socket.connect(("127.0.0.1", port))
