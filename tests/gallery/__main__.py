@@ -125,7 +125,7 @@ def main() -> int:
     write_page(options.folder, [name for name in VIEWS if (options.folder / f"{name}.png").exists()])
     if options.readme:
         picture = Image.open(options.folder / f"{names[0]}.png").convert("RGB")
-        picture.resize((1120, 1120 * picture.height // picture.width)).save(README, quality=32, method=6)
+        picture.resize((1120, 1120 * picture.height // picture.width)).save(README, quality=40, method=6)
     return 0
 
 

@@ -1,6 +1,7 @@
 """Every problem with a file is reported in one sentence."""
 
 import bags
+import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
 
@@ -39,8 +40,11 @@ def test_unknown_formats_list_the_supported_ones(tmp_path):
         inspect(tmp_path / "c.bag")
 
 
-def test_metadata_that_names_a_missing_file(tmp_path):
+def test_damaged_metadata(tmp_path):
     path = bags.write_ros2(tmp_path / "bag", bags.drive(2), "mcap")
+    (path / "metadata.yaml").write_text("{nonsense: [")
+    with pytest.raises(UserError, match=r"metadata.yaml is damaged"):
+        inspect(path)
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [gone.mcap]}")
     with pytest.raises(UserError, match=r"lacks gone.mcap"):
         inspect(path)
@@ -100,3 +104,30 @@ def test_only_suitable_topics_are_suggested(mcap_of):
     bare = mcap_of([bags.text(0.5)])
     with pytest.raises(UserError, match=r"no points topic /points, nor any other$"):
         inspect(bare, points_topic="/points")
+
+
+@pytest.mark.parametrize("harm", ["cut", "flip"])
+@pytest.mark.parametrize("name", ["mcap-zstd", "mcap-plain", "mcap-unchunked", "db3", "rosbag1", "rosbag1-lz4"])
+def test_damaged_files_play_or_are_refused(tmp_path, name, harm):
+    path = bags.FORMATS[name](tmp_path, bags.drive(4))
+    whole, random = path.read_bytes(), np.random.default_rng(len(name))
+    outcomes = set()
+    for _ in range(40):
+        raw = bytearray(whole)
+        if harm == "cut":
+            raw = raw[: random.integers(0, len(raw))]
+        else:
+            for at in random.integers(0, len(raw), random.integers(1, 6)):
+                raw[at] = random.integers(0, 256)
+        path.write_bytes(raw)
+        try:
+            with open_recording(path) as recording:
+                assert np.isfinite(recording.sweep_times).all()
+                for k in range(len(recording.sweep_times)):
+                    assert np.isfinite(recording.sweep(k).points).all()
+            outcomes.add("played")
+        except UserError as error:
+            assert "\n" not in str(error)
+            outcomes.add("refused")
+    # A small compressed bag is a single chunk, of which damage may destroy everything.
+    assert "played" in outcomes or name in ("mcap-zstd", "rosbag1-lz4")

@@ -76,6 +76,17 @@ def test_mutants(tmp_path: Path, content: Any):
     check_loading(path)
 
 
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_damaged_text(tmp_path: Path, data: st.DataObject):
+    text = bytearray(json.dumps(VALID).encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
+    path = tmp_path / "w.json"
+    path.write_bytes(bytes(text[: data.draw(st.integers(0, len(text)))]))
+    check_loading(path)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
