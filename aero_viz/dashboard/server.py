@@ -44,6 +44,9 @@ _STYLE = "".join(
         ':root[data-mantine-color-scheme="dark"]{',
         *(f"--mantine-color-dark-{shade}:{palette.css(color)};" for shade, color in palette.PANEL.items()),
         "--mantine-color-body:var(--mantine-color-dark-7)!important}",
+        # Colours of curves are chosen for a dark ground.
+        ':root[data-mantine-color-scheme="light"] :is(.aero-curve,.aero-plot)'
+        f"{{background:{palette.css(palette.PANEL[6])}!important}}",
         # Room for the number 100000 beside a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # What is below the controls of time scrolls by itself, so that these stay in view.
@@ -241,7 +244,7 @@ class LocalServer(viser.ViserServer):
 
     def _style(self) -> None:
         self.gui.add_html(f"<style>{_STYLE}</style>")
-        self.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, brand_color=palette.BRAND)
+        configure_theme(self.gui)
         scene = self.scene
         scene.set_background_image(sky(256, 4), format="png")
         scene.configure_environment_map(None)
@@ -329,6 +332,11 @@ def notify(
     for number, target in server.get_clients().items():
         if client is None or number == client.client_id:
             target.add_notification(title, text, color=color, auto_close_seconds=seconds)
+
+
+def configure_theme(gui: viser.GuiApi, *, light: bool = False) -> None:
+    """Give the panels of all visitors, or of one, the look of the page."""
+    gui.configure_theme(dark_mode=not light, show_logo=False, show_share_button=False, brand_color=palette.BRAND)
 
 
 def _require_free(host: str, port: int) -> None:

@@ -6,11 +6,13 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
 from numpy.typing import ArrayLike
 from playwright.sync_api import Browser, Locator, Page
+from viser import CameraHandle
 
 from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
@@ -23,7 +25,7 @@ from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.scenes import SCENES, scene
 from aero_viz.session import Session
 from aero_viz.session.source import Conditions, Opener, Source
-from tests.browser.pictures import Image, differing, project
+from tests.browser.pictures import Image, differing, project, rollouts_drawn
 
 LEFT, RIGHT = 330, 355
 """Columns at either side of the page that panels cover [pixels]."""
@@ -39,6 +41,11 @@ class Desk:
     dashboard: Dashboard
     page: Page
     console: list[str] = field(default_factory=list)
+
+    @property
+    def camera(self) -> CameraHandle:
+        """Camera of the first visitor."""
+        return next(iter(self.dashboard.server.get_clients().values())).camera
 
     def wait_for(self, condition: Callable[[], bool], description: str) -> None:
         """Wait until `condition` holds."""
@@ -68,6 +75,23 @@ class Desk:
     def slider(self, path: str) -> Locator:
         """The slider below a parameter's number field."""
         return self.parameter(path).locator("xpath=../following-sibling::*[1]")
+
+    def enter(self, field: Locator, value: object) -> None:
+        """Replace what a field holds, and press Enter."""
+        field.fill(str(value))
+        field.press("Enter")
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of a dropdown."""
+        self.control(label).locator("input").first.click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def download(self, button: str, folder: Path) -> Path:
+        """Click a button and save the file that it offers."""
+        with self.page.expect_download() as download:
+            self.click(button)
+        download.value.save_as(path := folder / download.value.suggested_filename)
+        return path
 
     def open_tab(self, name: str) -> None:
         """Open a tab of the control panel."""
@@ -113,11 +137,10 @@ class Desk:
 
     def place_on_page(self, point: ArrayLike) -> tuple[float, float]:
         """Position of a point of the world on the page, from the left and from the top [pixels]."""
-        camera = next(iter(self.dashboard.server.get_clients().values())).camera
         canvas = self.page.locator("canvas").first.bounding_box()
         assert canvas is not None
         shape = (round(canvas["height"]), round(canvas["width"]))
-        row, column = project(np.atleast_2d(point), camera.position, camera.look_at, shape)[0]
+        row, column = project(np.atleast_2d(point), self.camera.position, self.camera.look_at, shape)[0]
         return canvas["x"] + float(column), canvas["y"] + float(row)
 
     def drag(self, start: tuple[float, float], by: tuple[float, float]) -> None:
@@ -131,15 +154,32 @@ class Desk:
             self.page.wait_for_timeout(60)
         mouse.up()
 
+    def wait_for_rollouts(self, position: ArrayLike, look_at: ArrayLike) -> None:
+        """Wait until all rollouts are drawn in their colours."""
+        plan = self.session.frame.plan  # type: ignore[union-attr]
+
+        def are_drawn() -> bool:
+            found = rollouts_drawn(self.render(position, look_at), plan, position, look_at)
+            return found.min() > 0.2  # the share of each rollout's vertices that have its colour
+
+        self.wait_for(are_drawn, "all rollouts in their colours")
+
     def render(self, position: ArrayLike, look_at: ArrayLike, *, width: int = 640, height: int = 600) -> Image:
         """Render the scene from `position`, shape [height, width, 4]; alpha is 0 where nothing is drawn."""
         assert self.dashboard.drain()
-        client = next(iter(self.dashboard.server.get_clients().values()))
         position, look_at = np.asarray(position, dtype=np.float64), np.asarray(look_at, dtype=np.float64)
         attitude = orientation(position, look_at)
-        return client.get_render(
+        return self.camera.client.get_render(
             height, width, wxyz=attitude, position=position, fov=FIELD_OF_VIEW, transport_format="png", timeout=TIMEOUT
         )
+
+
+def visit(browser: Browser, url: str, *, size: tuple[int, int] = (1000, 700)) -> Page:
+    """Open a page in a browser profile of its own, which closes with it."""
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(1e3 * TIMEOUT)
+    page.goto(url)
+    return page
 
 
 @contextlib.contextmanager

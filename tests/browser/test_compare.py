@@ -29,8 +29,7 @@ def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(brows
         desk.wait_for(lambda: pink(desk) > 20, "the rollouts of A")
         number = desk.parameter("vehicle.speed_limit").locator("input")
         desk.open_folder("Vehicle", "Speed limit [m/s]")
-        number.fill("2")
-        number.press("Enter")
+        desk.enter(number, "2")
         desk.wait_for(lambda: session.frame.config.vehicle.speed_limit == 2.0, "B")
         a, b = session.comparison.frame, session.frame
         assert a.time == b.time and a.config.vehicle.speed_limit != 2.0

@@ -24,11 +24,8 @@ def test_a_downloaded_file_restores_its_configuration_when_uploaded(fresh_desk, 
     saved = desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
     desk.open_tab("Tune")
     desk.open_folder("File", "Download YAML")
-    with desk.page.expect_download() as download:
-        desk.click("Download YAML")
-    path = tmp_path / download.value.suggested_filename
+    path = desk.download("Download YAML", tmp_path)
     assert path.name == "aero-planner.yaml"
-    download.value.save_as(path)
     assert path.read_text() == format_config(saved)
     assert load_config(path) == saved
 
@@ -49,10 +46,7 @@ def test_onboard_settings_survive_an_upload_and_a_download(fresh_desk, tmp_path)
     upload(desk, flight)
     desk.wait_for(lambda: desk.session.config.costs.q_track == 7.5, "the configuration of the file")
     desk.session.configure({"costs.q_track": 8.5})
-    with desk.page.expect_download() as download:
-        desk.click("Download YAML")
-    download.value.save_as(flight)
-    planner, onboard = load_flight_config(flight)
+    planner, onboard = load_flight_config(desk.download("Download YAML", tmp_path))
     assert planner.costs.q_track == 8.5 and onboard.thrust.hover_thrust == 0.42
 
 
@@ -71,8 +65,7 @@ def test_presets_and_resets_set_the_configuration_that_they_name(fresh_desk):
     desk.wait_for(lambda: desk.session.config == desk.known(DEFAULT), "the default")
 
     for name in ("fast-cpu", "paper", "default"):
-        preset.click()
-        desk.page.get_by_role("option", name=name, exact=True).click()
+        desk.choose("Preset", name)
         chosen = desk.known(PlannerConfig.preset(name))
         desk.wait_for(lambda: desk.session.config == chosen, name)  # noqa: B023
         desk.wait_for(lambda: preset.input_value() == name, f"{name} to be shown")  # noqa: B023
@@ -109,8 +102,7 @@ def test_applying_the_structure_form_rebuilds_the_planner(fresh_desk):
     desk.open_tab("Tune")
     desk.open_folder("Structure", "Samples K")
     number = desk.parameter("sampling.samples").locator("input")
-    number.fill("64")
-    number.press("Enter")
+    desk.enter(number, "64")
     desk.page.wait_for_timeout(300)
     assert desk.session.config.sampling.samples == 128, "a form acts when it is applied"
     desk.click("Apply")

@@ -47,10 +47,7 @@ def test_the_cursor_follows_the_time(desk):
 
 
 def test_the_saved_table_has_every_tick(desk, tmp_path):
-    with desk.page.expect_download() as download:
-        desk.click("Download CSV")
-    download.value.save_as(path := tmp_path / "flight.csv")
-    with path.open() as file:
+    with desk.download("Download CSV", tmp_path).open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 41
     assert {"time", "speed", "clearance", "cost", "plan_ms", "safe", "samples"} <= rows[0].keys()

@@ -28,8 +28,7 @@ def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_i
 
         desk.open_tab("Tune")
         preset = desk.control("Preset").locator("input").first
-        preset.click()
-        desk.page.get_by_role("option", name="default", exact=True).click()
+        desk.choose("Preset", "default")
         desk.wait_for(lambda: desk.session.config.candidates.prove_stop == "instead", "the default configuration")
         desk.click("Restart")
         desk.wait_for(lambda: desk.session.frame is not None and desk.session.frame.index == 0, "the start")
@@ -38,8 +37,7 @@ def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_i
         for seed in (1, 3):
             desk.open_tab("Fly")
             number = desk.control("Seed").locator("input")
-            number.fill(str(seed))
-            number.press("Enter")
+            desk.enter(number, seed)
             before = desk.session.source
             desk.click("Open")
             desk.wait_for(lambda: desk.session.source is not before, "another seed")  # noqa: B023
@@ -48,16 +46,12 @@ def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_i
         desk.open_tab("Tune")
         desk.open_folder("Save as a preset", "Save preset")
         name = desk.control("Name").locator("input")
-        name.fill("room")
-        name.press("Enter")
+        desk.enter(name, "room")
         desk.wait_for(lambda: preset.input_value() == "room", "the saved preset")
         assert list((tmp_path / "config").rglob("room.yaml"))
 
         desk.open_tab("Fly")
         desk.open_folder("Share", "Log")
-        with desk.page.expect_download() as download:
-            desk.click("Log")
-        path = tmp_path / download.value.suggested_filename
-        download.value.save_as(path)
+        path = desk.download("Log", tmp_path)
         assert path.suffix == ".mcap" and SCENE in path.name
         assert desk.console == []

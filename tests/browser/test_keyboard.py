@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from aero_viz.dashboard.panels.keys import rows
-from tests.browser.desk import Desk
+from tests.browser.desk import Desk, visit
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "flights.md"
 
@@ -20,10 +20,6 @@ def desk(fresh_desk: Desk) -> Desk:
     return fresh_desk
 
 
-def camera(desk: Desk):
-    return next(iter(desk.dashboard.server.get_clients().values())).camera
-
-
 def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(desk):
     before = desk.session.config.costs.q_track
     desk.session.configure({"costs.q_track": 8.0})
@@ -34,12 +30,12 @@ def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(desk):
 
 
 def test_arrows_step_without_turning_the_camera_and_the_space_bar_plays_and_presses_no_button(desk):
-    index, eye = desk.session.frame.index, camera(desk).position.copy()
+    index, eye = desk.session.frame.index, desk.camera.position.copy()
     desk.click("free")
     for key, moved in (("Shift+ArrowRight", 10), ("ArrowRight", 11), ("ArrowLeft", 10), ("Shift+ArrowLeft", 0)):
         desk.page.keyboard.press(key, delay=200)
         desk.wait_for(lambda moved=moved: desk.session.frame.index == index + moved, key)
-    assert camera(desk).position == pytest.approx(eye)
+    assert desk.camera.position == pytest.approx(eye)
     desk.click("+1")
     desk.wait_for(lambda: desk.session.frame.index == index + 1, "one tick")
     desk.page.keyboard.press("Space")
@@ -82,14 +78,12 @@ def test_the_list_has_every_key_and_so_have_the_docs(desk):
 
 
 def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_layers(desk, browser):
-    context = browser.new_context(viewport={"width": 1000, "height": 600})
-    second = context.new_page()
-    second.goto(desk.dashboard.url)
-    second.get_by_text("You look on; your camera").wait_for(timeout=90_000)
+    second = visit(browser, desk.dashboard.url)
+    second.get_by_text("You look on; your camera").wait_for()
     before = desk.session.frame
     second.mouse.click(500, 200)
     second.keyboard.press("ArrowRight")
-    second.locator(".mantine-Notification-root", has_text="You look on").wait_for(timeout=90_000)
+    second.locator(".mantine-Notification-root", has_text="You look on").wait_for()
     first, other = (client.camera for client in desk.dashboard.server.get_clients().values())
     second.keyboard.press("2")
     desk.wait_for(lambda: other.position[2] > 2.0 * first.position[2], "the view from above")
@@ -98,4 +92,4 @@ def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_laye
     second.keyboard.press("o")
     desk.wait_for(lambda: layer.is_visible_to(numbers[1]), "the obstacles")
     assert not layer.is_visible_to(numbers[0]) and desk.session.frame is before
-    context.close()
+    second.close()

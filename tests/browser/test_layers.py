@@ -7,42 +7,12 @@ from numpy.typing import NDArray
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
 from tests.browser.desk import open_desk
-from tests.browser.pictures import count, differing, rollouts_drawn
-
-# Layer, one of its colours (None: any, for shaded surfaces), and the least number of pixels in it.
-DRAWN = [
-    ("rollouts", palette.CHOSEN, 60),
-    ("samples", None, 400),
-    ("guides", palette.GUIDE, 60),
-    ("anchors", palette.ANCHOR, 60),
-    ("cloud", None, 1000),
-    ("fine_cells", None, 1000),
-    ("coarse_cells", palette.GRID_SECTION, 100),
-    ("drone", None, 60),
-    ("trail", palette.TRAIL, 20),
-    ("obstacles", None, 3000),
-    ("ground", None, 5000),
-]
+from tests.browser.pictures import count, differing
 
 
 def behind(desk) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     position = np.asarray(desk.session.frame.observation.state.position)
     return np.add(position, (-3.0, -1.0, 2.5)), np.add(position, (1.5, 0.0, 0.0))
-
-
-@pytest.mark.parametrize(("name", "color", "least"), DRAWN, ids=[name for name, _, _ in DRAWN])
-def test_a_layer_is_drawn_only_while_it_is_visible(desk, name, color, least):
-    desk.session.set_samples(name == "samples").result()
-    desk.dashboard.show_only([name])
-
-    def drawn() -> int:
-        image = desk.render(*behind(desk))
-        return int((image[..., 3] > 128).sum()) if color is None else count(image, color)
-
-    # The page draws a change in one of its next pictures, which take long while it opens.
-    desk.wait_for(lambda: drawn() >= least, f"{least} pixels of {name}")
-    desk.dashboard.show_only([])
-    desk.wait_for(lambda: (desk.render(*behind(desk))[..., 3] == 0).all(), "an empty picture")
 
 
 def test_the_goal_is_drawn_at_the_goal(desk):
@@ -61,12 +31,7 @@ def test_all_fifteen_rollouts_are_drawn_in_their_colours(desk):
     assert len(plan.positions) == 15
     desk.dashboard.show_only(["rollouts"])
     position, look_at = behind(desk)
-
-    def are_drawn() -> bool:
-        found = rollouts_drawn(desk.render(position, look_at), plan, position, look_at)
-        return found.min() > 0.2  # the share of each rollout's vertices that have its colour
-
-    desk.wait_for(are_drawn, "all rollouts in their colours")
+    desk.wait_for_rollouts(position, look_at)
 
 
 # For the switches of the page: layer, colour (None: any change), and the least number of pixels in a screenshot.

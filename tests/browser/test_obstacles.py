@@ -98,8 +98,7 @@ def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_re
         ("Heading", 0, 45.0, lambda: np.degrees(box().yaw)),
     ):
         field = desk.control(label).locator("input").nth(column)
-        field.fill(str(value))
-        field.press("Enter")
+        desk.enter(field, value)
         desk.wait_for(lambda read=read, value=value: abs(read() - value) < 1e-3, f"{label} {value}")
     assert box().size == pytest.approx([1.0, 1.0, 2.5])
     desk.click("Remove")
@@ -114,8 +113,7 @@ def test_one_diameter_of_a_sphere_changes_all_and_a_size_that_cannot_be_is_refus
     field.press_sequentially("0.4", delay=150)
     desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.4] * 3), "a smaller sphere")
     desk.wait_for(lambda: values(desk, "Size") == pytest.approx([0.4] * 3), "the other sizes")
-    field.fill("-3")
-    field.press("Enter")
+    desk.enter(field, "-3")
     refusal = desk.refusal("radius = -1.5")
     refusal.wait_for()
     desk.dismiss(refusal)
@@ -200,10 +198,7 @@ def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world
 
 def test_the_saved_world_opens_again_with_what_was_added(desk, tmp_path):
     throw(desk)
-    with desk.page.expect_download() as download:
-        desk.click("Save world")
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
+    path = desk.download("Save world", tmp_path)
     assert path.suffix == ".json"
     source = open_source(str(path), seed=0)
     world, saved = source.info.world, world_of(desk)

@@ -23,11 +23,6 @@ def tune(browser, tmp_path, monkeypatch):
         assert desk.console == [] and desk.dashboard.failures == 0
 
 
-def choose(desk: Desk, label: str, option: str) -> None:
-    desk.control(label).locator("input").first.click()
-    desk.page.get_by_role("option", name=option, exact=True).click()
-
-
 def is_shown(desk: Desk, path: str) -> bool:
     return desk.parameter(path).count() > 0 and desk.parameter(path).is_visible()
 
@@ -35,9 +30,9 @@ def is_shown(desk: Desk, path: str) -> bool:
 def test_a_search_and_two_levels_narrow_the_parameters(tune):
     desk = tune
     assert is_shown(desk, "costs.q_position") and not is_shown(desk, "costs.soft_speed")
-    choose(desk, "Show", "expert")
+    desk.choose("Show", "expert")
     desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "every parameter")
-    choose(desk, "Show", "basic")
+    desk.choose("Show", "basic")
     desk.control("Search").locator("input").fill("full weight")
     desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "an expert parameter to be found by its words")
     assert not is_shown(desk, "costs.q_position")
@@ -52,8 +47,7 @@ def test_a_search_and_two_levels_narrow_the_parameters(tune):
 def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
     desk, session = tune, tune.session
     assert desk.page.locator(".aero-changed").count() == 0
-    desk.parameter("costs.q_track").locator("input").fill("7.5")
-    desk.parameter("costs.q_track").locator("input").press("Enter")
+    desk.enter(desk.parameter("costs.q_track").locator("input"), "7.5")
     session.configure({"costs.soft_speed": session.config.costs.soft_speed + 1.0})
     desk.wait_for(lambda: desk.page.locator(".aero-changed").count() == 2, "two marks, one on an expert parameter")
     row = desk.control("was 5.0")
@@ -75,15 +69,13 @@ def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
 def test_a_refused_value_says_why_in_place_and_the_old_one_stays(tune):
     desk = tune
     number = desk.parameter("costs.distance_min").locator("input")
-    number.fill("1.5")
-    number.press("Enter")
+    desk.enter(number, "1.5")
     reason = desk.page.get_by_text("Refused: costs.distance_min is 1.5")
     reason.wait_for()
     above, field = reason.bounding_box(), number.bounding_box()
     assert above["y"] < field["y"] < above["y"] + 120, "beside its field"
     desk.wait_for(lambda: float(number.input_value()) == PlannerConfig().costs.distance_min, "the old value")
-    number.fill("0.2")
-    number.press("Enter")
+    desk.enter(number, "0.2")
     desk.wait_for(lambda: desk.session.config.costs.distance_min == 0.2, "a valid value")
     reason.wait_for(state="detached")
 
@@ -110,20 +102,20 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser)
     with open_desk(browser, small_source(), ticks=2, size=(1280, 720), layers=["drone"]) as tomorrow:
         session: Any = tomorrow.session
         tomorrow.open_tab("Tune")
-        choose(tomorrow, "Preset", "narrow gap")
+        tomorrow.choose("Preset", "narrow gap")
         tomorrow.wait_for(lambda: session.config == tomorrow.known(saved), "its parameters")
         tomorrow.wait_for(lambda: tuple(session.frame.observation.goal.position) == tuple(goal), "its goal")
         (PresetStore().folder / "narrow gap.yaml").write_text("costs:\n  q_trak: 1\n")
-        choose(tomorrow, "Preset", "paper")
+        tomorrow.choose("Preset", "paper")
         tomorrow.wait_for(lambda: session.config == tomorrow.known(PlannerConfig.preset("paper")), "another preset")
-        choose(tomorrow, "Preset", "narrow gap")
+        tomorrow.choose("Preset", "narrow gap")
         tomorrow.refusal("narrow gap.yaml, line 2").wait_for()
         assert session.config == tomorrow.known(PlannerConfig.preset("paper"))
 
 
 def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):
     desk = tune
-    choose(desk, "Show", "expert")
+    desk.choose("Show", "expert")
     last = desk.page.get_by_role("button", name="Apply", exact=True)
     last.scroll_into_view_if_needed()
     assert last.bounding_box()["y"] < 720

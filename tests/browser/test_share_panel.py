@@ -13,15 +13,9 @@ def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(fresh_d
     desk.session.configure({"costs.q_track": 8.0})
     desk.session.step(3).result()
     desk.open_folder("Share", "Web page")
-    with desk.page.expect_download() as download:
-        desk.click("Web page")
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
+    path = desk.download("Web page", tmp_path)
     assert path.suffix == ".html" and "forest" in path.read_text()
-    with desk.page.expect_download() as download:
-        desk.click("Log")
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
+    path = desk.download("Log", tmp_path)
     assert path.read_bytes()[:5] == b"\x89MCAP"
     before = desk.session.frame.index
     desk.session.step(1).result()  # the session goes on
@@ -32,10 +26,7 @@ def test_the_picture_shows_the_scene_and_the_panels(fresh_desk, tmp_path):
     desk = fresh_desk
     desk.dashboard.show_only(["drone", "rollouts"])
     desk.open_folder("Share", "Picture")
-    with desk.page.expect_download() as download:
-        desk.click("Picture")
-    path = tmp_path / download.value.suggested_filename
-    download.value.save_as(path)
+    path = desk.download("Picture", tmp_path)
     image = iio.imread(path)
     height, width = image.shape[:2]
     assert path.suffix == ".png" and width >= 1280 and height >= 720

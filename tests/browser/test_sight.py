@@ -39,8 +39,7 @@ def test_the_chosen_rollout_is_seen_from_every_camera(room, camera):
 def test_an_obstacle_is_faint_from_one_side_and_solid_from_the_other(room):
     room.click("follow")
     faint = room.dashboard.layers["obstacles"].faint
-    client = next(iter(room.dashboard.server.get_clients().values()))
-    room.wait_for(lambda: client.camera.position[0] < -3.0 and faint.visible, "a faint pillar")
+    room.wait_for(lambda: room.camera.position[0] < -3.0 and faint.visible, "a faint pillar")
     room.page.wait_for_timeout(2000)  # until the page no longer moves the camera to its first view
     canvas = room.page.locator("canvas").first.bounding_box()
     room.drag((450.0, 600.0), (canvas["height"] / 2, 0.0))  # half a turn around the drone
@@ -49,6 +48,5 @@ def test_an_obstacle_is_faint_from_one_side_and_solid_from_the_other(room):
 
 def test_first_views_are_outside_of_walls_and_solids(room):
     room.click("side")
-    client = next(iter(room.dashboard.server.get_clients().values()))
-    room.wait_for(lambda: -4.9 < client.camera.position[1] < -1.5, "a camera on the drone's side of the wall")
-    assert ROOM.distance(np.asarray(client.camera.position)[None])[0] > 0.1
+    room.wait_for(lambda: -4.9 < room.camera.position[1] < -1.5, "a camera on the drone's side of the wall")
+    assert ROOM.distance(np.asarray(room.camera.position)[None])[0] > 0.1

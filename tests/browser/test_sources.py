@@ -12,13 +12,12 @@ from aero_planner import PlannerConfig
 from aero_viz.flight import fly
 from aero_viz.scenes import World, scene
 from tests.browser.desk import Desk, open_desk
-from tests.browser.pictures import differing, rollouts_drawn
+from tests.browser.pictures import differing
 
 
 def choose(desk: Desk, name: str) -> None:
     """Open a source on offer as a user does: unfold the list, choose an entry, press the button."""
-    desk.control("Scene").locator("input").first.click()
-    desk.page.get_by_role("option", name=name, exact=True).click()
+    desk.choose("Scene", name)
     desk.page.get_by_role("button", name="Open", exact=True).click()
 
 
@@ -42,8 +41,7 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     desk.wait_for(lambda: desk.session.frame.index == index + 1, "a tick in the room")
 
     field = desk.control("Seed").locator("input")
-    field.fill("3")
-    field.press("Enter")
+    desk.enter(field, "3")
     choose(desk, "forest")
     desk.wait_for(lambda: desk.session.frame.source.name == "forest-100-3", "another forest")
 
@@ -63,8 +61,7 @@ def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
     desk = fresh_desk
     desk.session.play()
     field = desk.control("Seed").locator("input")
-    field.fill("3")
-    field.press("Enter")
+    desk.enter(field, "3")
     choose(desk, "pillars")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
     desk.wait_for(lambda: desk.session.frame.outcome is not None, "the end of the flight")
@@ -137,12 +134,7 @@ def test_all_fifteen_rollouts_of_a_recording_are_drawn_in_their_colours(recordin
     middle = plan.positions[:, -1].mean(axis=0)
     away = (start - middle) / np.linalg.norm(start - middle)
     position, look_at = start + 3.0 * away + (0.0, 0.0, 2.0), start - 1.5 * away
-
-    def are_drawn() -> bool:
-        found = rollouts_drawn(recording.render(position, look_at), plan, position, look_at)
-        return found.min() > 0.2  # the share of each rollout's vertices that have its colour
-
-    recording.wait_for(are_drawn, "all rollouts in their colours")
+    recording.wait_for_rollouts(position, look_at)
 
 
 def test_a_recording_offers_only_the_layers_it_has_data_for(recording):
@@ -176,13 +168,11 @@ def test_enter_opens_a_path_and_the_list_shows_what_is_open(fresh_desk, tmp_path
     World("a far goal", np.array([0.0, 0.0, 2.0]), np.array([30.0, 0.0, 2.0])).save(tmp_path / "far.json")
     field, shown = desk.control("Path").locator("input"), desk.control("Scene").locator("input").first
     assert shown.input_value() == "forest"
-    field.fill(str(tmp_path / "far.json"))
-    field.press("Enter")
+    desk.enter(field, tmp_path / "far.json")
     desk.wait_for(lambda: desk.session.frame.source.name == "a far goal", "the world")
     desk.wait_for(lambda: shown.input_value() == "far.json", "the list to show it")
     desk.page.get_by_text(str(tmp_path / "far.json")).first.wait_for()
-    field.fill("pilars")
-    field.press("Enter")
+    desk.enter(field, "pilars")
     desk.refusal("There is no file pilars").wait_for()
     assert shown.input_value() == "far.json"
     before = desk.session.source
@@ -230,8 +220,7 @@ def test_a_scene_is_opened_with_the_obstacles_lidar_noise_and_wind_of_the_page(f
     obstacles = desk.control("Obstacles").locator("input")
     assert obstacles.input_value() == "100", "the forest's own"
     type_number(desk, "Obstacles", "40")
-    desk.control("LiDAR").locator("input").first.click()
-    desk.page.get_by_role("option", name="spinning64", exact=True).click()
+    desk.choose("LiDAR", "spinning64")
     desk.open_folder("Noise and wind", "Gust speed w [m/s]")
     type_number(desk, "Position error [m]", "0.05")
     type_number(desk, "Gust speed w [m/s]", "2")

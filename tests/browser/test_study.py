@@ -16,7 +16,7 @@ from aero_viz.evaluation.tune import FlightOptions, ParameterRange, SearchOption
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
-from tests.browser.desk import TIMEOUT, open_desk
+from tests.browser.desk import TIMEOUT, open_desk, visit
 
 
 def world() -> World:
@@ -84,10 +84,7 @@ def test_tune_serves_the_page_while_it_flies(browser, tmp_path: Path) -> None:
         assert process.stdout and process.stderr
         address = re.search(r"AERO-Viz shows poles.json at (\S+)", process.stderr.readline())
         assert address
-        context = browser.new_context(viewport={"width": 1000, "height": 900})
-        context.set_default_timeout(1e3 * TIMEOUT)
-        page = context.new_page()
-        page.goto(address[1])
+        page = visit(browser, address[1], size=(1000, 900))
         page.get_by_role("tab", name="Study").click()
 
         def count() -> int:
@@ -105,6 +102,6 @@ def test_tune_serves_the_page_while_it_flies(browser, tmp_path: Path) -> None:
         assert count() > first
         process.send_signal(signal.SIGINT)
         assert process.wait(TIMEOUT) == 130
-        context.close()
+        page.close()
     finally:
         process.kill()

@@ -12,7 +12,7 @@ from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.tour import Director, Stop, Tour
 from aero_viz.errors import UserError
 from aero_viz.session import Session
-from tests.browser.desk import TIMEOUT
+from tests.browser.desk import TIMEOUT, visit
 
 STOPS = (
     Stop("broken", ("Never shown.",)),
@@ -38,10 +38,7 @@ def test_the_tour_loops_skips_what_fails_and_survives_a_closed_browser(browser):
     thread.start()
     try:
         for _ in range(2):  # closed, and opened again
-            context = browser.new_context(viewport={"width": 480, "height": 300})
-            page = context.new_page()
-            page.set_default_timeout(1e3 * TIMEOUT)
-            page.goto(dashboard.url)
+            page = visit(browser, dashboard.url, size=(480, 300))
             page.locator("#aero-caption-text", has_text=".").wait_for()
             seen = tour.shown
             first = iio.imread(io.BytesIO(page.screenshot()))
@@ -50,7 +47,7 @@ def test_the_tour_loops_skips_what_fails_and_survives_a_closed_browser(browser):
             second = iio.imread(io.BytesIO(page.screenshot()))
             assert first.std() > 4.0 and (np.abs(first.astype(int) - second).max(axis=-1) > 30).sum() > 200
             assert not page.locator(".mantine-Paper-root").first.is_visible()
-            context.close()
+            page.close()
         while tour.shown < 4:
             assert thread.is_alive()
             shutdown.wait(0.1)

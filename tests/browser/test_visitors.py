@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.browser.desk import Desk, open_desk
+from tests.browser.desk import Desk, open_desk, visit
 from tests.browser.pictures import differing
 
 
@@ -22,14 +22,11 @@ def desk(browser: Browser) -> Iterator[Desk]:
 @pytest.fixture
 def second(desk: Desk, browser: Browser) -> Iterator[Page]:
     """Page of a second visitor."""
-    context = browser.new_context(viewport={"width": 1000, "height": 700})
-    context.set_default_timeout(90_000)
-    page = context.new_page()
-    page.goto(desk.dashboard.url)
+    page = visit(browser, desk.dashboard.url)
     desk.wait_for(lambda: desk.dashboard.server.visitors.count == 2, "the second visitor")
     page.get_by_text("You look on; your camera and layers are your own.").wait_for()
     yield page
-    context.close()
+    page.close()
     desk.wait_for(lambda: desk.dashboard.server.visitors.count == 1, "the second visitor to leave")
 
 

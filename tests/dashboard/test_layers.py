@@ -15,18 +15,10 @@ from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import cost_scale
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
 from aero_viz.dashboard.quadrotor import quadrotor
-from aero_viz.dashboard.server import LocalServer
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
-
-
-@pytest.fixture(scope="module")
-def server():
-    server = LocalServer(port=0)
-    yield server
-    server.stop()
 
 
 @pytest.fixture(scope="module")

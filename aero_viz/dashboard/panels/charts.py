@@ -222,7 +222,7 @@ def _mark(event: Event, span: tuple[float, float]) -> str:
 def _list(events: Sequence[Event], most: int = 6) -> str:
     """Return the last events, one per line."""
     lines = [
-        f'<div style="font-size:11px"><span style="color:{css(_EVENT_COLORS.get(event.kind, palette.MUTED))}">'
+        f'<div style="font-size:11px"><span style="color:{markup.ink(_EVENT_COLORS.get(event.kind, palette.MUTED))}">'
         f"{event.time:.2f} s</span> {markup.text(event.text)}</div>"
         for event in events[-most:]
     ]

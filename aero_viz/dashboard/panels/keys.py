@@ -45,6 +45,7 @@ KEYS: tuple[Key, ...] = (
         Key("layer", f"Layer: {name.replace('_', ' ')}", key, key, own=True, argument=name)
         for key, name in _LAYERS.items()
     ),
+    Key("theme", "Light or dark panels", "L", "L", own=True),
     Key("help", "Show this list", "?", "?", "shift", own=True),
 )
 LISTENER = """

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import viser
 
 from aero_viz.dashboard.folders import Folders
+from aero_viz.dashboard.panels.appearance import AppearancePanel
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
@@ -53,8 +54,9 @@ def build(
     gui.main_panel.dock_right()
     gui.main_panel.set_width(350)
     panels: list[Panel] = [VisitorPanel(page), playback := PlaybackPanel(page)]
-    camera = CameraPanel(page)
+    camera, appearance = CameraPanel(page), AppearancePanel(page)
     actions: dict[str, Action] = {
+        "theme": appearance.toggle,
         "play": lambda _: playback.toggle(),
         "step": lambda _, count: playback.step(count),
         "camera": camera.select,
@@ -105,4 +107,4 @@ def build(
     with status.add_tab("Legend", viser.Icon.PALETTE):
         state.create_details(gui)
     status.float(x=15, y=-15, width=310)
-    return camera, [*panels, camera, ShortcutPanel(page, actions)]
+    return camera, [*panels, camera, appearance, ShortcutPanel(page, actions)]

@@ -17,6 +17,11 @@ def text(value: object) -> str:
     return html.escape(str(value))
 
 
+def ink(color: Rgb) -> str:
+    """Return a colour for text as CSS: darker on light panels, lighter on dark ones."""
+    return f"color-mix(in srgb,{css(color)} 60%,currentColor)"
+
+
 def block(*parts: str) -> str:
     """Return the parts stacked vertically; empty ones are left out."""
     rows = "".join(f'<div style="margin-bottom:9px">{part}</div>' for part in parts if part)
@@ -27,7 +32,7 @@ def pill(label: str, color: Rgb) -> str:
     """Return a short text on a coloured background."""
     return (
         f'<span style="display:inline-block;padding:1px 9px;border-radius:9px;font-weight:600;margin-right:6px;'
-        f'color:{css(color)};background:{css(color, 0.16)}">{text(label)}</span>'
+        f'color:{ink(color)};background:{css(color, 0.16)}">{text(label)}</span>'
     )
 
 
@@ -79,7 +84,7 @@ def bars(values: Sequence[Bar]) -> str:
     columns = "".join(
         f'<div title="{text(bar.tooltip)}" style="flex:1;height:{max(4.0, 100.0 * bar.height):.0f}%;'
         f"background:{css(bar.color)};border-radius:2px 2px 0 0"
-        f'{";outline:1px solid #fff" if bar.is_marked else ""}"></div>'
+        f'{";outline:1px solid currentColor" if bar.is_marked else ""}"></div>'
         for bar in values
     )
     return f'<div style="display:flex;align-items:flex-end;gap:2px;height:42px;margin-top:4px">{columns}</div>'

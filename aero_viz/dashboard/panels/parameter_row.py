@@ -61,7 +61,7 @@ class ParameterRow:
     def show(self, value: Value, preset: Value, *, visible: bool) -> list[Change]:
         """Return the changes that show the value and how it differs from the preset."""
         differs = value != preset
-        refusal = f'<div style="color:{palette.css(palette.BAD)};font-size:11px;padding:2px 12px">{{}}</div>'
+        refusal = f'<div style="color:{markup.ink(palette.BAD)};font-size:11px;padding:2px 12px">{{}}</div>'
         content = refusal.format(markup.text(self._refusal)) if self._refusal else ""
         if differs:
             content += f'<i class="{CHANGED_CLASS}"></i>'

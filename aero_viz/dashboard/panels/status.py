@@ -66,7 +66,7 @@ class StatusPanel(Panel):
             pills.append(markup.muted(delay))
         sentences = (*frame.source.notices, *([frame.explanation] if frame.explanation else []))
         notices = "".join(
-            f'<div style="color:{palette.css(palette.WARNING)};margin-top:3px">{markup.text(sentence)}</div>'
+            f'<div style="color:{markup.ink(palette.WARNING)};margin-top:3px">{markup.text(sentence)}</div>'
             for sentence in sentences
         )
         name = f"<b>{markup.text(frame.source.name)}</b> {markup.muted(f'{frame.time:.2f} s')}"
