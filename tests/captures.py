@@ -73,8 +73,10 @@ def laser_scan(seconds: float) -> bags.Item:
     return bags.Item("/scan", "sensor_msgs/msg/LaserScan", stamp, build)
 
 
-def write_ulog(path: Path, rows: int, *, utc: float | None) -> Path:
-    """Write a ULog: north at 2 m/s at a height of 3 m, heading east, 50 Hz."""
+def write_ulog(
+    path: Path, rows: int, *, utc: float | None, parameters: dict[str, float] | None = None, hover: float = 0.0
+) -> Path:
+    """Write a ULog: north at 2 m/s at a height of 3 m, heading east, 50 Hz, with parameters and hover thrust."""
 
     def message(kind: bytes, body: bytes) -> bytes:
         return struct.pack("<H", len(body)) + kind + body
@@ -85,15 +87,21 @@ def write_ulog(path: Path, rows: int, *, utc: float | None) -> Path:
         b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;float vx;float vy;float vz;",
         b"vehicle_attitude:uint64_t timestamp;float[4] q;",
         b"sensor_gps:uint64_t timestamp;uint64_t time_utc_usec;",
+        b"hover_thrust_estimate:uint64_t timestamp;float hover_thrust;",
     ]
     data += b"".join(message(b"F", text) for text in formats)
-    for number, name in enumerate([b"vehicle_local_position", b"vehicle_attitude", b"sensor_gps"]):
+    for name, value in (parameters or {}).items():
+        key = f"float {name}".encode()
+        data += message(b"P", struct.pack("<B", len(key)) + key + struct.pack("<f", value))
+    for number, name in enumerate(text.split(b":")[0] for text in formats):
         data += message(b"A", struct.pack("<BH", 0, number) + name)
     half = np.sqrt(0.5)
     for i in range(rows):
         time = 5_000_000 + 20_000 * i
         place = struct.pack("<HQ6f", 0, time, 0.04 * i, 0.0, -3.0, 2.0, 0.0, 0.0)
         data += message(b"D", struct.pack("<HQ4f", 1, time, half, 0.0, 0.0, half)) + message(b"D", place)
+        if hover:
+            data += message(b"D", struct.pack("<HQf", 3, time, hover))
         if utc is not None:
             data += message(b"D", struct.pack("<HQQ", 2, time, round(1e6 * (utc + 1e-6 * time))))
     path.write_bytes(data)

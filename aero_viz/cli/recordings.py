@@ -18,12 +18,17 @@ def inspect(file: FileName, *, recording_flags: Inline[RecordingFlags] = _RECORD
     """Show what a recording contains and which parts can be played.
 
     Args:
-        file: ROS bag, MCAP file, folder or file of clouds, or capture of packets.
+        file: ROS bag, MCAP file, folder or file of clouds, or capture of packets; or a log of PX4 (ULog), whose
+            parameters and hover thrust are checked.
         recording_flags: The recording.
         json: Print one JSON object.
     """
     from aero_viz.recordings import inspect as inspect_recording
+    from aero_viz.recordings.px4_check import check_px4_log, is_px4_log
 
+    if is_px4_log(Path(file)):
+        print_report(check_px4_log(Path(file)), as_json=json)
+        return
     print_report(inspect_recording(file, **recording_flags.options()), as_json=json)
 
 

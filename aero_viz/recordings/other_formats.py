@@ -90,7 +90,9 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
     if start.startswith(_PCAPNG):
         raise UserError(f"{path} is a pcapng capture: convert it with `editcap -F pcap {path.name} OUT.pcap`.")
     if start.startswith(_ULOG):
-        raise UserError(f"{path} is a log of PX4, which has no clouds: play a recording with --poses {path}.")
+        raise UserError(
+            f"{path} is a log of PX4, which has no clouds: `aero-viz inspect` checks it, and --poses plays it."
+        )
     if start[8:11] == _OSF:
         return "osf", _ouster_clouds(path, is_osf=True)
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)

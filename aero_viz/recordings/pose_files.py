@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from array import array
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +25,7 @@ from aero_viz.recordings.transforms import IDENTITY
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
 
-_ULOG_MAGIC = b"ULog\x01\x12\x35"
+ULOG_MAGIC = b"ULog\x01\x12\x35"
 _LINE_MAX = 4096  # [bytes]
 _NUMBERS_MAX = 1 << 26
 _LARGEST = 1e19
@@ -63,7 +65,7 @@ def read_pose_file(path: Path) -> PoseTable:
     try:
         with open_user_file(path) as file:
             size = os.fstat(file.fileno()).st_size
-            is_ulog = file.read(len(_ULOG_MAGIC)) == _ULOG_MAGIC
+            is_ulog = file.read(len(ULOG_MAGIC)) == ULOG_MAGIC
             file.seek(0)
             table = np.zeros((0, 0)) if is_ulog else _read_table(path, file)
     except OSError as error:
@@ -116,15 +118,31 @@ def _read_table(path: Path, file: BinaryIO) -> NDArray[np.float64]:
     return np.frombuffer(numbers, np.float64).reshape(-1, width)
 
 
-def _read_ulog(path: Path) -> PoseTable:
-    """Return position, attitude and velocity of a PX4 log, moved from NED and FRD to ENU and FLU."""
+def load_ulog(path: Path, topics: list[str]) -> Any:
+    """Return a log of PX4 with the messages of some topics, as pyulog's ULog.
+
+    Raises:
+        UserError: it cannot be read, or pyulog is not installed.
+    """
     try:
         from pyulog import ULog
     except ImportError as error:
         raise UserError(f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}") from error
-    try:
-        log = ULog(str(path), ["vehicle_local_position", "vehicle_attitude", "vehicle_gps_position", "sensor_gps"])
+    with _damage_reported(path):
+        return ULog(str(path), topics)
+
+
+def _read_ulog(path: Path) -> PoseTable:
+    """Return position, attitude and velocity of a PX4 log, moved from NED and FRD to ENU and FLU."""
+    log = load_ulog(path, ["vehicle_local_position", "vehicle_attitude", "vehicle_gps_position", "sensor_gps"])
+    with _damage_reported(path):
         return _ulog_poses(path, {entry.name: entry.data for entry in reversed(log.data_list)})
+
+
+@contextmanager
+def _damage_reported(path: Path) -> Iterator[None]:
+    try:
+        yield
     except UserError:
         raise
     except Exception as error:  # the parser fails in many ways on damaged logs

@@ -250,7 +250,7 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
     ("name", "content", "message"),
     [
         ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
-        ("flight.ulg", b"ULog\x01\x12\x35\x01" + bytes(8), "--poses"),
+        ("flight.ulg", b"ULog\x01\x12\x35\x01", "flight.ulg cannot be read"),
         ("odd.bin", bytes(17), "no rows of 16 or 20"),
         ("flight.zip", b"PK\3\4" + bytes(30), "unpack this archive"),
         ("flight.tar", bytes(257) + b"ustar" + bytes(250), "tar -xf"),
@@ -335,6 +335,18 @@ def test_the_state_of_px4_is_aligned_by_gps_time(tmp_path: Path, mcap_of: Callab
         np.testing.assert_allclose(np.abs(pose.quaternion), [1.0, 0.0, 0.0, 0.0], atol=1e-6)  # east is x
     with open_recording(path, poses=write_ulog(log, 200, utc=None)) as recording:
         assert any("is assumed" in problem for problem in recording.problems)
+
+
+def test_a_log_of_px4_is_checked_against_what_the_node_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = tmp_path / "flight.ulg"
+    for hover, fits in ((0.41, True), (0.62, False)):
+        write_ulog(path, 20, utc=None, parameters={"COM_OBL_RC_ACT": 3.0, "MPC_THR_HOVER": 0.4}, hover=hover)
+        checks = {check["name"]: check for check in run_json(capsys, "inspect", str(path))["checks"]}
+        assert f"{hover:.3f}" in checks["hover thrust"]["finding"] and checks["MPC_THR_HOVER"]["ok"] == fits
+        assert not checks["COM_OBL_RC_ACT"]["ok"] and "Set it to 5" in checks["COM_OBL_RC_ACT"]["advice"]
+    assert "not estimated" in run(capsys, "inspect", str(write_ulog(path, 20, utc=None)))[1]
+    with pytest.raises(UserError, match="--poses plays it"):
+        open_recording(path)
 
 
 @pytest.mark.parametrize(
