@@ -11,6 +11,11 @@ from pathlib import Path
 import pytest
 from command_line import run_refused
 from playwright.sync_api import Browser
+from small_source import small_config
+
+from aero_viz.flight import fly
+from aero_viz.logs import flight_recorder
+from aero_viz.scenes import World
 
 StartPython = Callable[..., subprocess.Popen[str]]
 
@@ -109,6 +114,27 @@ def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: s
     with browser.new_page() as page:
         page.goto(url)
         page.get_by_text("arrived at the goal").first.wait_for(timeout=180_000)
+    interrupt(process)
+
+
+def test_two_logs_are_compared_in_the_terminal_and_on_one_page(
+    start_python: StartPython, short_poles: str, browser: Browser, tmp_path: Path
+):
+    a, b = str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap")
+    for path, speed in ((a, 2.0), (b, 3.0)):
+        fly(World.load(short_poles), config=small_config(), speed=speed, recorder=flight_recorder(path))
+    process = start_python("-m", "aero_viz", "compare", a, b, "--page", "--port", "0")
+    printed = ""
+    while " at http" not in (line := read_line(process)):
+        assert process.poll() is None
+        printed += line
+    assert "vehicle.speed_limit" in printed and f"{b} with the ghost of {a}" in line
+    with browser.new_page() as page:
+        page.set_default_timeout(90_000)
+        page.goto(line.split(" at ")[-1].split()[0])
+        page.get_by_role("tab", name="Curves").click()
+        page.locator(".aero-ghost").first.wait_for(state="attached")
+        page.locator(".aero-differs").first.wait_for(state="attached")
     interrupt(process)
 
 
