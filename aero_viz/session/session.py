@@ -196,6 +196,7 @@ class Session(BaseSession):
 
         def command() -> None:
             self._engine.set_source(source, seed=seed)
+            self._worlds = WorldHistory()  # nothing of the one before can be undone, and meshes are large
             self._clock.restart(self._engine.next_time)
 
         future = self._post(command)

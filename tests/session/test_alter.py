@@ -1,6 +1,8 @@
 """Changes of the world during a flight: what the planner sees, time travel, and refusals."""
 
 import dataclasses
+import gc
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -119,6 +121,14 @@ def test_the_moves_of_a_drag_are_one_step_of_undo(session):
     assert len(session.frame.world.boxes) == 4
     session.undo()
     assert session.frame.world is before
+
+
+def test_a_replaced_source_takes_the_worlds_of_its_changes_with_it(session):
+    session.alter(with_wall).result()
+    before = weakref.ref(session.frame.world)
+    session.set_source(FlightSource(World("empty", np.array([0.0, 0.0, 2.0]), np.array([9.0, 0.0, 2.0])))).result()
+    gc.collect()
+    assert before() is None
 
 
 def test_the_drone_can_be_moved_and_flies_on_from_there(session):
