@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,8 @@ from aero_viz.recordings.transforms import IDENTITY
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
+
+T = TypeVar("T")
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"
 _LINE_MAX = 4096  # [bytes]
@@ -64,18 +65,13 @@ def read_pose_file(path: Path) -> PoseTable:
         return PoseTable("KITTI's oxts", *read_oxts(path))
     try:
         with open_user_file(path) as file:
-            size = os.fstat(file.fileno()).st_size
             is_ulog = file.read(len(ULOG_MAGIC)) == ULOG_MAGIC
             file.seek(0)
             table = np.zeros((0, 0)) if is_ulog else _read_table(path, file)
     except OSError as error:
         raise UserError(f"Cannot read the poses {path}: {error.strerror or error}.") from error
     if is_ulog:
-        process = ReaderProcess(Limits.for_file(size), is_kept=True)  # hostile logs take gigabytes
-        try:
-            return process(_read_ulog, path)
-        finally:
-            process.close()
+        return read_in_process(_read_ulog, path)
     finite = np.isfinite(table).all(axis=1)
     if not finite.all():
         raise UserError(f"{path} holds numbers that are not finite: see pose {int(np.argmin(finite)) + 1}.")
@@ -116,6 +112,23 @@ def _read_table(path: Path, file: BinaryIO) -> NDArray[np.float64]:
     if not numbers:
         raise UserError(f"{path} holds no poses: give TUM or KITTI text, or a ULog of PX4.")
     return np.frombuffer(numbers, np.float64).reshape(-1, width)
+
+
+def read_in_process(function: Callable[[Path], T], path: Path) -> T:
+    """Return what a function reads from a file, called in a process of its own: hostile logs take gigabytes.
+
+    Raises:
+        UserError: the file cannot be read within the limits; the text names it.
+    """
+    process = ReaderProcess(Limits.for_file(path.stat().st_size), is_kept=True)
+    try:
+        return process(function, path)
+    except UserError as error:
+        if str(path) in str(error):
+            raise
+        raise UserError(f"{path} cannot be read: {error}") from error
+    finally:
+        process.close()
 
 
 def load_ulog(path: Path, topics: list[str]) -> Any:

@@ -11,8 +11,7 @@ from aero_planner.onboard.px4_parameters import check_parameters
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
-from aero_viz.reader_process import Limits, ReaderProcess
-from aero_viz.recordings.pose_files import ULOG_MAGIC, load_ulog
+from aero_viz.recordings.pose_files import ULOG_MAGIC, load_ulog, read_in_process
 
 _HOVER_TOPIC = "hover_thrust_estimate"
 
@@ -34,11 +33,7 @@ def check_px4_log(path: Path) -> CheckReport:
     Raises:
         UserError: the log cannot be read.
     """
-    process = ReaderProcess(Limits.for_file(path.stat().st_size), is_kept=True)  # hostile logs take gigabytes
-    try:
-        parameters, hover = process(_read_values, path)
-    finally:
-        process.close()
+    parameters, hover = read_in_process(_read_values, path)
     onboard = OnboardConfig()
     if hover is None:
         advice = f"Log {_HOVER_TOPIC}, and hover for some seconds."

@@ -3,6 +3,7 @@
 import base64
 import importlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from aero_viz.errors import UserError
 from aero_viz.recordings import RecordingSource, open_recording
 from aero_viz.recordings.convert import convert
 from aero_viz.recordings.imu import read_imu
-from aero_viz.recordings.pose_files import read_pose_file
+from aero_viz.recordings.pose_files import read_in_process, read_pose_file
 from aero_viz.recordings.storage import open_storage
 
 pytest.importorskip("dpkt", reason="the extra 'formats' is not installed")
@@ -365,6 +366,12 @@ def test_texts_without_poses_are_refused(tmp_path: Path, text: str, message: str
     path.write_text(text)
     with pytest.raises(UserError, match=message):
         read_pose_file(path)
+
+
+def test_a_log_that_its_reader_fails_on_is_named(tmp_path: Path):
+    path = write_ulog(tmp_path / "flight.ulg", 2, utc=None)
+    with pytest.raises(UserError, match=r"flight\.ulg cannot be read: TypeError"):
+        read_in_process(os.abort, path)  # type: ignore[arg-type]
 
 
 def test_mounting_and_mask_are_applied(
