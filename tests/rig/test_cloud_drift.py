@@ -4,43 +4,21 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import warp as wp
-from numpy.typing import NDArray
 
 from aero_planner.onboard.cloud_drift import Drift, measure_drift
-from aero_planner.quaternions import quaternion_from_angles
 from aero_viz.catalog import load_world
 from aero_viz.scenes import World
-from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar import LIDARS, Lidar
+from tests.rig.hover import scan
 
 PLACE = np.array([0.0, 0.0, 2.0])
 SWEEPS = 10
 
 
-def drift_in(world: World, error: Callable[[int], tuple[float, ...]]) -> Drift | None:
+def drift_in(world: World, error: Callable[[int], tuple[float, float, float, float]]) -> Drift | None:
     """Return the drift between two half seconds of hover; `error` gives x, y [m], roll and pitch [deg] of a sweep."""
-    model = LIDARS["mid360"]
-    lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[0])
-    pose = pose_of(PLACE, 0.0, 0.0)
-    finished, sweeps = wp.zeros(1, dtype=int, device="cpu"), []
-    for k in range(SWEEPS):
-        x, y, roll, pitch = error(k)
-        estimated = pose_of(PLACE + np.array([x, y, 0.0]), roll, pitch)
-        lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, finished=finished,
-                   estimated_poses=estimated, estimated_poses_before=estimated)  # fmt: skip
-        points = lidar.points.numpy()[0]
-        sweeps.append(points[np.isfinite(points).all(axis=1)].copy())
+    sweeps = scan(world, PLACE, map(error, range(SWEEPS)))
     half = SWEEPS // 2
     return measure_drift(np.concatenate(sweeps[:half]), np.concatenate(sweeps[half:]), PLACE)
-
-
-def pose_of(position: NDArray[np.float64], roll: float, pitch: float) -> tuple[wp.array, wp.array]:
-    quaternion = tuple(quaternion_from_angles(roll, pitch, 0.0))
-    return (
-        wp.array([tuple(position)], dtype=wp.vec3, device="cpu"),
-        wp.array([quaternion], dtype=wp.vec4, device="cpu"),
-    )
 
 
 @pytest.fixture(scope="module")

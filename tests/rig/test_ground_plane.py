@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner.onboard.ground_plane import find_ground
-from aero_planner.quaternions import quaternion_from_angles
 from aero_viz.scenes import World
-from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar import LIDARS, Lidar
+from tests.rig.hover import scan
 
 GROUND = [0.0, 0.0, -1.0, 120.0, 120.0, 2.0, 0.0]  # its top is at 0
 TRUNKS = [[x, y, 0.0, 0, 0, 1, 0.3, 8.0] for x, y in ((4, 3), (-5, 2), (3, -6), (-2, -4), (8, 1), (-9, -7), (1, 9))]
@@ -20,45 +17,32 @@ def world(cylinders: list[list[float]], boxes: list[list[float]]) -> World:
     return World("ground", np.array([0.0, 0, 2]), np.array([5.0, 0, 2]), *parts)
 
 
-def scan(world: World, height: float, error: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float32]:
+def cloud(world: World, height: float, error: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float32]:
     """Return ten sweeps of a level drone above the origin, whose estimated roll and pitch are wrong [deg]."""
-    model = LIDARS["mid360"]
-    lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[0])
-    position = wp.array([(0.0, 0.0, height)], dtype=wp.vec3, device="cpu")
-    pose, estimated = (
-        (position, wp.array([tuple(quaternion_from_angles(*angles, 0.0))], dtype=wp.vec4, device="cpu"))
-        for angles in ((0.0, 0.0), error)
-    )
-    finished, sweeps = wp.zeros(1, dtype=int, device="cpu"), []
-    for k in range(10):
-        lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, finished=finished,
-                   estimated_poses=estimated, estimated_poses_before=estimated)  # fmt: skip
-        points = lidar.points.numpy()[0]
-        sweeps.append(points[np.isfinite(points).all(axis=1)].copy())
-    return np.concatenate(sweeps)
+    return np.concatenate(scan(world, np.array([0.0, 0.0, height]), [(0.0, 0.0, *error)] * 10))
 
 
 @pytest.mark.parametrize("height", [1.0, 2.0, 3.0])
 def test_the_ground_between_trunks_is_found(height: float):
-    found = find_ground(scan(world(TRUNKS, [GROUND]), height), np.array([0.0, 0.0, height]))
+    found = find_ground(cloud(world(TRUNKS, [GROUND]), height), np.array([0.0, 0.0, height]))
     assert found == pytest.approx(0.0, abs=0.03)
 
 
 def test_a_wrong_attitude_hardly_matters():
-    found = find_ground(scan(world(TRUNKS, [GROUND]), 2.0, (3.0, -2.0)), np.array([0.0, 0.0, 2.0]))
+    found = find_ground(cloud(world(TRUNKS, [GROUND]), 2.0, (3.0, -2.0)), np.array([0.0, 0.0, 2.0]))
     assert found == pytest.approx(0.0, abs=0.15)
 
 
 def test_trunks_alone_are_no_ground():
     """Their lowest visible points lie on a cone below the drone."""
     trunks = [[r * np.cos(a), r * np.sin(a), -5.0, 0, 0, 1, 0.3, 15.0] for a in np.linspace(0, 6, 24) for r in (4, 7)]
-    assert find_ground(scan(world(trunks, []), 2.0), np.array([0.0, 0.0, 2.0])) is None
+    assert find_ground(cloud(world(trunks, []), 2.0), np.array([0.0, 0.0, 2.0])) is None
 
 
 def test_ground_on_one_side_is_not_enough():
     """The drone hovers beside a terrace."""
     terrace = [30.0, 0.0, 0.0, 40.0, 120.0, 2.0, 0.0]
-    assert find_ground(scan(world([], [terrace]), 2.0), np.array([0.0, 0.0, 2.0])) is None
+    assert find_ground(cloud(world([], [terrace]), 2.0), np.array([0.0, 0.0, 2.0])) is None
 
 
 def test_no_points_are_no_ground():

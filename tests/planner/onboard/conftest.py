@@ -4,7 +4,7 @@ import pytest
 
 from aero_planner import Planner
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord
-from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, in_flight, poles
+from tests.planner.onboard.simulated import PLACES, SMALL, Clock, Simulation, in_flight, poles
 
 
 class Records(Observer):
@@ -16,6 +16,11 @@ class Records(Observer):
     def observe(self, item: Observation) -> None:
         if isinstance(item, PlanRecord):
             self.plans.append(item)
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
 
 
 @pytest.fixture(autouse=True)

@@ -31,6 +31,15 @@ PLACES = [(4.0, 0.1), (6.0, -1.6), (6.2, 1.8), (8.0, 0.2), (10.0, -1.4), (11.0, 
 """Positions of poles in the way from the origin to (18, 0) [m]."""
 
 
+class Clock:
+    """Host time set by the test [s]."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
 def poles(places: Sequence[tuple[float, float]], *, radius: float = 0.25, height: float = 5.0) -> NDArray[np.float32]:
     """Return points on the surface of vertical poles [m], shape [P, 3], world frame."""
     angle, z = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.arange(0.0, height, 0.08))

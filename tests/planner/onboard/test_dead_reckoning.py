@@ -11,21 +11,11 @@ from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.settings import BrakeSettings, ResponseSettings
 from aero_planner.onboard.stop_controller import StopController
 from aero_planner.quaternions import integrate_rates
+from tests.planner.reference import rotation
 
 VEHICLE = PlannerConfig().vehicle
 HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def matrix(q: np.ndarray) -> np.ndarray:
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def rk4(motion: MotionState, command: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -37,7 +27,7 @@ def rk4(motion: MotionState, command: np.ndarray, time: float) -> tuple[np.ndarr
         turn = 0.5 * np.array(
             [-x * p - y_ * q - z * r, w * p + y_ * r - z * q, w * q - x * r + z * p, w * r + x * q - y_ * p]
         )
-        lift = matrix(y[6:]) @ [0.0, 0.0, command[0]] / VEHICLE.mass - [0.0, 0.0, VEHICLE.gravity]
+        lift = rotation(y[6:]) @ [0.0, 0.0, command[0]] / VEHICLE.mass - [0.0, 0.0, VEHICLE.gravity]
         return np.concatenate([y[3:6], lift, turn])
 
     y, h = np.concatenate([motion.position, motion.velocity, motion.quaternion]), (time - motion.time) / 1000
@@ -81,7 +71,7 @@ def test_propagate_with_lags_matches_the_simulated_vehicle():
     p, v, q, u, h = motion.position, motion.velocity, motion.quaternion, HOVER, 1e-4
     lags = np.array([0.045, 0.07, 0.07, 0.07])
     for _ in range(2000):
-        lift = matrix(q) @ [0.0, 0.0, u[0]] / VEHICLE.mass - [0.0, 0.0, VEHICLE.gravity] - 0.3 * v
+        lift = rotation(q) @ [0.0, 0.0, u[0]] / VEHICLE.mass - [0.0, 0.0, VEHICLE.gravity] - 0.3 * v
         p, v, q, u = p + h * v, v + h * lift, integrate_rates(q, u[1:], h), u + h / lags * (command - u)
     moved = propagate(motion, command, 0.2, VEHICLE, response)
     assert moved.control is not None
@@ -144,7 +134,7 @@ def test_the_drone_comes_to_rest_from_any_attitude_and_holds(seed: int):
         motion = propagate(motion, command, 0.02 * (k + 1), VEHICLE)
     assert motion.speed < 0.05 and hold is not None
     assert np.linalg.norm(motion.position - hold) < 0.05
-    assert matrix(motion.quaternion)[2, 2] > 0.999
+    assert rotation(motion.quaternion)[2, 2] > 0.999
 
 
 def test_a_level_drone_at_six_metres_per_second_stops_within_five_metres():

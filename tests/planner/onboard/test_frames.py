@@ -7,18 +7,9 @@ import pytest
 
 from aero_planner import quaternions
 from aero_planner.onboard import frames
+from tests.planner.reference import rotation
 
 HALF = math.sqrt(0.5)
-
-
-def matrix(q):
-    """R(q) from the definition q v q*, column by column."""
-    w, u = q[0], np.asarray(q[1:])
-
-    def turned(v):
-        return (w * w - u @ u) * v + 2.0 * (u @ v) * u + 2.0 * w * np.cross(u, v)
-
-    return np.column_stack([turned(axis) for axis in np.eye(3)])
 
 
 def test_vectors_by_hand():
@@ -51,4 +42,4 @@ def test_attitude_conversion_is_a_change_of_basis_on_both_sides():
     turn = np.diag([1.0, -1.0, -1.0])
     for q in np.random.default_rng(0).normal(size=(20, 4)):
         q /= np.linalg.norm(q)
-        np.testing.assert_allclose(matrix(frames.attitude_from_ned(q)), turn @ matrix(q) @ turn, atol=1e-12)
+        np.testing.assert_allclose(rotation(frames.attitude_from_ned(q)), turn @ rotation(q) @ turn, atol=1e-12)

@@ -37,20 +37,6 @@ def by_hand(points_mm, tags, *, stamp=7_000_000_000, interval=4750, sequence=17,
     return bytes(packet)
 
 
-class Clock:
-    """Host time set by the test."""
-
-    now = 100.0
-
-    def __call__(self):
-        return self.now
-
-
-@pytest.fixture
-def clock():
-    return Clock()
-
-
 @pytest.fixture
 def source(clock):
     source = LivoxSource(0, host="127.0.0.1", clock=clock)

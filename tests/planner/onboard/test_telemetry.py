@@ -19,15 +19,9 @@ from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP, Telemetry, encode_plan
 from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader, encode
+from tests.planner.onboard.simulated import Clock
 
 CHANGE = StateChange(12.5, State.FLYING, State.BRAKING, Cause.CLOUD_STALE)
-
-
-class Clock:
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Viewer:
@@ -58,11 +52,6 @@ class Viewer:
             if message.kind == Kind.PLAN:
                 return message
         raise AssertionError("the connection has ended")
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
 
 
 @pytest.fixture

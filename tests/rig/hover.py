@@ -1,0 +1,36 @@
+"""Sweeps of a simulated Mid-360 on a drone that stands in the air, for tests of what the node sees in its clouds."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner.quaternions import quaternion_from_angles
+from aero_viz.scenes import World
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.sensors.lidar import LIDARS, Lidar
+
+
+def scan(
+    world: World, place: NDArray[np.float64], errors: Iterable[tuple[float, float, float, float]]
+) -> list[NDArray[np.float32]]:
+    """Return one sweep per error of the estimate, in x, y [m], roll and pitch [deg]; the drone is level at `place`."""
+    model = LIDARS["mid360"]
+    lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[0])
+    pose, finished, sweeps = _pose(place, 0.0, 0.0), wp.zeros(1, dtype=int, device="cpu"), []
+    for k, (x, y, roll, pitch) in enumerate(errors):
+        estimated = _pose(place + np.array([x, y, 0.0]), roll, pitch)
+        lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, finished=finished,
+                   estimated_poses=estimated, estimated_poses_before=estimated)  # fmt: skip
+        points = lidar.points.numpy()[0]
+        sweeps.append(points[np.isfinite(points).all(axis=1)].copy())
+    return sweeps
+
+
+def _pose(position: NDArray[np.float64], roll: float, pitch: float) -> tuple[wp.array, wp.array]:
+    quaternion = tuple(quaternion_from_angles(roll, pitch, 0.0))
+    return (
+        wp.array([tuple(position)], dtype=wp.vec3, device="cpu"),
+        wp.array([quaternion], dtype=wp.vec4, device="cpu"),
+    )
