@@ -10,7 +10,7 @@ from pathlib import Path
 
 import imageio.v3 as iio
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from playwright.sync_api import Browser, Locator, Page
 from viser import CameraHandle
 
@@ -135,6 +135,18 @@ class Desk:
         self.wait_for(is_settled, "a picture that no longer changes")
         return images[-1]
 
+    def settled(self, read: Callable[[], ArrayLike], description: str) -> NDArray[np.float64]:
+        """Return what `read` returns, once it is the same for a second."""
+        values = [np.asarray(read())]
+
+        def is_settled() -> bool:
+            self.page.wait_for_timeout(1000)
+            values.append(np.asarray(read()))
+            return np.array_equal(values[-1], values[-2])
+
+        self.wait_for(is_settled, description)
+        return values[-1]
+
     def place_on_page(self, point: ArrayLike) -> tuple[float, float]:
         """Position of a point of the world on the page, from the left and from the top [pixels]."""
         canvas = self.page.locator("canvas").first.bounding_box()
@@ -147,7 +159,9 @@ class Desk:
         """Press the mouse button at `start`, move the mouse in steps, and release the button."""
         mouse = self.page.mouse
         mouse.move(*start)
-        self.page.wait_for_timeout(300)  # the page looks for an object under the mouse once per picture
+        self.page.wait_for_timeout(300)
+        for _ in range(3):  # the page looks for an object under the mouse once per picture
+            self.page.evaluate("() => new Promise((drawn) => requestAnimationFrame(() => drawn(null)))")
         mouse.down()
         for share in np.linspace(0.0, 1.0, 9)[1:]:
             mouse.move(start[0] + share * by[0], start[1] + share * by[1])

@@ -185,8 +185,8 @@ def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world
     assert desk.session.playing
     desk.session.pause()
     desk.session.set_speed(1.0)
-    desk.page.wait_for_timeout(1000)  # the last move of the mouse
-    after, time = present(desk, "sphere").center, desk.session.frame.time
+    after = desk.settled(lambda: present(desk, "sphere").center, "the last move of the mouse")
+    time = desk.session.frame.time
     np.testing.assert_allclose(after[:2], before[:2], atol=1e-3)
     desk.session.seek(0.1).result()
     assert added(desk, "sphere") is None

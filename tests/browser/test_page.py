@@ -89,6 +89,7 @@ def test_the_step_pause_restart_and_time_controls_work(fresh_desk):
     desk.wait_for(lambda: desk.session.frame.index == index + 9, "one tick back")
     flown = desk.session.frame.plan.positions.copy()
     desk.click("+1")
+    desk.wait_for(lambda: desk.session.frame.index == index + 10, "one tick forward")
     desk.click("-1")
     desk.wait_for(lambda: desk.session.frame.index == index + 9, "the same tick again")
     np.testing.assert_array_equal(desk.session.frame.plan.positions, flown)

@@ -40,7 +40,7 @@ def test_an_obstacle_is_faint_from_one_side_and_solid_from_the_other(room):
     room.click("follow")
     faint = room.dashboard.layers["obstacles"].faint
     room.wait_for(lambda: room.camera.position[0] < -3.0 and faint.visible, "a faint pillar")
-    room.page.wait_for_timeout(2000)  # until the page no longer moves the camera to its first view
+    room.settled(lambda: room.camera.position, "the camera's first view")
     canvas = room.page.locator("canvas").first.bounding_box()
     room.drag((450.0, 600.0), (canvas["height"] / 2, 0.0))  # half a turn around the drone
     room.wait_for(lambda: not faint.visible, "a solid pillar, although time stands still")
