@@ -127,6 +127,8 @@ class Workspace:
     cell_keys: wp.array = array(wp.uint64, "W B F", "", "Range and index of the nearest point; all ones: none.")
     worker_dropped: wp.array = array(wp.int32, "W B", "", "Points that were not finite, counted by each worker.")
 
+    surfaces: wp.array = array(wp.vec2, "B 2 F", "m", "Nearest surface to continue: distance, horizontal, and height.")
+
     points_used: wp.array = array(wp.int32, "W B", "", "Points in each worker's part of the list.")
     cell_ends: wp.array = array(wp.int32, "B G", "", "Number of points, then begin, then end of each cell in the list.")
     pack_coordinates: wp.array = array(wp.float32, "B V 3 V0", "m", "Points of the list, world frame.")

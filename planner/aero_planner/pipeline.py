@@ -37,7 +37,6 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     many = tuning.for_batch(1024)
     return [
         (partition.scatter_points(tuning), 256),
-        (continuation.continue_surfaces(tuning), 256),
         (clearance.fill_rows(tuning), 256),
         (guides.make_guides(tuning), 32),
         (mppi.sample_rollouts(tuning), 32),
@@ -97,9 +96,10 @@ class Pipeline(LaunchSequence):
         return [
             self.side_branch("anchors", *self._place_anchors()),  # beside the scan of the cloud
             self._scan_points(),
-            self.serial("partition", self._finish_fine_cells()),
+            self.serial("partition", self._finish_fine_cells(), self.join),
+            self._find_surfaces(),
+            self.serial("partition", self._find_nearest_surfaces()),
             self._continue_surfaces(),
-            self.serial("partition", self.join),
             self.serial("grid", self.fork),  # until the first clearance query
             self._build_clearance_grid(),
             self.serial("guides", self.end_fork, self._make_guides()),
@@ -159,14 +159,39 @@ class Pipeline(LaunchSequence):
             outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
         )
 
-    def _continue_surfaces(self) -> list[Chunk]:
-        """Fill cells that the sensor does not see; every worker fills its share."""
-        i, o, w, sizes, width = self._inputs, self._outputs, self._work, self._sizes, self._tuning.cells_per_thread
+    def _find_surfaces(self) -> list[Chunk]:
+        """Find the surfaces to continue; every worker looks at its share of the cells."""
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
         return [
             self.serial("partition", self.record(
-                continuation.continue_surfaces(self._tuning),
-                (sizes.B, -(-sizes.F0 * -(-sizes.F1 // width) // sizes.W)),
-                inputs=[worker, sizes.W, i.position, i.quaternion, self._params, sizes.F1, w.fine_directions],
+                continuation.find_edges,
+                (sizes.B, -(-sizes.F // sizes.W)),
+                inputs=[
+                    worker, sizes.W, i.position, i.velocity, i.quaternion, w.control, self._params, w.fine_directions,
+                    o.occupied, o.filtered_points,
+                ],
+                outputs=[w.surfaces],
+            ))[0]
+            for worker in range(sizes.W)
+        ]  # fmt: skip
+
+    def _find_nearest_surfaces(self) -> Callable[[], Any]:
+        sizes = self._sizes
+        return self.record(
+            continuation.find_nearest_surfaces,
+            (sizes.B, 2, sizes.F1),
+            inputs=[self._params, sizes.F0, sizes.F1],
+            outputs=[self._work.surfaces],
+        )
+
+    def _continue_surfaces(self) -> list[Chunk]:
+        """Fill cells that the sensor does not see; every worker fills its share."""
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        return [
+            self.serial("partition", self.record(
+                continuation.continue_surfaces,
+                (sizes.B, -(-sizes.F // sizes.W)),
+                inputs=[worker, sizes.W, i.position, i.quaternion, self._params, w.fine_directions, w.surfaces],
                 outputs=[o.fine_range, o.occupied, o.filtered_points],
             ))[0]
             for worker in range(sizes.W)

@@ -9,7 +9,13 @@ from aero_viz.explain.evidence import Evidence, Replanner
 from aero_viz.session import Session
 
 OPEN_ABOVE = PlannerConfig().replace(
-    {"partition.continue_above": 0.0, "partition.continue_below": 2.0, "costs.height_max": 99.0}
+    {
+        "partition.continue_above": 0.0,
+        "partition.continue_below": 2.0,
+        "costs.height_max": 99.0,
+        "partition.view_age": 0.0,
+        "partition.continue_before": 1e3,
+    }
 )
 """A planner that takes what it does not see above for free, and hits ceilings."""
 

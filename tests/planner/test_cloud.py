@@ -44,7 +44,7 @@ def test_every_drone_of_a_batch_has_its_own_points(device: str):
 
 
 def test_the_next_plan_sees_overwritten_points(device: str):
-    planner = Planner(config_of(), device=device)
+    planner = Planner(config_of(partition__view_age=0.0), device=device)
     planner.reserve(2)
     state, goal = VehicleState([0, 0, 2], [0, 0, 0], [1, 0, 0, 0]), Goal([30, 0, 2])
     write_points(planner, [[5.0, 0, 2], [0, 4.0, 2]])

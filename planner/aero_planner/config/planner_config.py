@@ -105,6 +105,16 @@ class PartitionConfig(ParameterSection, section="partition"):
         "empty cells that the sensor does not see; 0 as in the paper.",
         label="Continuation above",
     )  # fmt: skip
+    continue_before: float = live(
+        1.0, "m", 0.0, 1e3, "Surfaces also continue in front of points that are farther by more than this: a point "
+        "that was seen from elsewhere does not prove that the way to it is free.",
+        label="Continuation before points",
+    )  # fmt: skip
+    view_age: float = live(
+        0.1, "s", 0.0, 1.0, "Time since the sensor has seen all of its field of view. The drone moves meanwhile, so "
+        "that surfaces near the edges of the field of view are continued as well; 0 as in the paper.",
+        label="Age of the view",
+    )  # fmt: skip
     fine_cells: int = structural(
         6, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg.",
         label="Fine cells per coarse cell", symbol="n",

@@ -7,7 +7,13 @@ from aero_viz.evaluation.bench.runner import run_benchmark
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.scenes import scene
 
-OPEN_ABOVE = {"partition.continue_above": 0.0, "partition.continue_below": 2.0, "costs.height_max": 99.0}
+OPEN_ABOVE = {
+    "partition.continue_above": 0.0,
+    "partition.continue_below": 2.0,
+    "costs.height_max": 99.0,
+    "partition.view_age": 0.0,
+    "partition.continue_before": 1e3,
+}
 
 
 def test_failures_are_explained_in_records_and_report(tmp_path):
