@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 
 from aero_viz.scenes import SCENES
-from tests.browser.desk import open_desk
+from tests.browser.desk import Desk, open_desk
 
 
-@pytest.fixture(scope="module")
-def small(browser):
-    """1280 x 720: a common laptop's screen, or a quarter of a large one."""
-    with open_desk(browser, ticks=30, size=(1280, 720), layers=["drone"]) as desk:
+@pytest.fixture(scope="module", params=[(1280, 720), (800, 1200)], ids=["laptop", "upright"])
+def small(request, browser):
+    """A common laptop's screen, and a screen that stands upright."""
+    with open_desk(browser, ticks=30, size=request.param, layers=["drone"]) as desk:
         desk.wait_for(lambda: "shorter is better" in desk.page.locator("body").inner_text(), "the planner's panel")
         yield desk
+
+
+def size(desk: Desk) -> dict[str, int]:
+    return desk.page.viewport_size  # type: ignore[return-value]
 
 
 def test_no_panel_covers_the_drone_or_the_chosen_rollout(small):
@@ -25,7 +29,7 @@ def test_no_panel_covers_the_drone_or_the_chosen_rollout(small):
 
 def test_the_status_takes_less_than_half_the_height(small):
     tab = small.page.get_by_role("tab", name="Planner").bounding_box()
-    assert tab["y"] > 360
+    assert tab["y"] > 0.5 * size(small)["height"]
     small.page.get_by_role("tab", name="Legend").click()
     small.page.get_by_text("partition", exact=True).first.wait_for()
     small.page.get_by_role("tab", name="Planner").click()
@@ -44,9 +48,9 @@ def test_no_label_is_cut_off_and_every_control_can_be_scrolled_to(small, tab):
     last = small.page.locator("label:visible").last
     last.scroll_into_view_if_needed()
     box = last.bounding_box()
-    assert box["y"] + box["height"] <= 720
-    assert box["x"] + box["width"] <= 1280
-    assert small.page.evaluate("document.documentElement.scrollWidth") <= 1280
+    assert box["y"] + box["height"] <= size(small)["height"]
+    assert box["x"] + box["width"] <= size(small)["width"]
+    assert small.page.evaluate("document.documentElement.scrollWidth") <= size(small)["width"]
 
 
 def test_every_scene_on_offer_has_a_name_that_fits_and_a_description(small):
