@@ -37,12 +37,13 @@ class Px4:
         self.requests = 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
-        self.socket.setblocking(False)
+        self.socket.settimeout(60.0)
         self.protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         url = f"udpout:127.0.0.1:{self.socket.getsockname()[1]}"
         self.link = open_link(OnboardConfig().replace({"mavlink.url": url}), VehicleConfig())
         self.link.poll()
         _, self.peer = self.socket.recvfrom(2048)
+        self.socket.setblocking(False)
         self.send(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, base_mode, 0, 4, 3))
         position = [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 6
         self.send(mavlink.MAVLink_odometry_message(1, 1, 1, *position[0], position[1], *position[2], NAN21, NAN21))
