@@ -23,6 +23,7 @@ from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.layers.drone import DroneLayer
 from aero_viz.dashboard.layers.goal import GoalLayer
+from aero_viz.dashboard.panels.appearance import AppearancePanel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
@@ -287,6 +288,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
     with closing(Dashboard(session, port=0)) as dashboard:
         offered = {type(panel) for panel in dashboard.panels}
         assert offered == {
+            AppearancePanel,
             PlaybackPanel,
             CameraPanel,
             ChartPanel,
