@@ -23,7 +23,7 @@ _SAME_SURFACE = wp.constant(0.1)
 """Difference in horizontal distance from one row to the next within a surface, which may lean [m]."""
 _READ_WIDTH = wp.constant(10)
 """Cells of a column that are read together, so that a GPU waits for memory once for all of them."""
-_Surfaces = wp.types.matrix(shape=(10, 2), dtype=wp.float32)
+_Surfaces = wp.types.matrix(shape=(_READ_WIDTH, 2), dtype=wp.float32)
 
 
 @wp.func
@@ -95,6 +95,12 @@ def find_edges(
     surfaces[b, 1, cell] = upper
 
 
+@wp.func
+def row_of_step(step: int, side: int, rows: int) -> int:
+    """Return the row at a step of the way down from the top (0) or up from the bottom (1)."""
+    return wp.where(side == 0, rows - 1 - step, step)
+
+
 @wp.kernel
 def find_nearest_surfaces(
     # configuration
@@ -115,18 +121,13 @@ def find_nearest_surfaces(
     read = _Surfaces()
     for first in range(0, rows, _READ_WIDTH):
         for j in range(_READ_WIDTH):
-            row = wp.min(first + j, rows - 1)
-            if side == 0:
-                row = rows - 1 - row
+            row = row_of_step(wp.min(first + j, rows - 1), side, rows)
             read[j] = surfaces[b, side, row * columns + column]
         for j in range(_READ_WIDTH):
             if first + j < rows:
                 if read[j, 0] < nearest[0] + _SAME_SURFACE:
                     nearest = wp.vec2(read[j, 0], read[j, 1])
-                row = first + j
-                if side == 0:
-                    row = rows - 1 - row
-                surfaces[b, side, row * columns + column] = nearest
+                surfaces[b, side, row_of_step(first + j, side, rows) * columns + column] = nearest
 
 
 @wp.kernel
