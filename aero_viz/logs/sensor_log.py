@@ -236,12 +236,12 @@ class _SensorLog:
 
 
 def _rounded(value: Any) -> Any:
-    """Return the content of a JSON file with numbers rounded to 1 mm, which takes a quarter of the space."""
+    """Return the content of a JSON file with numbers rounded to 0.1 mm, which takes a third of the space."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_rounded(item) for item in value]
-    return round(value, 3) if isinstance(value, float) else value
+    return round(value, 4) if isinstance(value, float) else value
 
 
 @cache
