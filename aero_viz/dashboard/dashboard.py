@@ -250,13 +250,13 @@ class Dashboard:
         if not clients:
             apply(self._camera.follow(frame))
             return
-        started = time.perf_counter()
+        started, computed_at = time.perf_counter(), time.time()
         changes = self.changes(frame)  # all of them, before the first message is queued
         with contextlib.ExitStack() as stack:
             for sender in (self.server, *clients):
                 stack.callback(sender.flush)
                 stack.enter_context(sender.atomic())
-            apply(changes)
+            apply(changes, computed_at=computed_at)
         ended = time.perf_counter()
         self.update_ms.append(1e3 * (ended - started))
         playing = self._session.playing

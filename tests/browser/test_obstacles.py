@@ -27,6 +27,7 @@ def desk(page):
     """The page 0.2 s into the flight, with the forest as it was."""
     page.session.seek(0.0).result()
     page.session.step(10).result()
+    page.page.get_by_text("Selected:").wait_for(state="hidden")  # by the test before
     return page
 
 

@@ -2,11 +2,13 @@
 
 import asyncio
 import threading
+import time
 
 import pytest
 import viser
 from websockets.exceptions import InvalidStatus
 
+from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.server import LocalServer
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
@@ -48,6 +50,18 @@ def test_no_attribute_of_a_control_but_its_value_can_be_set(server, client):
     wait_for(lambda: speed.value == 2.0, "the last message")
     play.label = "Still here"
     read_until(client, "Still here")
+
+
+def test_a_value_that_a_page_has_just_sent_is_not_overwritten_with_an_older_one(server, client):
+    height = server.gui.add_number("Height", 1.0)
+    computed_at = time.time()
+    time.sleep(0.01)
+    set_value(client, height, value=3.5)
+    wait_for(lambda: height.value == 3.5, "the message")
+    apply([(height, "value", 1.0), (height, "label", "Height [m]")], computed_at=computed_at)
+    assert (height.value, height.label) == (3.5, "Height [m]")
+    apply([(height, "value", 2.0)], computed_at=time.time())
+    assert height.value == 2.0
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -22,9 +23,17 @@ Change = tuple[Any, str, Any]
 """Handle, property, new value. All changes of an update are computed first and then assigned together."""
 
 
-def apply(changes: Iterable[Change]) -> None:
-    """Assign every change; viser sends only properties that differ. Handles of visitors who have left are skipped."""
+def apply(changes: Iterable[Change], *, computed_at: float = math.inf) -> None:
+    """Assign every change; viser sends only properties that differ. Handles of visitors who have left are skipped.
+
+    Args:
+        changes: the changes.
+        computed_at: when they were computed [s], `time.time`. An input that got another value since then keeps it:
+            somebody has just clicked or typed.
+    """
     for handle, name, value in changes:
+        if name == "value" and getattr(handle, "update_timestamp", 0.0) > computed_at:
+            continue
         try:
             setattr(handle, name, value)
         except RuntimeError:
