@@ -123,13 +123,17 @@ class Desk:
         return iio.imread(io.BytesIO(self.page.screenshot()))[:, LEFT:-RIGHT, :3]
 
     def settled_screenshot(self) -> Image:
-        """The same, once the page has drawn everything that was sent and no longer changes."""
-        self.render((0.0, 0.0, 5.0), (1.0, 0.0, 5.0), width=16, height=16)  # the page answers after all that was sent
-        images = [self.screenshot()]
+        """The same, once the page has drawn everything that was sent and an update no longer changes it."""
+
+        def updated() -> Image:
+            self.render((0.0, 0.0, 5.0), (1.0, 0.0, 5.0), width=16, height=16)  # the answer follows all that was sent
+            self.page.wait_for_timeout(200)
+            return self.screenshot()
+
+        images = [updated()]
 
         def is_settled() -> bool:
-            self.page.wait_for_timeout(200)
-            images.append(self.screenshot())
+            images.append(updated())
             return differing(images[-1], images[-2]) == 0
 
         self.wait_for(is_settled, "a picture that no longer changes")

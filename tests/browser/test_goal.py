@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator
 
+from aero_viz.dashboard.panels.base import Hold
 from tests.browser.desk import Desk, open_desk
 
 
@@ -25,13 +26,10 @@ def near(desk):
     desk.enter(x, "6")
     desk.wait_for(lambda: goal_of(desk).tolist() == [6.0, 0.0, 2.0], "the goal that was typed in")
     desk.page.mouse.move(600.0, 650.0)  # an arrow under the mouse would be yellow
+    desk.page.wait_for_timeout(1200 * Hold.SECONDS)  # after a drag, the arrows stay where they were dropped
+    desk.settled_screenshot()
     tip = desk.place_on_page(np.add(goal_of(desk), (0.0, 0.0, 1.8)))
-
-    def arrows_are_at_the_goal() -> bool:
-        desk.dashboard.refresh()  # for a moment after a drag, the page leaves the arrows where they were dropped
-        return abs(arrow_tip(desk) - tip[1]) < 25
-
-    desk.wait_for(arrows_are_at_the_goal, "the arrows")
+    desk.wait_for(lambda: abs(arrow_tip(desk) - tip[1]) < 25, "the arrows")
     return desk
 
 

@@ -30,8 +30,9 @@ def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(desk):
 
 
 def test_arrows_step_without_turning_the_camera_and_the_space_bar_plays_and_presses_no_button(desk):
-    index, eye = desk.session.frame.index, desk.camera.position.copy()
+    index = desk.session.frame.index
     desk.click("free")
+    eye = desk.settled(lambda: desk.camera.position, "the camera to stand still")
     for key, moved in (("Shift+ArrowRight", 10), ("ArrowRight", 11), ("ArrowLeft", 10), ("Shift+ArrowLeft", 0)):
         desk.page.keyboard.press(key, delay=200)
         desk.wait_for(lambda moved=moved: desk.session.frame.index == index + moved, key)

@@ -173,8 +173,7 @@ def test_an_obstacle_that_does_not_exist_yet_is_not_removed(desk):
 
 
 def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world(desk):
-    desk.page.get_by_role("button", name="sphere", exact=True).click()
-    desk.wait_for(lambda: added(desk, "sphere") is not None, "the sphere")
+    throw(desk)
     before, start = present(desk, "sphere").center, desk.session.frame.index
     desk.wait_for(lambda: magenta(desk) > 100, "the selection in the scene")
     desk.click("free")

@@ -29,13 +29,14 @@ def is_shown(desk: Desk, path: str) -> bool:
 
 def test_a_search_and_two_levels_narrow_the_parameters(tune):
     desk = tune
-    assert is_shown(desk, "costs.q_position") and not is_shown(desk, "costs.soft_speed")
+    desk.wait_for(lambda: is_shown(desk, "costs.q_position"), "the basic parameters")
+    desk.wait_for(lambda: not is_shown(desk, "costs.soft_speed"), "no expert ones")
     desk.choose("Show", "expert")
     desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "every parameter")
     desk.choose("Show", "basic")
     desk.control("Search").locator("input").fill("full weight")
+    desk.wait_for(lambda: not is_shown(desk, "costs.q_position"), "others to be hidden")
     desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "an expert parameter to be found by its words")
-    assert not is_shown(desk, "costs.q_position")
     desk.control("Search").locator("input").fill("q_p")
     desk.wait_for(lambda: is_shown(desk, "costs.q_position"), "a parameter to be found by its symbol")
     desk.control("Search").locator("input").fill("nonsense")

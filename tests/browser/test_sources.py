@@ -167,7 +167,7 @@ def test_enter_opens_a_path_and_the_list_shows_what_is_open(fresh_desk, tmp_path
     desk = fresh_desk
     World("a far goal", np.array([0.0, 0.0, 2.0]), np.array([30.0, 0.0, 2.0])).save(tmp_path / "far.json")
     field, shown = desk.control("Path").locator("input"), desk.control("Scene").locator("input").first
-    assert shown.input_value() == "forest"
+    desk.wait_for(lambda: shown.input_value() == "forest", "the list to show what is open at first")
     desk.enter(field, tmp_path / "far.json")
     desk.wait_for(lambda: desk.session.frame.source.name == "a far goal", "the world")
     desk.wait_for(lambda: shown.input_value() == "far.json", "the list to show it")
@@ -180,7 +180,8 @@ def test_enter_opens_a_path_and_the_list_shows_what_is_open(fresh_desk, tmp_path
     desk.wait_for(lambda: desk.session.source is not before, "the world again")
     choose(desk, "pillars")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
-    assert shown.input_value() == "pillars" and not desk.session.playing
+    desk.wait_for(lambda: shown.input_value() == "pillars", "the list to show it")
+    assert not desk.session.playing
     assert desk.console == [] and desk.dashboard.failures == 0
 
 
