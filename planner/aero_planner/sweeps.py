@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import weakref
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -66,10 +67,20 @@ class Sweeps:
         return sum(map(len, self._sweeps))
 
 
+_thinned: dict[int, tuple[weakref.ref[NDArray[np.float32]], NDArray[np.float32]]] = {}
+"""What is kept of each sweep that still exists, by its identity: a sweep grows old once but is joined many times."""
+
+
 def _thin(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the points that are kept of an older sweep, as `kernels.shells.thin_sweep` does."""
+    key = id(points)
+    known = _thinned.get(key)
+    if known is not None and known[0]() is points:
+        return known[1]
     digest = (points.view(np.uint32) * np.array(HASH_FACTORS, dtype=np.uint32)).sum(axis=1, dtype=np.uint32)
-    return points[(digest >> 16) % THINNING == 0]
+    kept = points[(digest >> 16) % THINNING == 0]
+    _thinned[key] = (weakref.ref(points, lambda _: _thinned.pop(key, None)), kept)
+    return kept
 
 
 def is_constant(points: object) -> bool:

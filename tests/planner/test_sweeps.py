@@ -76,6 +76,15 @@ def test_older_sweeps_are_thinned_as_in_the_joined_cloud(device: str, whole: int
     assert 0.1 < len(Sweeps(sweeps, whole=0).points) / sweeps.point_count < 0.3
 
 
+def test_a_sweep_in_the_memory_of_an_earlier_one_is_thinned_by_itself():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        sweeps = Sweeps([random_sweep(rng, np.zeros(3))], whole=0)
+        kept, all_points = sweeps.points, next(iter(sweeps))
+        assert len(kept) and np.isin(kept.view(np.uint32), all_points.view(np.uint32)).all()
+        del sweeps, kept, all_points
+
+
 def test_any_sweeps_may_follow_any_others(device: str):
     """A session that goes back in time returns to earlier sweeps."""
     rng = np.random.default_rng(0)

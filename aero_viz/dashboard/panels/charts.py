@@ -112,8 +112,8 @@ def table(rows: Array, curves: Sequence[Curve]) -> str:
     return text.getvalue()
 
 
-def envelope(times: Array, values: Array, span: tuple[float, float], *, gap: float) -> list[list[tuple[float, float]]]:
-    """Return lines (x, value) through all values, at most four points per column of pixels.
+def envelope(times: Array, values: Array, span: tuple[float, float], *, gap: float) -> list[Array]:
+    """Return lines (x, value), each of shape [m, 2], through all values, at most four points per column of pixels.
 
     Each column keeps its first, smallest, largest and last value, so that no dip is lost. Lines end where the time
     between two values is longer than `gap`.
@@ -124,18 +124,20 @@ def envelope(times: Array, values: Array, span: tuple[float, float], *, gap: flo
         span: times at the left and right edge [s].
         gap: longest time to draw a line across [s].
     """
-    lines: list[list[tuple[float, float]]] = []
+    if not len(times):
+        return []
     place = (times - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
-    for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(times) > gap) + 1):
-        line: list[tuple[float, float]] = []
-        columns = np.floor(place[part]).astype(int)
-        for column in np.split(part, np.flatnonzero(np.diff(columns)) + 1):
-            if len(column):
-                kept = {int(column[0]), int(column[values[column].argmin()]), int(column[values[column].argmax()])}
-                line += [(float(place[i]), float(values[i])) for i in sorted(kept | {int(column[-1])})]
-        if line:
-            lines.append(line)
-    return lines
+    is_gap = np.diff(times) > gap
+    firsts = np.flatnonzero(np.append(True, is_gap | (np.diff(np.floor(place)) != 0.0)))
+    sizes = np.diff(firsts, append=len(times))
+    kept = [firsts, firsts + sizes - 1]
+    for extreme in (np.fmin, np.fmax):
+        rows = np.flatnonzero(values == np.repeat(extreme.reduceat(values, firsts), sizes))
+        columns = np.searchsorted(firsts, rows, side="right")
+        kept.append(rows[np.unique(columns, return_index=True)[1]])
+    rows = np.unique(np.concatenate(kept))
+    breaks = np.searchsorted(rows, np.flatnonzero(is_gap) + 1)
+    return np.split(np.stack((place[rows], values[rows]), axis=1), breaks)
 
 
 def _drawing(past: Past, frame: Frame) -> str:
@@ -172,15 +174,14 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
     indices = [COLUMNS.index(name) for name in curve.columns]
     everything = np.vstack((past.rows[:, indices], past.ghost[:, indices]))
     top = curve.top or max(float(np.nanmax(everything)), 1e-9)
-    height = max(_scaled(curve, top), 1e-9)
+    height = max(float(_scaled(curve, np.array(top))), 1e-9)
 
     def paths(rows: Array, opacity: float, ghost: str = "") -> str:
         drawn = ""
         for index, color in zip(indices, curve.colors, strict=True):
             for line in envelope(rows[:, 0], rows[:, index].clip(0.0, top), span, gap=gap):
-                points = " ".join(
-                    f"{x:.1f},{_HEIGHT - 1 - (_HEIGHT - 3) * _scaled(curve, y) / height:.1f}" for x, y in line
-                )
+                line[:, 1] = _HEIGHT - 1 - (_HEIGHT - 3) * _scaled(curve, line[:, 1]) / height
+                points = " ".join([f"{x:.1f},{y:.1f}" for x, y in line.tolist()])
                 drawn += (
                     f'<polyline {ghost} points="{points}" fill="none" stroke="{css(color, opacity)}" '
                     f'stroke-width="1.4" stroke-linejoin="round" vector-effect="non-scaling-stroke"/>'
@@ -209,8 +210,8 @@ def _ghost_value(curve: Curve, past: Past, indices: list[int], time: float) -> s
     return f" ({name} {past.ghost[at, indices[0]]:{curve.number}})"
 
 
-def _scaled(curve: Curve, value: float) -> float:
-    return float(np.log1p(value)) if curve.is_log else value
+def _scaled(curve: Curve, values: Array) -> Array:
+    return np.log1p(values) if curve.is_log else values
 
 
 def _mark(event: Event, span: tuple[float, float]) -> str:
