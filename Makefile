@@ -3,7 +3,8 @@
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 # Tests that drive a browser or watch the clock run alone, the others two files at a time.
-ALONE := tests/browser tests/cli tests/dashboard tests/gallery tests/logs tests/planner/onboard tests/rig tests/session tests/soak
+ALONE := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py tests/session/test_node_client.py \
+	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
 TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder $(addprefix --ignore=,$(ALONE))
 
 help:            ## show this help
@@ -24,7 +25,8 @@ test: setup-dev check  ## run all checks and tests
 	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest)
 
 test-lowest: setup-dev  ## run the planner's tests with the lowest versions that its wheel allows
-	@$(PYTHON_BIN) scripts/lowest.py $(ARGS)
+	@$(PYTHON_BIN) scripts/lowest.py $(or $(ARGS),$(TWO_FILES))
+	$(if $(ARGS),,@$(PYTHON_BIN) scripts/lowest.py $(filter tests/planner/%,$(ALONE)))
 
 check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .

@@ -33,7 +33,7 @@ def send(client: Connection, **message: Any) -> None:
     client.send(msgspec.msgpack.encode(message))
 
 
-def read_until(client: Connection, text: str, timeout: float = 60.0) -> str:
+def read_until(client: Connection, text: str, timeout: float = 300.0) -> str:
     """Read messages of the server until one contains `text`; return what they say."""
     deadline, heard = time.monotonic() + timeout, ""
     while text not in heard:
@@ -44,7 +44,7 @@ def read_until(client: Connection, text: str, timeout: float = 60.0) -> str:
     return heard
 
 
-def wait_for(condition: Callable[[], object], description: str, timeout: float = 60.0) -> None:
+def wait_for(condition: Callable[[], object], description: str, timeout: float = 300.0) -> None:
     """Wait until `condition` holds."""
     deadline = time.monotonic() + timeout
     while not condition():
