@@ -5,12 +5,14 @@ time per tick and per update.
 """
 
 import argparse
+import functools
 import threading
 import time
 from collections import defaultdict
 
 import numpy as np
 import psutil
+from playwright.sync_api import ViewportSize
 
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.snapshot import launch_chromium
@@ -25,27 +27,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--size", type=int, nargs=2, default=(1600, 1000), metavar=("WIDTH", "HEIGHT"))
+    parser.add_argument("--onlookers", type=int, default=0, help="further pages, each in a tab of its own")
     arguments = parser.parse_args()
     session = Session(FlightSource(scene("forest", seed=0)))
     session.start(play=False)
     dashboard = Dashboard(session, port=0)
-    received = [0, 0]
-
-    def count(message: str | bytes) -> None:
-        received[0] += 1
-        received[1] += len(message)
+    received: list[list[int]] = [[] for _ in range(1 + arguments.onlookers)]
 
     try:
         with launch_chromium() as browser:
-            page = browser.new_page(viewport={"width": arguments.size[0], "height": arguments.size[1]})
-            page.on("websocket", lambda socket: socket.on("framereceived", count))
-            page.goto(dashboard.url)
+            size: ViewportSize = {"width": arguments.size[0], "height": arguments.size[1]}
+            pages = [browser.new_page(viewport=size) for _ in received]
+            for page, sizes in zip(pages, received, strict=True):
+                count = functools.partial(lambda sizes, message: sizes.append(len(message)), sizes)
+                page.on("websocket", lambda socket, count=count: socket.on("framereceived", count))
+                page.goto(dashboard.url)
+            page = pages[0]
             page.wait_for_timeout(3000)
             session.play()
             page.wait_for_timeout(500)
             page.evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
             dashboard.update_ms.clear()
-            received[:] = [0, 0]
+            for sizes in received:
+                sizes.clear()
             started, frame, before = time.perf_counter(), session.frame, _spent()
             page.wait_for_timeout(int(1e3 * arguments.seconds))
             took, last, updates = time.perf_counter() - started, session.frame, list(dashboard.update_ms)
@@ -61,7 +65,11 @@ def main() -> None:
     print(f"planner ticks      {ticks / took:6.1f} /s, {1e3 * spent['engine'] / ticks:.1f} ms of CPU each")
     print(f"updates sent       {len(updates) / took:6.1f} /s, {1e3 * spent['page'] / len(updates):.1f} ms of CPU each, "
           f"{np.median(updates):.1f} ms until sent (median)")  # fmt: skip
-    print(f"messages received  {received[0] / took:6.1f} /s, {1e-6 * received[1] / took:.1f} MB/s")
+    server = (spent["engine"] + spent["page"]) / (last.time - frame.time)
+    print(f"server             {server:6.2f} s of CPU per second of flight")
+    for sizes in received:
+        kilobytes = 1e-3 * sum(sizes) / len(updates)
+        print(f"page received      {len(sizes) / took:6.1f} messages/s, {kilobytes:.0f} kB an update")
     print(f"pictures drawn     {drawn / took:6.1f} /s, {spent['browser'] / took:.2f} cores for the browser")
     print(f"others             {others / took:6.2f} cores of {psutil.cpu_count()}")
 
