@@ -64,6 +64,7 @@ def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
     desk.enter(field, "3")
     choose(desk, "pillars")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("pillars"), "the room")
+    desk.session.set_speed(10.0)
     desk.wait_for(lambda: desk.session.frame.outcome is not None, "the end of the flight")
     path = []
     recorder: Any = SimpleNamespace(write=lambda _: None, write_pose=lambda _, state: path.append(state.position))
