@@ -117,9 +117,14 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser)
 def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):
     desk = tune
     desk.choose("Show", "expert")
+    desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "every parameter")
     last = desk.page.get_by_role("button", name="Apply", exact=True)
-    last.scroll_into_view_if_needed()
-    assert last.bounding_box()["y"] < 720
+
+    def is_in_view() -> bool:
+        last.scroll_into_view_if_needed()  # again, if more parameters have pushed it out of view
+        return last.bounding_box()["y"] < 720
+
+    desk.wait_for(is_in_view, "the last control")
     for control in (desk.page.get_by_role("button", name="Play", exact=True), desk.control("Time")):
         assert 0 < control.bounding_box()["y"] < 300
     tabs = [tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()]
