@@ -43,7 +43,9 @@ def main() -> None:
                 page.on("websocket", lambda socket, count=count: socket.on("framereceived", count))
                 page.goto(dashboard.url)
             page = pages[0]
-            page.wait_for_timeout(3000)
+            loaded = 0
+            while loaded < (loaded := sum(map(len, received))) or not all(received):
+                page.wait_for_timeout(3000)  # until the pages have loaded
             session.play()
             page.wait_for_timeout(500)
             page.evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
