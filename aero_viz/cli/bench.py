@@ -62,7 +62,9 @@ _RUN = RunFlags()
 
 
 def bench(
-    name: tyro.conf.Positional[Literal["table2", "success", "density", "rooms", "ablation", "default", "scaling"]],
+    name: tyro.conf.Positional[
+        Literal["table2", "success", "density", "rooms", "ablation", "default", "sudden", "scaling"]
+    ],
     *,
     flights: int = 50,
     include: tuple[str, ...] = (),
@@ -72,8 +74,8 @@ def bench(
 
     table2: the paper's three scenes at 7 m/s. success: speed limits from 1 to 7 m/s. density: 200 to 1000 obstacles.
     rooms: four indoor rooms. ablation: each mechanism switched off alone. default: acceptance test of the default
-    configuration. scaling: flights per minute for several batch sizes. Ctrl-C keeps the finished flights; --resume
-    continues.
+    configuration. sudden: an object that appears in front of the drone. scaling: flights per minute for several batch
+    sizes. Ctrl-C keeps the finished flights; --resume continues.
 
     Args:
         name: Name of the benchmark.
@@ -132,6 +134,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
         write_report,
     )
     from aero_viz.evaluation.bench.runner import BenchmarkInterrupted, run_benchmark
+    from aero_viz.evaluation.bench.success_matrix import format_matrix
     from aero_viz.evaluation.executor import open_executor
 
     folder, config = flags.output or Path("results") / benchmark.name, flags.config.load()
@@ -186,8 +189,10 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
         )
     else:
         groups = format_groups(run)
+        matrix = format_matrix(run)
+        success = format_table(matrix[1:], header=matrix[0]) if matrix else ""
         thirds = format_table(groups[1:], header=groups[0]) if groups else ""
-        tables = [format_summaries(summaries), format_causes(run), *format_worlds(run), thirds]
+        tables = [success, format_summaries(summaries), format_causes(run), *format_worlds(run), thirds]
         print(*filter(None, tables), folder / "report.md", sep="\n")
 
 

@@ -159,6 +159,17 @@ class FlightBatch:
             with self.simulator.timed("sweeps"):
                 self._store(sweep)
 
+    def set_worlds(self, worlds: Sequence[World]) -> None:
+        """Fly on among the obstacles of other worlds, one per flight, with the same goals, bounds and ground.
+
+        Raises:
+            ValueError: there is not one world per flight.
+        """
+        if len(worlds) != len(self._worlds):
+            raise ValueError(f"{len(worlds)} worlds were given for {len(self._worlds)} flights; give one for each.")
+        self._worlds = list(worlds)
+        self.simulator.set_worlds(worlds)
+
     def _store(self, sweep: int) -> None:
         """Store a complete sweep in the cloud, and tell the planner how old the cloud is if sweeps are lost."""
         lidar = self.simulator.lidar

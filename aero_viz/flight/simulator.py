@@ -139,6 +139,11 @@ class Simulator:
             self.estimate = StateEstimate(setting.noise, self.vehicle, period=self.rules.period, seeds=self.seeds)
             self.estimate.update(self.tick, finished=self.outcome)
 
+    def set_worlds(self, worlds: Sequence[World]) -> None:
+        """Continue in other worlds with the same bounds, one per flight. Points that were measured stay."""
+        self._worlds = DeviceWorlds(worlds, device=self.device)
+        self.lidar.use(self.lidar.model, self._worlds)
+
     def measure_sweep(self, sweep: int) -> None:
         """Measure a whole sweep before the start, with a negative number, as if the drones hovered at their starts."""
         self._scan(sweep, 0, self.lidar.model.points_per_sweep)

@@ -269,3 +269,19 @@ def test_timing_the_stages_does_not_change_the_flights(device: str):
     assert {"planner", "vehicle", "lidar", "sweeps", "planner.partition", "planner.clearance"} <= set(stages)
     first, second = (batch.simulator.vehicle.position.numpy() for batch in batches)
     np.testing.assert_array_equal(first, second)
+
+
+def test_a_flight_of_a_batch_flies_on_in_another_world(sparse, device):
+    seeds = [3, 4]
+    batch = FlightBatch([sparse, sparse], config=CONFIG, lidar=LIDAR, rules=SHORT, seed=seeds, device=device)
+    for _ in range(10):
+        batch.step()
+    position = batch.simulator.vehicle.position.numpy()[0].astype(float)
+    closed = dataclasses.replace(sparse, spheres=np.vstack([sparse.spheres, [*position, 0.5]]))
+    with pytest.raises(ValueError, match="1 worlds were given for 2 flights"):
+        batch.set_worlds([closed])
+    batch.set_worlds([closed, sparse])
+    first, second = batch.run()
+    assert (first.reason, second.reason) == ("collision", "timeout") and first.flight_time_s == pytest.approx(0.22)
+    alone = FlightBatch([sparse], config=CONFIG, lidar=LIDAR, rules=SHORT, seed=[4], device=device).run()[0]
+    assert second.length_m == alone.length_m

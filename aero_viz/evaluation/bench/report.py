@@ -16,6 +16,7 @@ from aero_viz.evaluation.bench.external_results import ExternalResults
 from aero_viz.evaluation.bench.plots import plot
 from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.evaluation.bench.runner import STAGE_FIELD, Run
+from aero_viz.evaluation.bench.success_matrix import IMPOSSIBLE_NOTE, format_matrix
 from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import METRICS, Summary, summarise
 from aero_viz.text_table import format_table
@@ -114,7 +115,7 @@ def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool)
     difficulty = ", ".join(f"{name} {mean_std(each)}" for name, each in zip(names, values, strict=False))
     suffix = f"; {difficulty}" if difficulty else ""
     if records[0]["passable"] is None:
-        return f"{kind}: {len(records)} worlds, not examined"
+        return f"{kind}: not examined" if is_file else f"{kind}: {len(records)} worlds, not examined"
     if is_file:
         return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path'}{suffix}"
     seeds = [record["seed"] for record in records]
@@ -132,6 +133,10 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
     parts = [f"# {benchmark.title}", benchmark.note]
     if not run.is_complete:
         parts.append(f"**Incomplete: {len(run.flights)} of {run.total} flights.** Resume the run to fly the rest.")
+    if matrix := format_matrix(run):
+        parts += ["## Success in per cent", _markdown_table(matrix[0], matrix[1:])]
+        parts += [IMPOSSIBLE_NOTE] if any(row.sudden for row in benchmark.rows) else []
+        parts.append("## Success of each row")
     parts.append(_success_table(summaries))
     parts += [f"![{path.stem}]({path.name})" for path in plots]
     parts += ["## Arrived flights", _metrics_table(benchmark, summaries)]

@@ -18,6 +18,7 @@ from aero_viz.errors import UserError
 from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
+from aero_viz.evaluation.bench.sudden_object import SuddenObjects, check_arrival
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.evaluation.difficulty import describe_world
 from aero_viz.evaluation.executor import Executor, LocalExecutor
@@ -43,7 +44,8 @@ class Run:
     """Everything that the results depend on (seed, configuration, versions), the hardware and the date."""
     flights: list[dict[str, Any]]
     """One record per flight: the fields of `FlightResult`, row, index, world_seed, passable, and of its batch batch,
-    batch_size, build_s and run_s; in a benchmark of the throughput also the times of the stages, see STAGE_FIELD."""
+    batch_size, build_s and run_s; in a benchmark of the throughput also the times of the stages, see STAGE_FIELD; where
+    an object appears also object_speed, the speed of the drone then [m/s], or None if it did not appear."""
 
     @property
     def total(self) -> int:
@@ -124,10 +126,11 @@ def run_benchmark(
         noise: noise of the state estimates; None flies with the true states.
         drone: differences from the vehicle that the planner assumes, by field of `VehicleModel`.
         sensor: differences from the named LiDAR models, by field of `LidarModel`.
-        examine: search a path through every world and measure its difficulty, which takes about 1 s of CPU time.
+        examine: search a path through every world and measure its difficulty, which takes about 1 s of CPU time. Worlds
+            in which an object appears are not examined.
         executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
-        causes: fly each failure once more, alone, and explain it.
+        causes: fly each failure once more, alone, and explain it, except where an object appears.
 
     Raises:
         UserError: the folder holds other results, an option is out of range, or a file cannot be written.
@@ -239,8 +242,13 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
         flight.world or _generate_world(flight.row.scene, flight.row.count, flight.world_seed)
         for flight in shard.flights
     ]
-    about_worlds = [_describe(world, shard.radius) if shard.examine else {"passable": None} for world in worlds]
+    about_worlds = [
+        _describe(world, shard.radius) if shard.examine and flight.row.sudden is None else {"passable": None}
+        for flight, world in zip(shard.flights, worlds, strict=True)
+    ]
     batch = _build(shard, worlds)
+    objects = [flight.row.sudden for flight in shard.flights]
+    speeds = SuddenObjects(batch, worlds, objects, [flight.world_seed for flight in shard.flights]).speeds
     built = time.perf_counter()
     results = batch.run(progress=progress)
     about_batch = {"batch_size": len(shard.flights), "build_s": built - started, "run_s": time.perf_counter() - built}
@@ -254,8 +262,9 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
             **result.to_dict(),
             **about_world,
             **about_batch,
+            **({"object_speed": speed} if flight.row.sudden else {}),
         }
-        for flight, result, about_world in zip(shard.flights, results, about_worlds, strict=True)
+        for flight, result, about_world, speed in zip(shard.flights, results, about_worlds, speeds, strict=True)
         if result.reason is not None  # after Ctrl-C some flights have not ended
     ]
     batch.planner.close()
@@ -270,7 +279,7 @@ def _explain(shard: _Shard, worlds: Sequence[World], records: list[dict[str, Any
     }
     for record in records:
         flight, world = flown[record["row"], record["index"]]
-        if record["arrived"] or flight.row.batch or not shard.causes:
+        if record["arrived"] or flight.row.batch or flight.row.sudden or not shard.causes:
             continue
         options = {"config": flight.config, "seed": flight.seed, **vars(shard.options)}
         try:
@@ -335,6 +344,8 @@ def _plan_flights(
             for index in range(row.batch or flights):
                 world_seed = seed + index % flights
                 world = benchmark.worlds.get(row.label)
+                if row.sudden is not None and world is not None:
+                    check_arrival(row.label, row.sudden, world, row_rules)
                 yield _PlannedFlight(row, index, next_seed, world_seed, config, vehicle, row_rules, group, world)
                 next_seed += 1
 

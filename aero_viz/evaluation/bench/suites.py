@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from aero_planner.config import Value
+from aero_viz.evaluation.bench.sudden_object import SuddenObject, open_field
 from aero_viz.scenes import World
 
 PUBLISHED_SPEED = 7.0
@@ -44,6 +45,8 @@ class Row:
     """Success rate and mean speed [m/s] to reach."""
     sha256: str | None = None
     """Checksum of the file of the row's world; None for a scene."""
+    sudden: SuddenObject | None = None
+    """Object that appears during the flight."""
 
     @property
     def world_kind(self) -> str:
@@ -69,7 +72,7 @@ class Benchmark:
     metric: Literal["success", "throughput"] = "success"
     """Metric to plot."""
     worlds: Mapping[str, World] = field(default_factory=dict)
-    """Worlds from files by the label of their row; the other rows fly through scenes."""
+    """Worlds that are not generated, by the label of their row; the other rows fly through scenes."""
 
 
 _GROUND_KNOWN: dict[str, Value] = {"costs.use_ground": True}
@@ -246,8 +249,32 @@ def _scaling() -> Benchmark:
     )
 
 
+def _sudden() -> Benchmark:
+    rows, worlds = [], {}
+    for distance in (0.5, 1.0, 1.5, 2.0, 2.5, 3.0):
+        for speed in (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0):
+            label = f"{distance:g} m at {speed:g} m/s"
+            worlds[label], run_up = open_field(speed)
+            sudden = SuddenObject(run_up, distance)
+            series = f"appears at {distance:g} m"
+            rows.append(
+                Row(label, "open-field", speed=speed, changes=_GROUND_KNOWN, series=series, x=speed, sudden=sudden)
+            )
+    return Benchmark(
+        "sudden",
+        "An object that suddenly appears",
+        "The test of IPC (Liu, Ren and Zhang, RA-L 2023): in an open field, an object of 0.2 x 0.2 x 3 m appears in "
+        "front of the drone, up to 0.1 m to its left or right, by seed. The distance is that from the centre of the "
+        "drone to the front of the object. The planner knows the height of the ground. A flight succeeds if it goes on "
+        "to the goal without contact.",
+        tuple(rows),
+        x_label="velocity limit [m/s]",
+        worlds=worlds,
+    )
+
+
 BENCHMARKS: dict[str, Benchmark] = {
     benchmark.name: benchmark
-    for benchmark in (_table2(), _success(), _density(), _rooms(), _ablation(), _default(), _scaling())
+    for benchmark in (_table2(), _success(), _density(), _rooms(), _ablation(), _default(), _sudden(), _scaling())
 }
 """All benchmarks, by name."""
