@@ -1,6 +1,8 @@
 """Changes that layers send, without a browser but with a real server and a real plan."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from aero_viz.flight import FlightSource
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
+from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
 
 @pytest.fixture(scope="module")
@@ -233,3 +236,21 @@ def test_the_quadrotor_fits_its_rotors():
     for mesh, _, _ in quadrotor().values():
         assert mesh.faces.min() >= 0
         assert mesh.faces.max() < len(mesh.vertices)
+
+
+def test_a_layer_that_is_hidden_while_a_visitor_connects_is_hidden_from_this_visitor(server):
+    layer = GroundLayer(server)
+    with join(server) as connection:
+        send(connection, **CAMERA)
+        wait_for(server.get_clients, "the visitor")
+        (visitor,) = server.get_clients().values()
+
+        def add_frame(*arguments: Any, **options: Any) -> Any:
+            frame = visitor.scene.add_frame(*arguments, **options)
+            layer.visible = False
+            return frame
+
+        layer.welcome(
+            cast(Any, SimpleNamespace(client_id=visitor.client_id, scene=SimpleNamespace(add_frame=add_frame)))
+        )
+        assert not layer.is_visible_to(visitor.client_id)

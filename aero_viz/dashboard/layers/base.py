@@ -136,6 +136,7 @@ class Layer:
         """Let a new visitor show or hide the layer independently of the others."""
         root = client.scene.add_frame(f"/{self.name}", show_axes=False, visible=self._root.visible)
         self._own_roots[client.client_id] = root
+        root.visible = self._root.visible  # it may have changed meanwhile, on another thread
 
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         """Drop what belongs to visitors who have left."""
