@@ -133,7 +133,8 @@ class AnchorConfig(ParameterSection, section="anchors"):
         18.0, "deg", 1.0, 45.0, "Angle between neighbouring anchor directions.", label="Anchor spacing", basic=True
     )
     lookahead: float = live(
-        5.0, "m", 0.2, 30.0, "Distance of the anchors from the drone, at most the distance of the goal.",
+        5.0, "m", 0.2, 30.0, "Distance of the anchors from the drone; at most the distance of the goal, and at most "
+        "0.6 times the way that the speed limit covers within the horizon.",
         label="Look-ahead distance", symbol="l", basic=True,
     )  # fmt: skip
     lookahead_time: float = live(
