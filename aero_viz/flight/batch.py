@@ -86,7 +86,7 @@ class FlightBatch:
     Attributes:
         simulator: states, outcomes and records.
         planner: its inputs and outputs are those of the last plan.
-        interrupted: True if Ctrl-C ended the last `run`.
+        interrupted: True if Ctrl-C was pressed during the last `run`, even if all its flights were over by then.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ class FlightBatch:
                 for _ in range(ticks):
                     self.step()
                 self._collect_times()
-            self.interrupted = finished < total
+            self.interrupted = is_interrupted()
         return self.results()
 
     def results(self) -> list[FlightResult]:

@@ -15,7 +15,7 @@ class FlightInterrupted(KeyboardInterrupt):
     """Ctrl-C was pressed during a flight.
 
     Attributes:
-        result: metrics of the flight so far; its reason is None.
+        result: metrics of the flight so far; its reason is None unless Ctrl-C was pressed during the last tick.
     """
 
     def __init__(self, result: FlightResult) -> None:
@@ -27,12 +27,13 @@ class FlightInterrupted(KeyboardInterrupt):
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Give the context a function that returns True once Ctrl-C was pressed; a second Ctrl-C interrupts immediately.
 
-    Only the main thread receives signals; in other threads the function always returns False.
+    A Ctrl-C that the function did not report takes effect at the end of the context, so that none is lost. Only the
+    main thread receives signals; in other threads the function always returns False.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
-    pressed = False
+    pressed = reported = False
 
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal pressed
@@ -40,8 +41,15 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         pressed = True
 
+    def is_interrupted() -> bool:
+        nonlocal reported
+        reported = pressed
+        return pressed
+
     previous = signal.signal(signal.SIGINT, handle)
     try:
-        yield lambda: pressed
+        yield is_interrupted
     finally:
         signal.signal(signal.SIGINT, previous)
+    if pressed and not reported:
+        signal.raise_signal(signal.SIGINT)

@@ -122,10 +122,11 @@ def fly(
                 active_recorder.write(frame)
             if progress is not None:
                 progress(distance_share(world, frame.observation.actual_state.position), frame.time)
-            ended = source.outcome is not None or is_interrupted()
+            ended = is_interrupted() or source.outcome is not None
         median = statistics.median(plan_ms) if plan_ms else None
         result = dataclasses.replace(source.result(), config=name, plan_ms_median=median)
-    if result.reason is None:
+        interrupted = is_interrupted()
+    if interrupted:
         raise FlightInterrupted(result)
     return result
 

@@ -150,6 +150,17 @@ def test_progress_counts_flights(sparse):
     np.testing.assert_allclose([time for *_, time in calls], 0.02 * np.arange(6))
 
 
+def test_ctrl_c_in_the_last_tick_is_not_lost(sparse):
+    batch = FlightBatch([sparse], config=CONFIG, lidar=LIDAR, rules=FlightRules(time_limit=0.1))
+
+    def press_at_the_end(finished, total, simulated):
+        if finished == total:
+            signal.raise_signal(signal.SIGINT)
+
+    results = batch.run(progress=press_at_the_end)
+    assert batch.interrupted and [result.reason for result in results] == ["timeout"]
+
+
 def test_ctrl_c_keeps_what_is_finished(sparse):
     near = World("near", np.zeros(3), np.array([0.5, 0, 0]))
     batch = FlightBatch([sparse, near], config=CONFIG, lidar=LIDAR)

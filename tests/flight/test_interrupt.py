@@ -11,7 +11,7 @@ from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.single import distance_share
 from aero_viz.logs import flight_recorder
 from aero_viz.recordings import inspect
-from aero_viz.scenes import scene
+from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
 
 OPTIONS = {
@@ -42,6 +42,12 @@ def test_the_first_ctrl_c_waits_and_the_second_does_not():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_ctrl_c_that_was_not_reported_takes_effect_at_the_end():
+    with pytest.raises(KeyboardInterrupt), deferred_interrupt() as pressed:
+        assert not pressed()
+        signal.raise_signal(signal.SIGINT)
+
+
 def test_other_threads_are_never_interrupted():
     answers = []
 
@@ -67,6 +73,14 @@ def test_exception_and_file_hold_the_flight_so_far(tmp_path):
     assert np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum() == pytest.approx(
         result.length_m, abs=1e-4
     )
+
+
+def test_ctrl_c_in_the_last_tick_is_not_lost():
+    world = World("near", np.zeros(3), np.array([2.5, 0.0, 0.0]))
+    whole = fly(world, **OPTIONS)
+    with pytest.raises(FlightInterrupted) as caught:
+        fly(world, progress=press_at(whole.flight_time_s), **OPTIONS)
+    assert caught.value.result.arrived and caught.value.result.flight_time_s == whole.flight_time_s
 
 
 def test_an_interrupted_log_is_complete(tmp_path):
