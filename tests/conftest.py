@@ -21,6 +21,8 @@ def _devices() -> list[str]:
     return [name for name in ("cpu", "cuda:0") if name in present]
 
 
+QUICK_DRAWING = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
+"""Flags for Chromium that halve the time in which a page is drawn in software."""
 DATASETS = Path(__file__).resolve().parents[2] / "shared" / "datasets"
 
 
@@ -49,7 +51,7 @@ def browser() -> Iterator[Browser]:
 
     with contextlib.ExitStack() as stack:
         try:
-            chromium = stack.enter_context(launch_chromium())
+            chromium = stack.enter_context(launch_chromium(*QUICK_DRAWING))
         except UserError as error:
             if os.environ.get("CI"):
                 pytest.fail(str(error))

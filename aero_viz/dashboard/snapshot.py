@@ -28,8 +28,11 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def launch_chromium() -> Iterator[Browser]:
+def launch_chromium(*flags: str) -> Iterator[Browser]:
     """Run a headless Chromium without a GPU.
+
+    Args:
+        flags: further flags of the program.
 
     Raises:
         UserError: Chromium or Playwright is missing, or Chromium does not start.
@@ -41,7 +44,7 @@ def launch_chromium() -> Iterator[Browser]:
         raise UserError("Pictures need Playwright, which is not installed; run: pip install playwright.") from error
     with sync_playwright() as playwright:
         try:
-            browser = playwright.chromium.launch(executable_path=program, args=list(CHROMIUM_FLAGS))
+            browser = playwright.chromium.launch(executable_path=program, args=[*CHROMIUM_FLAGS, *flags])
         except Error as error:
             reason = str(error).splitlines()[0]
             raise UserError(f"{program} does not start: {reason}") from error
