@@ -196,8 +196,13 @@ def visit(browser: Browser, url: str, *, size: tuple[int, int] = (1000, 700)) ->
     """Open a page in a browser profile of its own, which closes with it."""
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.set_default_timeout(1e3 * TIMEOUT)
-    page.goto(url)
+    page.goto(with_fixed_resolution(url))
     return page
+
+
+def with_fixed_resolution(url: str) -> str:
+    """Return the address of the page at a fixed resolution: viser lowers that of a page that is drawn slowly."""
+    return f"{url}{'&' if '?' in url else '?'}fixedDpr=1"
 
 
 @contextlib.contextmanager
@@ -250,7 +255,7 @@ def open_desk(
     page.on("console", lambda message: desk.console.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: desk.console.append(str(error)))
     try:
-        page.goto(dashboard.url)
+        page.goto(with_fixed_resolution(dashboard.url))
         desk.wait_for(lambda: bool(dashboard.server.get_clients()), "the page to connect")
         yield desk
     finally:

@@ -17,10 +17,6 @@ def count(image: Image, color: palette.Rgb, *, tolerance: int = 24) -> int:
     return int((near & (image[..., -1] > 128)).sum()) if image.shape[-1] == 4 else int(near.sum())
 
 
-EDGE_PIXELS = 50
-"""More than differ at edges because viser draws a slow page with a lower resolution."""
-
-
 def differing(image: Image, reference: Image) -> int:
     """Return the number of pixels whose colour clearly differs between two pictures."""
     return int((np.abs(image[..., :3].astype(int) - reference[..., :3]).max(axis=-1) > 30).sum())

@@ -60,6 +60,6 @@ def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(fresh_d
 def test_a_link_of_another_page_brings_no_pictures_and_no_markup_onto_the_page(fresh_desk):
     desk, requested = fresh_desk, []
     desk.page.on("request", lambda request: requested.append(request.url))
-    desk.page.goto(desk.page.url + "?source=%21%5Ba%5D%28http%3A//127.0.0.1%3A9/x%29%3Ch1%3Efree%20prize%3C/h1%3E")
+    desk.page.goto(desk.dashboard.url + "?source=%21%5Ba%5D%28http%3A//127.0.0.1%3A9/x%29%3Ch1%3Efree%20prize%3C/h1%3E")
     desk.page.get_by_text("![a](http://127.0.0.1:9/x)<h1>free prize</h1>").wait_for()
     assert not [url for url in requested if ":9/" in url]

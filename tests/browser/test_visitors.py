@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from tests.browser.desk import Desk, open_desk, visit
-from tests.browser.pictures import EDGE_PIXELS, differing
+from tests.browser.pictures import differing
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +71,6 @@ def test_layers_and_camera_belong_to_each_visitor(desk: Desk, second: Page):
     numbers = list(desk.dashboard.server.get_clients())
     heights = lambda: [desk.dashboard.server.get_clients()[n].camera.position[2] for n in numbers]  # noqa: E731
     desk.wait_for(lambda: heights()[1] > 2.0 * heights()[0], "the view from above")
-    assert differing(desk.settled_screenshot(), empty) < EDGE_PIXELS, "the first visitor sees the second one's choice"
+    assert differing(desk.settled_screenshot(), empty) == 0, "the first visitor sees the second one's choice"
     checkbox(second, cells.title).uncheck()
     desk.wait_for(lambda: not cells.visible, "nobody to see the layer")
