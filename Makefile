@@ -5,6 +5,8 @@ ARGS ?=
 # Tests that drive a browser or watch the clock run alone, the others two files at a time.
 ALONE := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py tests/session/test_node_client.py \
 	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
+# A busy machine can delay a browser or a clock beyond what a test waits for: at most three of them get a second attempt.
+SECOND_ATTEMPT := --reruns 1 --max-suite-reruns 3 --rerun-show-tracebacks
 TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder $(addprefix --ignore=,$(ALONE))
 
 help:            ## show this help
@@ -21,7 +23,7 @@ demo: setup      ## fly through the forest in the browser
 
 test: setup-dev check  ## run all checks and tests
 	$(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES))
-	$(if $(ARGS),,$(PYTHON_BIN) -m pytest $(ALONE))
+	$(if $(ARGS),,$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(ALONE))
 	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest)
 
 test-lowest: setup-dev  ## run the planner's tests with the lowest versions that its wheel allows
