@@ -57,6 +57,7 @@ class SimulatedAutopilot:
         ground: height on which the vehicle stands until it is armed [m]; None fixes it in the air, at its start.
         takeoff_time: shortest time from arming until the autopilot reports that the vehicle is in the air [s].
         height_offset: error of the reported height [m].
+        lockstep: a command arrives in the step that reads it, instead of at the clock time at which it was sent.
         seed: seed of gusts and of faults on the connections.
 
     Attributes:
@@ -86,6 +87,7 @@ class SimulatedAutopilot:
         ground: float | None = None,
         takeoff_time: float = 0.5,
         height_offset: float = 0.0,
+        lockstep: bool = False,
         seed: int = 0,
     ) -> None:
         place = np.array(start, dtype=np.float64)
@@ -138,6 +140,7 @@ class SimulatedAutopilot:
         self._now = 0.0
         self._arrival = 0.0  # of the datagram that is being handled
         self._datagrams: deque[tuple[float, bytes]] = deque()  # times of arrival and contents
+        self._lockstep = lockstep
         self._start_time: float | None = None  # CLOCK_REALTIME at the start of the simulation [s]
 
     @property
@@ -196,8 +199,9 @@ class SimulatedAutopilot:
         self.mode, self._hold_position = Mode.HOLD, None
 
     def start(self, *, late_by: float = 0.0) -> None:
-        """Make the present, or a time `late_by` seconds ago, the time 0 of the simulation."""
-        self._start_time = time.time() - late_by
+        """Make the present, or a time `late_by` seconds ago, the time 0 of the simulation, except in lockstep."""
+        if not self._lockstep:
+            self._start_time = time.time() - late_by
 
     def step(self, tick: int, now: float) -> None:
         """Fly one step and exchange messages with the companion.

@@ -115,7 +115,9 @@ def fly_rig(
                 contextlib.closing(Px4Process(px4, speed=_LOCKSTEP_SPEED if lockstep else 1.0))
             )
         if process is None:
-            autopilot = _simulated_autopilot(world, config, onboard, mavlink_port, loss_time or 0.5, state_pair, seed)
+            autopilot = _simulated_autopilot(
+                world, config, onboard, mavlink_port, loss_time or 0.5, state_pair, lockstep, seed
+            )
         else:
             onboard = onboard.replace({"mavlink.system": process.system})
             parameters = dict(px4_parameters or {}) | ({} if loss_time is None else {"COM_OF_LOSS_T": loss_time})
@@ -153,7 +155,14 @@ def fly_rig(
 
 
 def _simulated_autopilot(
-    world: World, config: PlannerConfig, onboard: OnboardConfig, port: int, loss_time: float, pair: bool, seed: int
+    world: World,
+    config: PlannerConfig,
+    onboard: OnboardConfig,
+    port: int,
+    loss_time: float,
+    pair: bool,
+    lockstep: bool,
+    seed: int,
 ) -> SimulatedAutopilot:
     direction = world.goal - world.start
     return SimulatedAutopilot(
@@ -166,6 +175,7 @@ def _simulated_autopilot(
         loss_time=loss_time,
         pair=pair,
         ground=ground_below(world),
+        lockstep=lockstep,
         seed=seed,
     )
 

@@ -143,6 +143,16 @@ def test_a_late_simulation_does_not_obey_a_command_before_it_was_sent(make):
     assert setpoint.time > 5.0
 
 
+def test_a_late_simulation_in_lockstep_obeys_a_command_at_once(make):
+    c = make(lockstep=True)
+    c.run(0.1, every=None)
+    c.autopilot.start(late_by=5.0)
+    c.command()
+    c.run(0.1, every=None)
+    (setpoint,) = c.autopilot.setpoints
+    assert 0.1 < setpoint.time < 0.2
+
+
 def test_commands_have_no_effect_before_offboard(make):
     c = make()
     c.run(2.0, thrust=0.9, rates=(1.0, 1.0, 1.0))
