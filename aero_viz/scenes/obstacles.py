@@ -131,22 +131,38 @@ def _numbers(world: World, kind: str) -> NDArray[np.int64]:
 def with_obstacle(world: World, obstacle: Obstacle | None, key: ObstacleKey | None = None) -> World:
     """Return the world with an obstacle in place of the solid `key`, or in addition; without that solid for None.
 
+    An obstacle that is added or changed stands, whatever moved in its place before.
+
     Raises:
         ValueError: a size or a position is not a number that a world can have; names the row.
     """
     if obstacle is None and key is None:
         return world
     kind = key.kind if obstacle is None and key is not None else obstacle.kind  # type: ignore[union-attr]
-    table, numbers = getattr(world, kind).copy(), _numbers(world, kind)
+    numbers, motion = _numbers(world, kind), world.motion
+    if len(motion) and kind == "cylinders":
+        motion = _with_row(motion, None if obstacle is None else np.zeros(3), key)
+    table = _with_row(getattr(world, kind), None if obstacle is None else obstacle.values, key)
     if key is None:
-        assert obstacle is not None
-        table, numbers = np.vstack([table, obstacle.values]), np.append(numbers, next(_new_numbers))
+        numbers = np.append(numbers, next(_new_numbers))
     elif obstacle is None:
-        table, numbers = np.delete(table, key.row, 0), np.delete(numbers, key.row)
-    else:
-        table[key.row] = obstacle.values
-    changes: Any = {kind: table, "numbers": {**world.numbers, kind: numbers}}
+        numbers = np.delete(numbers, key.row)
+    changes: Any = {kind: table, "numbers": {**world.numbers, kind: numbers}, "motion": motion}
     return dataclasses.replace(world, **changes)
+
+
+def _with_row(
+    table: NDArray[np.float64], values: NDArray[np.float64] | None, key: ObstacleKey | None
+) -> NDArray[np.float64]:
+    """Return a table with values in a row, or in an additional one; without that row for None."""
+    if values is None:
+        assert key is not None
+        return np.delete(table, key.row, 0)
+    if key is None:
+        return np.vstack([table, values])
+    table = table.copy()
+    table[key.row] = values
+    return table
 
 
 def pick_obstacle(world: World, origin: ArrayLike, direction: ArrayLike) -> ObstacleKey | None:

@@ -1,11 +1,14 @@
-"""Worlds: cylinders, boxes, spheres and triangles with a start and a goal; exact distances; JSON files."""
+"""Worlds: cylinders, boxes, spheres and triangles with a start and a goal; exact distances; JSON files.
+
+Cylinders may move. What is computed from a world takes them where they are at time 0; `World.at` returns another time.
+"""
 
 from __future__ import annotations
 
 import json
 import reprlib
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +20,7 @@ from aero_planner.config.parameter import did_you_mean
 from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
+from aero_viz.scenes.motion import check_motion, displacements
 from aero_viz.scenes.primitives import DISTANCES, primitive_bounds, rotate_z
 
 if TYPE_CHECKING:
@@ -27,7 +31,10 @@ _COLUMNS = {
     "boxes": "cx, cy, cz, sx, sy, sz, yaw",
     "spheres": "x, y, z, radius",
     "triangles": "x1, y1, z1, x2, y2, z2, x3, y3, z3",
+    "motion": "vx, vy, span",
 }
+_OPTIONAL = ("triangles", "motion")
+"""Tables that the JSON file has only if they are not empty."""
 _NAMES = {"cylinders": "cylinder", "boxes": "box", "spheres": "sphere", "triangles": "triangle"}
 _BOUNDS_MARGIN = 10.0  # [m]; large, so that a drone that leaves the derived bounds has flown away, not cut a corner
 _COORDINATE_MAX = 100_000.0  # [m]; farther from the origin, single precision does not resolve centimetres
@@ -52,6 +59,8 @@ class World:
             each direction.
         triangles: three corners per row, [n, 9]. Triangles form a surface without an inside; it is seen and hit from
             both sides.
+        motion: horizontal velocity at time 0 [m/s] and span [m] of each cylinder, [n, 3]. A cylinder goes along its
+            velocity for the span, back to where it began, and so on; one without velocity stands. Empty if all stand.
         numbers: per table, what identifies each row also after rows are removed, see `obstacles`; row numbers where a
             table has none. Not part of the JSON file.
 
@@ -68,6 +77,7 @@ class World:
     bounds: NDArray[np.float64] = None  # type: ignore[assignment]
     triangles: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 9)))
     numbers: Any = field(default_factory=dict, repr=False)
+    motion: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -81,6 +91,9 @@ class World:
             _check_ranges(table, f'"{key}" row {{}}', columns)
             if key == "cylinders":
                 _normalise_axes(table)
+            if key == "motion" and len(table):
+                check_motion(table, len(self.cylinders))
+                table = table if table[:, :2].any() else table[:0]
             _store(self, key, table)
         _store(self, "bounds", self._derived_bounds() if self.bounds is None else _corners(self.bounds))
 
@@ -126,7 +139,7 @@ class World:
         """Return the content of the JSON file; "bounds" only where they differ from the derived ones."""
         content: dict[str, Any] = {"name": self.name}
         for key in ("start", "goal", *_COLUMNS):
-            if key != "triangles" or len(self.triangles):
+            if key not in _OPTIONAL or len(getattr(self, key)):
                 content[key] = getattr(self, key).tolist()
         if not np.array_equal(self.bounds, self._derived_bounds()):
             content["bounds"] = self.bounds.tolist()
@@ -191,6 +204,25 @@ class World:
             candidates.append((float(distances[0]), f"{_NAMES['triangles']} {rows[0]}"))
         return min(candidates)
 
+    def at(self, time: float) -> World:
+        """Return the world of one moment [s], in which nothing moves; this world if nothing moves anyway."""
+        if not len(self.motion):
+            return self
+        cylinders = self.cylinders.copy()
+        cylinders[:, :2] += displacements(self.motion, time)
+        return replace(self, cylinders=cylinders, motion=self.motion[:0])
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """Mask of the cylinders that move, [n]."""
+        return self.motion[:, :2].any(axis=1) if len(self.motion) else np.zeros(len(self.cylinders), dtype=bool)
+
+    def standing(self) -> World:
+        """Return the world without the cylinders that move; this world if nothing moves."""
+        if not len(self.motion):
+            return self
+        return replace(self, cylinders=self.cylinders[~self.moves], motion=self.motion[:0], numbers={})
+
     @property
     def ground(self) -> NDArray[np.bool_]:
         """Mask of the boxes that are ground, [n]: those that lie under both start and goal."""
@@ -214,7 +246,13 @@ class World:
         return TriangleTree(self.triangles)
 
     def _derived_bounds(self) -> NDArray[np.float64]:
-        lower, upper = primitive_bounds(self.cylinders, self.boxes, self.spheres)
+        cylinders = self.cylinders
+        if len(self.motion):
+            turned = cylinders.copy()
+            speed = np.linalg.norm(self.motion[:, :2], axis=1, keepdims=True)
+            turned[:, :2] += self.motion[:, :2] / np.where(speed > 0.0, speed, 1.0) * self.motion[:, 2:]
+            cylinders = np.vstack([cylinders, turned])
+        lower, upper = primitive_bounds(cylinders, self.boxes, self.spheres)
         corners = self.triangles.reshape(-1, 3)
         lower = np.vstack([lower, corners, self.start, self.goal]).min(axis=0)
         upper = np.vstack([upper, corners, self.start, self.goal]).max(axis=0)

@@ -96,3 +96,15 @@ def test_a_solid_keeps_its_identity_when_others_are_added_moved_and_removed(worl
 def test_a_size_that_cannot_be_is_refused_by_name(world):
     with pytest.raises(ValueError, match=r'"spheres" row 0 has radius = -1'):
         with_obstacle(world, new_obstacle("sphere", [0, 0, 0], [-2, -2, -2]), ObstacleKey("spheres", 0))
+
+
+def test_an_edit_keeps_the_motion_of_the_other_cylinders():
+    pole = [4.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.5, 3.0]
+    motion = np.array([[1.0, 0.0, 3.0], [0.0, 2.0, 4.0]])
+    world = World("", np.zeros(3), np.ones(3), cylinders=np.array([pole, pole]), motion=motion)
+    key, obstacle = ObstacleKey("cylinders", 0), new_obstacle("cylinder", [7.0, 0.0, 1.0], [1.0, 1.0, 2.0])
+    np.testing.assert_array_equal(with_obstacle(world, obstacle).motion, [*motion, np.zeros(3)])
+    np.testing.assert_array_equal(with_obstacle(world, None, key).motion, motion[1:])
+    changed = with_obstacle(world, obstacle, key)
+    np.testing.assert_array_equal(changed.motion, [np.zeros(3), motion[1]])
+    np.testing.assert_array_equal(changed.at(9.0).cylinders[0], obstacle.values)

@@ -170,3 +170,69 @@ def test_ground_height():
     assert World("aside", *ends, boxes=np.array([[5.0, 0, 0.5, 1, 1, 1, 0]])).ground_height is None
     below = np.array([[5.0, 0, -1, 40, 40, 1, 0], [5.0, 0, -3, 40, 40, 2, 0]])
     assert World("below", *ends, boxes=below).ground_height == -0.5
+
+
+def movers(motion, **changes) -> World:
+    rows = np.array([[4.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.5, 3.0]] * len(motion))
+    return World("", np.zeros(3), np.array([9.0, 0.0, 1.0]), cylinders=rows, motion=np.array(motion), **changes)
+
+
+def test_a_moving_cylinder_goes_forth_and_back():
+    world = movers([[1.2, -1.6, 3.0], [0.0, 0.0, 0.0]])  # 2 m/s over 3 m
+    places = [world.at(time).cylinders[0, :2] for time in (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 301.0, -0.5)]
+    gone = [0.0, 2.0, 3.0, 2.0, 0.0, 2.0, 2.0, 1.0]
+    np.testing.assert_allclose(places, [[4.0 + 0.6 * s, 1.0 - 0.8 * s] for s in gone], atol=1e-9)
+    assert np.array_equal(world.at(1.0).cylinders[1], world.cylinders[1])
+    assert world.moves.tolist() == [True, False]
+    # A moment is a static world in the same bounds, and rows keep their numbers.
+    moment = world.at(1.0)
+    assert len(moment.motion) == 0 and moment.at(7.0) is moment
+    assert np.array_equal(moment.bounds, world.bounds)
+    assert moment.distance([[5.2, -0.6, 1.0]])[0] == pytest.approx(-0.5)
+
+
+def test_bounds_contain_the_whole_motion():
+    assert movers([[0.0, 2.0, 30.0]]).bounds[1, 1] == pytest.approx(1.0 + 30.0 + 0.5 + 10.0)
+
+
+def test_a_world_in_which_nothing_moves_is_itself_at_any_time(world):
+    assert world.at(5.0) is world and world.standing() is world
+    assert "motion" not in world.to_dict()
+    still = movers([[0.0, 0.0, 4.0]])
+    assert still.motion.shape == (0, 3) and still.at(5.0) is still
+
+
+def test_standing_leaves_out_what_moves():
+    world = movers([[1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
+    assert len(world.standing().cylinders) == 1 and len(world.standing().motion) == 0
+
+
+def test_motion_is_saved_and_loaded(tmp_path):
+    world = movers([[1.2, -1.6, 3.0], [0.0, 0.0, 0.0]])
+    world.save(tmp_path / "world.json")
+    loaded = World.load(tmp_path / "world.json")
+    assert np.array_equal(loaded.motion, world.motion) and np.array_equal(loaded.bounds, world.bounds)
+    assert loaded.to_json() == world.to_json()
+
+
+@pytest.mark.parametrize(
+    ("motion", "expected"),
+    [
+        ([], None),
+        ([[1, 0, 5]], None),
+        ([[1, 0, 5], [1, 0, 5]], '"motion" has 2 rows for 1 cylinders'),
+        ([[1, 0]], '"motion" row 0 has 2 values; it must have 3 numbers (vx, vy, span)'),
+        ([[1, 0, 0]], '"motion" row 0 has span = 0'),
+        ([[0, 0, -1]], '"motion" row 0 has span = -1'),
+        ([[90, 90, 5]], '"motion" row 0 has a speed of 127.279 m/s'),
+        ([[1, None, 5]], '"motion" row 0 has vy = None'),
+    ],
+)
+def test_a_malformed_motion_is_refused_by_row(tmp_path, motion, expected):
+    path = write(tmp_path / "world.json", cylinders=[[4, 1, 0, 0, 0, 1, 0.5, 3]], motion=motion)
+    if expected is None:
+        World.load(path)
+    else:
+        with pytest.raises(UserError) as refusal:
+            World.load(path)
+        assert expected in str(refusal.value)
