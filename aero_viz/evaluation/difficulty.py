@@ -214,7 +214,7 @@ def _angle_over_length(guide: Points, length: float) -> float:
 
 
 def describe_world(world: World, *, radius: float) -> dict[str, Any]:
-    """Return whether a path exists and the difficulty of a world as plain values for JSON.
+    """Return whether a path exists among what stands, and the difficulty of that world, as plain values for JSON.
 
     The key is `passable`, followed by those of `Difficulty.to_dict`, which are None where there is no guide.
 
@@ -222,6 +222,7 @@ def describe_world(world: World, *, radius: float) -> dict[str, Any]:
         world: obstacles, start and goal.
         radius: radius of the drone [m].
     """
+    world = world.standing()
     difficulty = measure_difficulty(world, radius=radius)
     names = [*(field.name for field in dataclasses.fields(Difficulty)), "difficulty"]
     metrics = dict.fromkeys(names) if difficulty is None else difficulty.to_dict()

@@ -84,7 +84,7 @@ def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -
     """
     if where := _outside(world, world.start):
         raise UserError(f"The start {_point(world.start)} lies {where}; give another start.")
-    if problem := goal_problem(world, world.goal):
+    if problem := goal_problem(world.standing(), world.goal):
         raise UserError(f"{problem}; give another goal.")
     distance = float(np.linalg.norm(world.goal - world.start))
     time_limit = max(rules.time_limit, FlightRules().time_limit)  # a shorter limit asks for a part of the flight

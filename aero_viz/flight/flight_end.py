@@ -181,6 +181,8 @@ def clearance_kernel(
     geometry: Geometry,
     world: wp.array(dtype=int),  # [B]
     threads: int,  # that share one query
+    time: float,  # of the last integration step [s]
+    step: float,  # between integration steps [s]
     # in
     finished: wp.array(dtype=int),  # [B]
     positions: wp.array2d(dtype=wp.vec3),  # [B, S]
@@ -190,4 +192,5 @@ def clearance_kernel(
     """Lower the clearance [m] at each integration step to the distance from the nearest surface."""
     b, s, thread = wp.tid()
     if finished[b] == 0:
-        wp.atomic_min(clearance, b, s, world_distance(geometry, world[b], positions[b, s], thread, threads))
+        then = wp.max(time - float(positions.shape[1] - 1 - s) * step, 0.0)
+        wp.atomic_min(clearance, b, s, world_distance(geometry, world[b], positions[b, s], then, thread, threads))

@@ -101,7 +101,9 @@ def flight_results(
             seed=seed,
             scene=world.name,
             config=config,
-            explanation=explain(outcome, world, position, time=time, clearance=clearance, goal=goal, rules=rules),
+            explanation=explain(
+                outcome, world.at(time), position, time=time, clearance=clearance, goal=goal, rules=rules
+            ),
         )
         results.append(result)
     return results

@@ -229,7 +229,8 @@ class Simulator:
         count, steps = v.trail.shape
         threads = _GPU_THREADS_PER_QUERY if self.device.is_cuda else 1
         self._clearance.fill_(math.inf)
-        inputs = [worlds.geometry, worlds.index, threads, self.outcome, v.trail]
+        inputs = [worlds.geometry, worlds.index, threads, self.time, self.rules.period / steps]
+        inputs += [self.outcome, v.trail]
         size = (count, steps, threads)
         wp.launch(clearance_kernel, size, inputs=inputs, outputs=[self._clearance], device=self.device)
         inputs = [self._rules, self.tick, self._lower, self._upper]

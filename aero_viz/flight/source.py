@@ -227,7 +227,7 @@ class FlightSource:
         goal = np.array(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise UserError(f"The goal {np.asarray(position).tolist()} is not a position; give three finite numbers.")
-        if problem := goal_problem(self._setting.world, goal):
+        if problem := goal_problem(self._setting.world.at(self.simulator.time), goal):
             raise UserError(f"{problem}. The goal stays where it was; give a free position.")
         goal.flags.writeable = False
         self._goal = goal
@@ -240,7 +240,7 @@ class FlightSource:
         Raises:
             UserError: the goal would lie in an obstacle. The world stays.
         """
-        if problem := goal_problem(world, self._goal):
+        if problem := goal_problem(world.at(self.simulator.time), self._goal):
             raise UserError(f"{problem}. The obstacles stay as they were; move the goal first.")
         self._change(world=world)
 
@@ -262,7 +262,7 @@ class FlightSource:
             UserError: an obstacle is closer than the radius of the drone, or the position is outside the world.
         """
         place = np.array(position, dtype=np.float64)
-        world, radius = self._setting.world, self.simulator.rules.radius
+        world, radius = self._setting.world.at(self.simulator.time), self.simulator.rules.radius
         inside = place.shape == (3,) and bool(((place > world.bounds[0]) & (place < world.bounds[1])).all())
         if not inside or world.distance(place[None])[0] <= radius:
             raise UserError("The drone does not fit there; it stays where it was. Give a free position.")

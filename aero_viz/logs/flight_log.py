@@ -89,9 +89,9 @@ class FlightLog:
             self._attach_source(frame.source)
             last_world, conditions = frame.source.world, frame.observation.conditions
         else:
-            last_world, conditions = last.world, last.observation.conditions
-        if frame.world is not last_world and frame.world is not None:
-            self._attach_change("world", frame.world.to_dict())
+            last_world, conditions = last.moving_world, last.observation.conditions
+        if frame.moving_world is not last_world and frame.moving_world is not None:
+            self._attach_change("world", frame.moving_world.to_dict())
         if frame.observation.conditions != conditions:
             self._attach_change("conditions", frame.observation.conditions)
         if last is None or last.config is not frame.config:

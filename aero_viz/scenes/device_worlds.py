@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner.warp_init import init_warp
-from aero_viz.scenes.geometry import BOX, CYLINDER, SPHERE, Entry, Geometry, Grid, Primitive
+from aero_viz.scenes.geometry import BOX, CYLINDER, SPHERE, Entry, Geometry, Grid, Mover, Primitive
 from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
@@ -48,11 +48,14 @@ class DeviceWorlds:
     def __init__(self, worlds: Sequence[World], *, device: Any = "cpu") -> None:
         unique = list({id(world): world for world in worlds}.values())
         position = {id(world): i for i, world in enumerate(unique)}
-        primitives = [pack_primitives(world) for world in unique]
+        movers = [_pack_movers(world) for world in unique]
+        first_mover = np.concatenate([[0], np.cumsum([len(m) for m in movers])])
+        standing = [world.standing() for world in unique]
+        primitives = [pack_primitives(world) for world in standing]
         first = np.concatenate([[0], np.cumsum([len(p) for p in primitives])])
         grids = np.zeros(len(unique), dtype=_dtype(Grid))
         counts, entries, large = [np.zeros(1, dtype=int)], [], []
-        for grid, world, start in zip(grids, unique, first[:-1], strict=True):
+        for grid, world, start in zip(grids, standing, first[:-1], strict=True):
             pieces, large_primitives = _pieces(world)
             grid["first_cell"] = sum(map(len, counts)) - 1
             grid["first_large"] = sum(map(len, large))
@@ -78,6 +81,8 @@ class DeviceWorlds:
             self.geometry.cells = wp.array(np.cumsum(np.concatenate(counts)), dtype=int)
             self.geometry.entries = wp.array(np.concatenate(entries), dtype=Entry)
             self.geometry.large = wp.array(np.concatenate(large), dtype=int)
+            self.geometry.movers = wp.array(np.concatenate(movers), dtype=Mover)
+            self.geometry.first_mover = wp.array(first_mover, dtype=int)
             self.geometry.meshes = wp.array([tree.id if tree else 0 for tree in self._trees], dtype=wp.uint64)
 
 
@@ -96,6 +101,18 @@ def pack_primitives(world: World) -> NDArray[Any]:
     boxes["size"] = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     spheres["origin"], spheres["size"][:, 0] = world.spheres[:, :3], world.spheres[:, 3]
     return rows
+
+
+def _pack_movers(world: World) -> NDArray[Any]:
+    """Return the cylinders that move as `Mover`, structured array [M]."""
+    rows = np.flatnonzero(world.moves)
+    movers = np.zeros(len(rows), dtype=_dtype(Mover))
+    if len(rows):
+        velocity = world.motion[rows, :2]
+        movers["cylinder"] = pack_primitives(world)[rows]
+        movers["speed"], movers["span"] = np.linalg.norm(velocity, axis=1), world.motion[rows, 2]
+        movers["direction"][:, :2] = velocity / movers["speed"][:, None]
+    return movers
 
 
 def _pieces(world: World) -> tuple[_Pieces, NDArray[np.int64]]:

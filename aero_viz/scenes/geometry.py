@@ -30,6 +30,20 @@ class Primitive:
 
 
 @wp.struct
+class Mover:
+    """A cylinder that moves back and forth, see `World.motion`."""
+
+    cylinder: Primitive
+    """The cylinder at time 0."""
+    direction: wp.vec3
+    """Unit direction of the velocity at time 0."""
+    speed: float
+    """[m/s]"""
+    span: float
+    """Distance after which it turns back [m]."""
+
+
+@wp.struct
 class Grid:
     """Cells over the extent of one world's primitives: columns of a single layer, or cubes."""
 
@@ -79,6 +93,10 @@ class Geometry:
     """[E]"""
     large: wp.array(dtype=int)
     """[L], indices of the primitives that every ray tests."""
+    movers: wp.array(dtype=Mover)
+    """[M], world after world; they are not among the primitives, nor in the grids."""
+    first_mover: wp.array(dtype=int)
+    """[W + 1]; world w owns movers first_mover[w] .. first_mover[w + 1] - 1."""
     meshes: wp.array(dtype=wp.uint64)
     """[W], triangles of each world, see `TriangleTree.id`; 0 for a world without triangles."""
 
@@ -112,15 +130,27 @@ def primitive_distance(p: Primitive, point: wp.vec3):
 
 
 @wp.func
-def world_distance(geometry: Geometry, world: int, point: wp.vec3, thread: int, threads: int):
-    """Signed distance to the nearest surface of a world [m], for one of the threads that share the query.
+def mover_at(m: Mover, time: float):
+    """The cylinder at a time [s]: a triangle wave along its direction."""
+    travelled = m.speed * time
+    travelled -= 2.0 * m.span * wp.floor(travelled / (2.0 * m.span))
+    cylinder = m.cylinder
+    cylinder.origin = cylinder.origin + wp.min(travelled, 2.0 * m.span - travelled) * m.direction
+    return cylinder
 
-    The thread tests every threads-th primitive, and thread 0 also the triangles, which have no inside. The result is
-    the minimum over all threads; it is inf where a thread has nothing to test.
+
+@wp.func
+def world_distance(geometry: Geometry, world: int, point: wp.vec3, time: float, thread: int, threads: int):
+    """Signed distance to the nearest surface of a world at a time [s], for one of the threads that share the query [m].
+
+    The thread tests every threads-th primitive and mover, and thread 0 also the triangles, which have no inside. The
+    result is the minimum over all threads; it is inf where a thread has nothing to test.
     """
     nearest = float(wp.inf)
     if thread == 0:
         nearest = mesh_distance(geometry.meshes[world], point, FAR)
     for i in range(geometry.first[world] + thread, geometry.first[world + 1], threads):
         nearest = wp.min(nearest, primitive_distance(geometry.primitives[i], point))
+    for i in range(geometry.first_mover[world] + thread, geometry.first_mover[world + 1], threads):
+        nearest = wp.min(nearest, primitive_distance(mover_at(geometry.movers[i], time), point))
     return nearest

@@ -109,7 +109,7 @@ def pack_beams(model: LidarModel) -> Any:
     beams.elevation_min = math.radians(model.elevation_min)
     beams.elevation_max = math.radians(model.elevation_max)
     beams.height_min, beams.height_max = math.sin(beams.elevation_min), math.sin(beams.elevation_max)
-    for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout"):
+    for name in ("points_per_sweep", "sweep_rate", "range_min", "range_max", "range_noise", "dropout"):
         setattr(beams, name, getattr(model, name))
     if model.pattern == "rings":
         beams.rings = model.rings
@@ -184,7 +184,7 @@ class Lidar:
         estimated_poses: tuple[wp.array, wp.array] | None = None,
         estimated_poses_before: tuple[wp.array, wp.array] | None = None,
     ) -> None:
-        """Measure the points first .. end - 1 of a sweep into `points`.
+        """Measure the points first .. end - 1 of a sweep into `points`. Sweep 0 begins at time 0 of the worlds.
 
         Args:
             sweep: number of the sweep; negative before time 0.

@@ -27,6 +27,8 @@ class Beams:
     """Sine of elevation_min; equal steps of the sine are equal steps of solid angle."""
     height_max: float
     points_per_sweep: int
+    sweep_rate: float
+    """[Hz]"""
     range_min: float
     range_max: float
     range_noise: float
@@ -121,7 +123,8 @@ def scan_kernel(
     attitude = attitude_between(quaternion_before[b], quaternion[b], share)
     origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
     direction = wp.quat_rotate(attitude, beam)
-    distance = ray_range(geometry, world[b], origin, direction, beams.range_max)
+    time = (float(sweep) + (float(first + i) + 0.5) / float(beams.points_per_sweep)) / beams.sweep_rate
+    distance = ray_range(geometry, world[b], origin, direction, beams.range_max, time)
     point = wp.vec3(wp.nan, wp.nan, wp.nan)
     if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
         random = wp.rand_init(seeds[b], index)

@@ -12,7 +12,7 @@ import math
 import warp as wp
 
 from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.scenes.geometry import BOX, CYLINDER, FAR, Geometry, Primitive, rotate_z
+from aero_viz.scenes.geometry import BOX, CYLINDER, FAR, Geometry, Primitive, mover_at, rotate_z
 from aero_viz.scenes.triangles import mesh_range
 
 wp.set_module_options({"enable_backward": False})
@@ -112,12 +112,19 @@ def cell_exit(index: int, cell: float, lower: float, direction: float):
 
 
 @wp.func
-def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec3, range_max: float):
-    """Distance along a unit direction to the nearest solid of a world [m]; inf if none is within range_max."""
+def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec3, range_max: float, time: float):
+    """Distance along a unit direction to the nearest solid of a world [m]; inf if none is within range_max.
+
+    The cylinders that move are where they are at `time` [s]. Every ray tests all of them: they are few, and a grid
+    would have to be filled again at every tick.
+    """
     grid = geometry.grids[world]
     nearest = mesh_range(geometry.meshes[world], origin, direction, range_max)
     for i in range(grid.first_large, grid.end_large):
         nearest = wp.min(nearest, primitive_range(geometry.primitives[geometry.large[i]], origin, direction))
+
+    for i in range(geometry.first_mover[world], geometry.first_mover[world + 1]):
+        nearest = wp.min(nearest, cylinder_range(mover_at(geometry.movers[i], time), origin, direction))
 
     # The part of the ray inside the grid.
     enter = float(0.0)
@@ -172,6 +179,7 @@ def cast_kernel(
     geometry: Geometry,
     world: wp.array(dtype=int),  # [B]
     range_max: float,
+    time: float,
     # in
     origins: wp.array(dtype=wp.vec3),  # [B]
     directions: wp.array2d(dtype=wp.vec3),  # [B, R]
@@ -179,10 +187,12 @@ def cast_kernel(
     ranges: wp.array2d(dtype=float),  # [B, R]
 ):
     b, i = wp.tid()
-    ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], range_max)
+    ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], range_max, time)
 
 
-def cast(worlds: DeviceWorlds, origins: wp.array, directions: wp.array, *, range_max: float = math.inf) -> wp.array:
+def cast(
+    worlds: DeviceWorlds, origins: wp.array, directions: wp.array, *, range_max: float = math.inf, time: float = 0.0
+) -> wp.array:
     """Return the distance along each ray to the nearest solid [m], float [B, R] on the worlds' device.
 
     The distance is 0 from inside a solid and inf where nothing is within range_max.
@@ -192,8 +202,9 @@ def cast(worlds: DeviceWorlds, origins: wp.array, directions: wp.array, *, range
         origins: origin of the rays of each flight [m], vec3 [B], world frame.
         directions: unit vectors, vec3 [B, R], world frame.
         range_max: [m].
+        time: when the rays are cast [s]; obstacles may move.
     """
     ranges = wp.empty(directions.shape, dtype=float, device=worlds.device)
-    inputs = [worlds.geometry, worlds.index, range_max, origins, directions]
+    inputs = [worlds.geometry, worlds.index, range_max, time, origins, directions]
     wp.launch(cast_kernel, directions.shape, inputs=inputs, outputs=[ranges], device=worlds.device)
     return ranges

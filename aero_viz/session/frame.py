@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -58,9 +59,14 @@ class Frame:
     """Warp device of the planner."""
 
     @property
-    def world(self) -> World | None:
-        """Obstacles of a synthetic world at this tick."""
+    def moving_world(self) -> World | None:
+        """Synthetic world that is flown in at this tick, with the motion of its obstacles."""
         return self.observation.world or self.source.world
+
+    @cached_property
+    def world(self) -> World | None:
+        """Obstacles of a synthetic world, where they are at this tick."""
+        return None if self.moving_world is None else self.moving_world.at(self.time)
 
 
 @dataclass(frozen=True)

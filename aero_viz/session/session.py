@@ -247,7 +247,7 @@ class Session(BaseSession):
 
     @property
     def _world(self) -> World | None:
-        return None if self.frame is None else self.frame.world
+        return None if self.frame is None else self.frame.moving_world
 
     def _go_to_config(self, step: int) -> PlannerConfig:
         config = self._configs.go(step)

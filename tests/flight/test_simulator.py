@@ -187,3 +187,47 @@ def test_restored_simulator_continues_bit_for_bit():
 def test_rules_must_be_positive():
     with pytest.raises(ValueError, match="radius"):
         FlightRules(radius=0.0)
+
+
+MOVERS = {
+    "cylinders": [[3.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.4, 5.0], [4.0, 2.0, 0.0, 0.0, 0.6, 0.8, 0.3, 6.0]],
+    "motion": [[-1.6, 0.3, 2.5], [0.5, -1.5, 1.0]],
+}
+
+
+def distance_at(time: float, point) -> float:
+    """Distance to MOVERS [m], written from the definition: along the velocity for the span, and back."""
+    distances = []
+    for row, (x, y, span) in zip(np.array(MOVERS["cylinders"]), MOVERS["motion"], strict=True):
+        speed, axis = np.hypot(x, y), row[3:6]
+        leg, gone = divmod(speed * time, span)
+        gone = gone if leg % 2 == 0 else span - gone
+        relative = np.asarray(point, dtype=float) - row[:3] - gone / speed * np.array([x, y, 0.0])
+        along = relative @ axis
+        out = np.linalg.norm(relative - along * axis) - row[6]
+        over = abs(along - 0.5 * row[7]) - 0.5 * row[7]
+        distances.append(np.hypot(max(out, 0.0), max(over, 0.0)) + min(max(out, over), 0.0))
+    return min(distances)
+
+
+def test_clearance_is_that_from_where_obstacles_are_at_each_integration_step():
+    simulator = simulate(world(boxes=[[0, 0, -50, 9, 9, 1, 0]], **MOVERS), radius=0.01)
+    steps = simulator.vehicle.trail.shape[1]
+    nearest, total = np.inf, steps * distance_at(0.0, [0.0, 0.0, 2.0])
+    for tick in range(1, 201):
+        fly(simulator, HOVER, 1)
+        times = 0.02 * (tick - 1) + 0.02 / steps * np.arange(1, steps + 1)
+        trail = simulator.vehicle.trail.numpy()[0]
+        distances = [distance_at(time, point) for time, point in zip(times, trail, strict=True)]
+        nearest, total = min(nearest, *distances), total + sum(distances)
+    record = simulator.records()[0]
+    assert record["clearance_min"] == pytest.approx(nearest, abs=1e-4)
+    assert record["clearance_sum"] == pytest.approx(total, rel=1e-5)
+
+
+def test_an_obstacle_runs_into_a_hovering_drone():
+    pole = {"cylinders": [[2.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.25, 5.0]], "motion": [[-1.0, 0.0, 3.0]]}
+    simulator = simulate([world(**pole), world(cylinders=pole["cylinders"])])
+    fly(simulator, HOVER, 120)
+    assert simulator.outcomes() == ["collision", None]
+    assert simulator.records()["ticks"].tolist() == [75 + 1, 120]  # 1.5 m at 1 m/s; contact is closer than the radius

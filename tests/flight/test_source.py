@@ -2,6 +2,7 @@ import gc
 import re
 import tracemalloc
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -243,3 +244,27 @@ def test_a_flight_cannot_seek(source):
 def test_tick_that_does_not_divide_the_sweep_is_a_users_error():
     with pytest.raises(UserError, match="not a multiple of the tick"):
         FlightSource(scene("forest", seed=0, count=1), rules=FlightRules(period=0.03))
+
+
+def test_a_flight_among_moving_obstacles_repeats_and_ends_where_they_are():
+    pole = np.array([[9.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.4, 5.0]])
+    motion = np.array([[-2.0, 0.0, 9.0]])
+    moving = World("pole", np.array([0.0, 0.0, 2.0]), np.array([8.0, 0.0, 2.0]), cylinders=pole, motion=motion)
+    source = FlightSource(moving, lidar=LIDAR)
+    hover: Any = SimpleNamespace(command=np.array([[9.81, 0.0, 0.0, 0.0]] * 2, dtype=np.float32))
+    for _ in range(60):
+        source.advance(hover)
+    checkpoint = source.checkpoint()
+    while source.outcome is None:
+        source.advance(hover)
+    points, result = source.observe().points.copy(), source.result()
+    # The axis is 0.65 m away after 4.175 s; at time 0 and at the end of its way the pole is elsewhere.
+    assert result.reason == "collision" and abs(result.flight_time_s - 4.18) < 0.011
+    assert "from cylinder 0" in result.explanation
+    source.restore(checkpoint)
+    while source.outcome is None:
+        source.advance(hover)
+    np.testing.assert_array_equal(source.observe().points, points)
+    source.set_goal([9.0, 0.0, 2.0])  # where the pole was at time 0
+    with pytest.raises(UserError, match="inside an obstacle"):
+        source.set_goal(moving.at(source.simulator.time).cylinders[0, :3] + [0.0, 0.0, 2.0])

@@ -239,3 +239,22 @@ def test_models_by_name():
     assert all(lidar_model(name).name == name for name in LIDARS)
     with pytest.raises(UserError, match=r"did you mean 'mid360'\?\); LiDARs"):
         lidar_model("mid36")
+
+
+def test_points_lie_on_obstacles_where_they_are_at_the_time_of_the_ray():
+    pole = np.array([[3.0, 0.0, -9.0, 0.0, 0.0, 1.0, 0.5, 20.0]])
+    world = World("", np.zeros(3), np.ones(3), cylinders=pole, motion=np.array([[0.0, 2.0, 1.5]]))
+    model = LidarModel("exact", points_per_sweep=2000, range_noise=0.0, dropout=0.0)
+    lidar = Lidar(model, DeviceWorlds([world]), seeds=[3])
+    pose = wp.zeros(1, dtype=wp.vec3), wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4)
+    finished = wp.zeros(1, dtype=int)
+    for sweep in (-3, 0, 11):
+        lidar.scan(sweep, 0, 1000, poses=pose, poses_before=pose, finished=finished)
+        lidar.scan(sweep, 1000, 2000, poses=pose, poses_before=pose, finished=finished)
+        points = lidar.points.numpy()[0]
+        times = sweep * 0.1 + model.point_times()
+        hits = np.flatnonzero(~np.isnan(points[:, 0]))
+        y = 1.5 - np.abs(np.mod(2.0 * times[hits], 3.0) - 1.5)
+        assert len(hits) > 50
+        gap = np.hypot(points[hits, 0] - 3.0, points[hits, 1] - y) - 0.5
+        np.testing.assert_allclose(gap, 0.0, atol=1e-4)

@@ -194,7 +194,7 @@ def distance_kernel(
     found: wp.array(dtype=float),
 ):
     i = wp.tid()
-    found[i] = world_distance(geometry, 0, points[i], 0, 1)
+    found[i] = world_distance(geometry, 0, points[i], 0.0, 0, 1)
 
 
 def test_device_distance_matches_numpy():

@@ -13,6 +13,7 @@ from aero_planner import PlanStatus
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import World
+from aero_viz.scenes.obstacles import ObstacleKey, with_obstacle
 from aero_viz.session import Session
 from aero_viz.session.repeat import repeat
 
@@ -163,3 +164,21 @@ def test_a_change_that_cannot_be_is_refused_and_changes_nothing(session, change,
     following = session.tick()
     session.seek(frame.time).result()
     assert np.array_equal(session.tick().plan.command, following.plan.command)
+
+
+def test_a_frame_has_obstacles_where_they_are_and_edits_keep_the_others_moving():
+    poles = np.array([[8.0, y, 0.0, 0.0, 0.0, 1.0, 0.3, 5.0] for y in (-6.0, 6.0)])
+    motion = np.array([[0.0, -1.0, 4.0], [0.0, 1.0, 4.0]])
+    world = World("", np.array([0.0, 0.0, 2.0]), np.array([20.0, 0.0, 2.0]), cylinders=poles, motion=motion)
+    session = Session(FlightSource(world, seed=1), seed=1)
+    frame = [session.tick() for _ in range(6)][-1]
+    assert frame.time == pytest.approx(0.1) and frame.moving_world is world
+    np.testing.assert_allclose(frame.world.cylinders[:, 1], [-6.1, 6.1])
+    assert frame.world is frame.world
+    session.alter(lambda source: source.set_world(with_obstacle(world, None, ObstacleKey("cylinders", 0))))
+    frame = session.tick()
+    np.testing.assert_allclose(frame.world.cylinders[:, 1], [6.0 + frame.time])
+    session.undo()
+    frame = session.tick()
+    assert frame.moving_world is world and len(frame.world.cylinders) == 2
+    session.close()

@@ -112,9 +112,9 @@ class ObstaclePanel(Panel):
         @self._save.on_click
         async def _(event: viser.GuiEvent) -> None:
             frame = self.session.frame
-            if event.client is not None and frame is not None and frame.world is not None:
-                content = frame.world.to_json().encode()
-                event.client.send_file_download(f"{frame.world.name}.json", content, save_immediately=True)
+            if event.client is not None and frame is not None and frame.moving_world is not None:
+                content = frame.moving_world.to_json().encode()
+                event.client.send_file_download(f"{frame.moving_world.name}.json", content, save_immediately=True)
 
         self._on_input(self._center, Obstacle.moved)
         self._on_input(self._size, Obstacle.resized)
@@ -228,7 +228,7 @@ class ObstaclePanel(Panel):
         def alter(source: Any) -> None:
             world = _world(source)
             key = None if identity is None else find_obstacle(world, identity)
-            obstacle = None if key is None else obstacle_at(world, key)
+            obstacle = None if key is None else obstacle_at(world.at(source.observe().time), key)
             if obstacle is None:
                 raise UserError("Select an obstacle first: the one that was selected is not in this world.")
             changed = change(obstacle)
