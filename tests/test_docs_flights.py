@@ -61,5 +61,6 @@ def test_coverage_equals_the_table():
 
 def test_keys_of_a_world_file_are_complete():
     keys = re.findall(r'"(\w+)":', TEXT.split("**A world on disk**")[1].split("```")[1])
-    world = World.from_dict({"name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], "triangles": [[0] * 8 + [1]]})
+    tables = {"cylinders": [[5, 5, 0, 0, 0, 1, 1, 2]], "motion": [[1, 0, 3]], "triangles": [[0] * 8 + [1]]}
+    world = World.from_dict({"name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], **tables})
     assert set(keys) == {*json.loads(json.dumps(world.to_dict())), "bounds"}

@@ -215,7 +215,9 @@ class World:
     @property
     def moves(self) -> NDArray[np.bool_]:
         """Mask of the cylinders that move, [n]."""
-        return self.motion[:, :2].any(axis=1) if len(self.motion) else np.zeros(len(self.cylinders), dtype=bool)
+        moves = np.zeros(len(self.cylinders), dtype=bool)
+        moves[: len(self.motion)] = np.linalg.norm(self.motion[:, :2], axis=1) > 0.0
+        return moves
 
     def standing(self) -> World:
         """Return the world without the cylinders that move; this world if nothing moves."""

@@ -260,7 +260,7 @@ def test_a_flight_among_moving_obstacles_repeats_and_ends_where_they_are():
     points, result = source.observe().points.copy(), source.result()
     # The axis is 0.65 m away after 4.175 s; at time 0 and at the end of its way the pole is elsewhere.
     assert result.reason == "collision" and abs(result.flight_time_s - 4.18) < 0.011
-    assert "from cylinder 0" in result.explanation
+    assert "from cylinder 0" in str(result.explanation)
     source.restore(checkpoint)
     while source.outcome is None:
         source.advance(hover)

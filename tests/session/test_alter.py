@@ -171,7 +171,7 @@ def test_a_frame_has_obstacles_where_they_are_and_edits_keep_the_others_moving()
     motion = np.array([[0.0, -1.0, 4.0], [0.0, 1.0, 4.0]])
     world = World("", np.array([0.0, 0.0, 2.0]), np.array([20.0, 0.0, 2.0]), cylinders=poles, motion=motion)
     session = Session(FlightSource(world, seed=1), seed=1)
-    frame = [session.tick() for _ in range(6)][-1]
+    frame: Any = [session.tick() for _ in range(6)][-1]
     assert frame.time == pytest.approx(0.1) and frame.moving_world is world
     np.testing.assert_allclose(frame.world.cylinders[:, 1], [-6.1, 6.1])
     assert frame.world is frame.world
