@@ -136,6 +136,31 @@ def density(
     return _field(f"{kind}-{count}-{seed}", draw, count, ground)
 
 
+def moving(*, seed: int, count: int = 40, speed: tuple[float, float] = (0.5, 2.0), ground: bool = True) -> World:
+    """Return a world of vertical pillars, 0.4 to 1.1 m wide and 6 m high, that move back and forth over 5 to 15 m.
+
+    Args:
+        seed: same seed, same world.
+        count: number of pillars.
+        speed: range of the uniform speeds [m/s].
+        ground: True adds the ground, a box whose top is z = 0.
+    """
+    rng = np.random.default_rng(seed)
+    pillars, motion = [], []
+    while len(pillars) < count:
+        pillar = np.concatenate([_position(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(0.4, 1.1), 6.0]])
+        heading, span = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(5.0, 15.0)
+        direction = np.array([np.cos(heading), np.sin(heading)])
+        ends = np.array([START[:2], GOAL[:2]]) - pillar[:2]
+        nearest = np.clip(ends @ direction, 0.0, span)[:, None] * direction
+        if np.linalg.norm(ends - nearest, axis=1).min() >= CLEAR_RADIUS + pillar[6]:
+            pillars.append(pillar)
+            motion.append([*rng.uniform(*speed) * direction, span])
+    boxes = np.array([GROUND]) if ground else np.zeros((0, 7))
+    tables = {"cylinders": np.reshape(pillars, (-1, 8)), "motion": np.reshape(motion, (-1, 3)), "boxes": boxes}
+    return World(f"moving-{count}-{seed}", np.array(START), np.array(GOAL), **tables)
+
+
 @dataclass(frozen=True)
 class SceneKind:
     """Entry of the scene registry."""
@@ -157,6 +182,7 @@ SCENES: dict[str, SceneKind] = {
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees. Dense.", inclines),
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide. Dense.", density),
     "density-6m": SceneKind("The cylinders of density, all 6 m high. Very dense.", partial(density, height=(6.0, 6.0))),
+    "moving": SceneKind("40 pillars, 0.4 to 1.1 m wide, that move back and forth at 0.5 to 2 m/s.", moving),
     "pillars": _room("A room with 6 pillars; the goal is 3.75 m ahead at 0.8 m.", rooms.pillars),
     "wall": _room("A room with a wall across the direct line, open at both ends.", rooms.wall, counted=False),
     "double_wall_trap": _room(
