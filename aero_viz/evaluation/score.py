@@ -107,12 +107,8 @@ def score(
     step_times = start + period * (np.arange(count * steps) + 1) / steps
     # At the start, the simulator measures the clearance as often as at any other tick.
     step_positions = np.concatenate([np.repeat(positions[:1], steps, axis=0), trajectory.at(step_times)[0]])
-    if len(world.motion):
-        flown = np.maximum(np.arange(1 - steps, count * steps + 1) * period / steps, 0.0)
-        distances = [world.at(time).distance(place)[0] for time, place in zip(flown, step_positions, strict=True)]
-        clearance = np.reshape(distances, (count + 1, steps))
-    else:
-        clearance = world.distance(step_positions).reshape(count + 1, steps)
+    flown = np.maximum(np.arange(1 - steps, count * steps + 1) * period / steps, 0.0)
+    clearance = world.distance(step_positions, flown).reshape(count + 1, steps)
     record, outcome = judge_trajectory(world, positions, velocities, clearance, rules=rules)
     ticks = int(record["ticks"][0])
     return flight_results(

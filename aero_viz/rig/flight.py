@@ -269,4 +269,5 @@ class RigFlight:
             self._progress(f"{now:6.2f} s  {text}")
 
     def _min_clearance(self, rows: Sequence[tuple[float, ...]]) -> float:
-        return float(self._world.distance(np.array(rows)[:, 1:4]).min())
+        times, positions = np.split(np.array(rows)[:, :4], [1], axis=1)
+        return float(self._world.distance(positions, times[:, 0] + (self._engaged_at or 0.0)).min())

@@ -164,5 +164,6 @@ class LockstepRig:
         if self.autopilot.mode is Mode.OFFBOARD or self.speeds:
             self.speeds.append(self.speed)
             self.tilts.append(self.tilt)
-            self.min_clearance = min(self.min_clearance, float(self._world.distance(self.autopilot.position[None])[0]))
+            clearance = float(self._world.distance(self.autopilot.position, self.now)[0])
+            self.min_clearance = min(self.min_clearance, clearance)
         self._process.step(self.now)

@@ -166,7 +166,7 @@ class World:
         except OSError as error:
             raise UserError(f"Cannot write the world {path}: {error.strerror or error}.") from error
 
-    def distance(self, points: ArrayLike) -> NDArray[np.float64]:
+    def distance(self, points: ArrayLike, times: ArrayLike = 0.0) -> NDArray[np.float64]:
         """Return the exact distance from each point to the nearest surface [m], [n].
 
         The distance is negative inside a primitive; where primitives overlap, it is the largest depth. It is infinite
@@ -174,8 +174,12 @@ class World:
 
         Args:
             points: [m], [n, 3], world frame.
+            times: when the points are there [s], [n] or one for all; they matter only if something moves.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        if len(self.motion):
+            moments = zip(points, np.broadcast_to(times, len(points)), strict=True)
+            return np.array([self.at(float(time)).distance(point)[0] for point, time in moments])
         nearest = np.full(len(points), np.inf)
         for key, distance in DISTANCES.items():
             table = getattr(self, key)

@@ -83,8 +83,14 @@ def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_laye
     second.get_by_text("You look on; your camera").wait_for()
     before = desk.session.frame
     second.mouse.click(500, 200)
-    second.keyboard.press("ArrowRight")
-    second.locator(".mantine-Notification-root", has_text="You look on").wait_for()
+    refusal = second.locator(".mantine-Notification-root", has_text="You look on").first
+
+    def is_told() -> bool:
+        second.keyboard.press("ArrowRight")  # has no effect until the new page has received its keys
+        second.wait_for_timeout(500)
+        return refusal.is_visible()
+
+    desk.wait_for(is_told, "the refusal")
     first, other = (client.camera for client in desk.dashboard.server.get_clients().values())
     second.keyboard.press("2")
     desk.wait_for(lambda: other.position[2] > 2.0 * first.position[2], "the view from above")

@@ -153,6 +153,25 @@ def test_opening_can_be_cancelled_and_many_clicks_open_one_source(desk, folder):
     wait_for(lambda: desk.session.source is not before, "another source")
 
 
+def test_a_click_while_a_source_is_about_to_be_shown_opens_the_next_one(desk, folder, monkeypatch):
+    set_source, is_read, go_on = Session.set_source, threading.Event(), threading.Event()
+
+    def hold(*arguments, **options):
+        is_read.set()
+        assert go_on.wait(60.0)
+        return set_source(*arguments, **options)
+
+    monkeypatch.setattr(Session, "set_source", hold)
+    LATE.set()
+    source_panel(desk).open_link(Link(Opening("late")), None)
+    assert is_read.wait(60.0)
+    open_path(desk, folder / "poles.json")
+    wait_for(lambda: str(folder / "poles.json") in [control.value for control in controls(desk)], "the path")
+    time.sleep(0.5)  # longer than the page gives a typed value, so that the click would be refused
+    go_on.set()
+    wait_for(lambda: source_panel(desk).opening.spec == str(folder / "poles.json"), "the next source")
+
+
 def test_a_source_that_is_complete_when_its_opening_is_cancelled_is_not_shown(desk):
     before = desk.session.source
     source_panel(desk).open_link(Link(Opening("late")), None)

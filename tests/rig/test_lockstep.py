@@ -10,6 +10,7 @@ from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.ground_tracker import GroundSource
 from aero_planner.onboard.settings import OnboardConfig
+from aero_viz.flight import FlightRules
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.lockstep import LockstepRig
 from aero_viz.rig.offboard import Mode
@@ -33,6 +34,20 @@ def avenue(*posts: tuple[float, float]) -> World:
     places = [(float(x), side * 3.5) for x in range(0, 40, 3) for side in (-1.0, 1.0)] + list(posts)
     cylinders = np.array([[x, y, 0, 0, 0, 1, 0.3, 8] for x, y in places])
     return World("avenue", np.array([0.0, 0, 2]), np.array([30.0, 0, 2]), cylinders, np.array([GROUND]))
+
+
+def test_a_moving_pillar_hits_a_drone_that_cannot_see_it(planner):
+    """The drone hovers at its goal, with its LiDAR off, and a pillar comes to it."""
+    start, pillar = np.array([0.0, 0, 2]), [[16.0, 0, 0, 0, 0, 1, 0.3, 8]]
+    world = World("visit", start, start, np.array(pillar), np.array([GROUND]), motion=np.array([[-1.6, 0.0, 40.0]]))
+    with LockstepRig(planner, world) as rig:
+        assert rig.take_over()
+        rig.sensor.alive = False
+        while not rig.collided:
+            rig.run(0.02)
+            assert rig.now < 12.0
+        place = 16.0 - 1.6 * rig.now
+        assert rig.autopilot.position[0] == pytest.approx(place - 0.3 - FlightRules().radius, abs=0.05)
 
 
 def at_full_speed(rig: LockstepRig) -> None:

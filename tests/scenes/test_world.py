@@ -191,6 +191,13 @@ def test_a_moving_cylinder_goes_forth_and_back():
     assert moment.distance([[5.2, -0.6, 1.0]])[0] == pytest.approx(-0.5)
 
 
+def test_distances_are_those_at_the_time_of_each_point():
+    world, points = movers([[1.2, -1.6, 3.0], [0.0, 0.0, 0.0]]), np.array([[5.2, -0.6, 1.0], [4.0, 1.0, 1.0]])
+    np.testing.assert_allclose(world.distance(points, [1.0, 3.0]), [-0.5, -0.5])
+    np.testing.assert_allclose(world.distance(points, 1.0), [world.at(1.0).distance(p)[0] for p in points])
+    assert np.array_equal(world.distance(points), world.at(0.0).distance(points))
+
+
 def test_bounds_contain_the_whole_motion():
     assert movers([[0.0, 2.0, 30.0]]).bounds[1, 1] == pytest.approx(1.0 + 30.0 + 0.5 + 10.0)
 

@@ -81,6 +81,8 @@ class SourcePanel(Panel):
         """True while the list has been told of the open source."""
         self._reader: ReaderProcess | None = None
         """Reader of the source that is being opened; None if there is none."""
+        self._is_read = False
+        """True while a source that has been read becomes the session's, which takes a moment and is not cancelled."""
         self._cancellations = 0
         self._closed = False
         self._lock = threading.Lock()
@@ -168,6 +170,8 @@ class SourcePanel(Panel):
             except ValueError as error:
                 notify(self.page.server, str(error), level="error", client=client)
                 return
+        while self._is_read:  # its scene may be on the page already: a click on Open then means the next one
+            await asyncio.sleep(TYPING_DELAY)
         with self._lock:
             if self._cancellations != cancellations:
                 return
@@ -211,13 +215,14 @@ class SourcePanel(Panel):
                         self._go_to(link, reader)
         finally:
             with self._lock:
-                self._reader = None
+                self._reader, self._is_read = None, False
             if not self._closed:
                 self._cancel.visible = False
                 self.page.refresh()
 
     def _go_to(self, link: Link, reader: ReaderProcess) -> None:
         """Use the configuration of a link from the start on, and fly to its time, or until that is cancelled."""
+        self._is_read = False
         self.session.pause()
         self._controls.configure(PlannerConfig().replace(link.config))
         with contextlib.suppress(CancelledError):
@@ -238,6 +243,7 @@ class SourcePanel(Panel):
         Returns:
             False if its first tick failed, so that the source before it stays.
         """
+        self._is_read = True
         frame, was_playing = self.session.frame, self.session.playing
         had_ended = frame is not None and frame.outcome is not None
         self.session.pause()  # no tick before the planner knows what is known about the flight
