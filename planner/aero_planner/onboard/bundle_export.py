@@ -34,4 +34,4 @@ def export_bundle(
     check_together(planner, onboard)
     is_file = str(config) not in PlannerConfig.presets() and Path(config).exists()
     text = read_text(config) if is_file else f"{format_config(planner)}\n{format_onboard(onboard)}"
-    return export(out, config=text, max_points=onboard.lidar.points_max, architectures=architectures, cpu=cpu)
+    return export(out, config=text, max_points=onboard.lidar.cloud_points_max, architectures=architectures, cpu=cpu)

@@ -177,7 +177,7 @@ class PlanRecord(PlanResult):
     late_ticks: int = 0
     """Number of deadlines that the control loop has missed since the start."""
     sweeps: int = 10
-    """Number of sweeps in the cloud."""
+    """Number of sweeps in the cloud, with the thinned ones."""
 
 
 Observation: TypeAlias = PlanRecord | StateChange | VehicleSample | PointPacket

@@ -232,7 +232,7 @@ class Node:
             safety=self.state,
             missing=self.safety.missing(),
             late_ticks=self._loops["control"].statistics.missed,
-            sweeps=self.config.lidar.sweeps,
+            sweeps=self.config.lidar.sweeps + self.config.lidar.older_sweeps,
         )
         self._notify(record)
         return True

@@ -114,7 +114,7 @@ def _check_device(planner_config: PlannerConfig, onboard: OnboardConfig, device:
     from aero_planner.planner import Planner
 
     name, period = f"device {device}", 1e3 / onboard.rates.replan
-    state, goal, cloud = forest_flight(onboard.lidar.points_max)
+    state, goal, cloud = forest_flight(onboard.lidar.cloud_points_max)
     try:
         with contextlib.closing(Planner(planner_config, device=device)) as planner:
             times = [planner.plan(state, goal, cloud).stage_ms["total"] for _ in range(_WARM_UP_PLANS + _TIMED_PLANS)][

@@ -33,8 +33,8 @@ _HOVER_SPEED = 1.0
 """Speed up to which it is compared [m/s]."""
 _GROUND_PERIOD = 1.0
 """Time between two looks for the ground in the cloud [s]."""
-_MOST_SWEEPS = 256
-"""Sweeps for which the planner has room: every plan adds one, of the points that are new."""
+_SPARE_SWEEPS = 64
+"""Sweeps for which the planner has room beside those of its memory."""
 _STEP = 0.02
 """Time step of the prediction [s]."""
 
@@ -79,7 +79,10 @@ class Replanner:
         self.durations: deque[float] = deque(maxlen=10_000)
         self.is_finite = True
         # So that no plan has to wait for larger buffers.
-        planner.reserve_sweeps(_MOST_SWEEPS, 2 * config.lidar.points_max)
+        lidar = config.lidar
+        memory = (lidar.sweeps + lidar.older_sweeps) * lidar.sweep_period
+        plans = int(memory * config.rates.replan)  # each adds one sweep, of the points that are new
+        planner.reserve_sweeps(plans + _SPARE_SWEEPS, 2 * lidar.points_max + lidar.older_points_max)
         self._sweeps = make_sweep_buffer(config)
         self._sweep_period = config.lidar.sweep_period
         self._resets = 0
@@ -139,7 +142,8 @@ class Replanner:
             self._drift = None if drift is None else (drift, interval)
         if start >= self._next_ground:  # last, so that no plan waits for it
             self._next_ground = start + _GROUND_PERIOD
-            height = find_ground(cloud.points, snapshot.motion.position)
+            newest = Sweeps(list(cloud)[cloud.thinned :])
+            height = find_ground(newest.points, snapshot.motion.position)
             self._ground = None if height is None else (self._resets, height)
         return result
 

@@ -11,6 +11,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.config.field_of_view import mounted_view
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
+from aero_planner.sweeps import THINNING
 
 _ADDRESS = r"[A-Za-z0-9_.:-]+"
 _SENDER = rf"(?:vehicle|[0-9]{{1,3}}@{_ADDRESS})"
@@ -49,13 +50,30 @@ class LidarSettings(ParameterSection, section="lidar"):
     mount_yaw: float = live(
         0.0, "deg", -180.0, 180.0, "Rotation of the sensor about the z axis; positive values look left."
     )
-    sweeps: int = structural(10, 1, 50, "Number of sweeps in the cloud.", label="Sweeps in the cloud")
+    sweeps: int = structural(
+        10, 1, 50, "Number of newest sweeps of which all points are in the cloud.", label="Sweeps in the cloud"
+    )
+    older_sweeps: int = structural(
+        20, 0, 100, "Number of older sweeps of which one point in five is in the cloud: what was seen stays while the "
+        "drone flies past it.",
+        label="Older sweeps",
+    )  # fmt: skip
     sweep_period: float = live(0.1, "s", 0.01, 1.0, "Duration of a sweep; 0.1 for 10 sweeps per second.")
     points_max: int = structural(
-        200_000, 100, 5_000_000, "Largest number of points in the cloud; beyond it, the oldest are dropped. A Mid-360 "
-        "measures 20 000 points per sweep.",
+        200_000, 100, 5_000_000, "Largest number of points of the newest sweeps; beyond it, the oldest are dropped. A "
+        "Mid-360 measures 20 000 points per sweep.",
         label="Maximum number of points",
     )  # fmt: skip
+
+    @property
+    def older_points_max(self) -> int:
+        """Largest number of points that the older sweeps have before they are thinned."""
+        return self.points_max * self.older_sweeps // self.sweeps
+
+    @property
+    def cloud_points_max(self) -> int:
+        """Largest number of points from which the node plans."""
+        return self.points_max + self.older_points_max // THINNING
 
 
 @dataclass(frozen=True)

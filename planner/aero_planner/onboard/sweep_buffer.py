@@ -18,15 +18,16 @@ _POSES = 512
 
 
 class SweepBuffer:
-    """The deskewed points of the last `sweeps` x `period` seconds. Thread-safe.
+    """The deskewed points of the last `sweeps` x `period` seconds, and thinned ones from before. Thread-safe.
 
     Points newer than the newest pose wait for the next one. Points that are older than the oldest pose, or that lie
     between two poses too far apart to interpolate, are dropped and counted. Memory is bounded for any input.
 
     Args:
-        sweeps: Number of sweeps.
+        sweeps: Number of newest sweeps, of which all points are in the cloud.
         period: Duration of a sweep [s].
-        capacity: Largest number of points that are kept, and of points that wait for a pose; the oldest are dropped.
+        capacity: Largest number of their points, and of points that wait for a pose; the oldest are dropped.
+        older_sweeps: Number of sweeps before them, of which the cloud is thinned, see `Sweeps`.
         mount_position: Position of the sensor in the body frame [m], shape [3].
         mount_quaternion: Sensor to body, w x y z, unit, shape [4].
         max_gap: Longest time between two poses that is interpolated [s].
@@ -44,6 +45,7 @@ class SweepBuffer:
         period: float = 0.1,
         capacity: int = 200_000,
         *,
+        older_sweeps: int = 0,
         mount_position: ArrayLike = (0.0, 0.0, 0.0),
         mount_quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0),
         max_gap: float = 0.25,
@@ -53,13 +55,17 @@ class SweepBuffer:
                 raise ValueError(f"{name} of the sweep buffer is {value!r}; it must be positive.")
         self.dropped = 0
         self._window = sweeps * period
+        self._older_window = older_sweeps * period
         self._capacity = int(capacity)
+        self._older_capacity = self._capacity * older_sweeps // sweeps
         position = np.asarray(mount_position, dtype=np.float64)
         self._mount = np.column_stack([rotation_matrix(mount_quaternion), position]).astype(np.float32)
         self._max_gap = max_gap
         self._poses = PoseTrack(_POSES)
         # Points that were placed together, world frame [m], shape [n, 3], and when the newest was measured [s].
         self._chunks: deque[tuple[NDArray[np.float32], float]] = deque()
+        self._older: deque[tuple[NDArray[np.float32], float]] = deque()
+        self._older_count = 0
         self._unread = 0  # newest chunks that `cloud` has not returned yet
         self._count = 0
         self._newest = -np.inf
@@ -106,8 +112,9 @@ class SweepBuffer:
             self.dropped += self._waiting_count
             self._poses = PoseTrack(_POSES)
             self._chunks.clear()
+            self._older.clear()
             self._waiting.clear()
-            self._count = self._unread = self._waiting_count = 0
+            self._count = self._older_count = self._unread = self._waiting_count = 0
             self._newest = -np.inf
 
     @property
@@ -127,10 +134,11 @@ class SweepBuffer:
                 points.flags.writeable = False
                 self._chunks.append((points, max(time for _, time in placed)))
             self._unread = 0
-            return Sweeps(points for points, _ in self._chunks), now - self._newest
+            chunks = [points for points, _ in (*self._older, *self._chunks)]
+            return Sweeps(chunks, whole=len(self._chunks)), now - self._newest
 
     def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-        """Return the points of the older and of the newer half of the time kept [m], and the time between the two [s].
+        """Return the newest sweeps' points of the older and of the newer half [m], and the time between the two [s].
 
         Both have shape [n, 3], world frame.
         """
@@ -170,8 +178,14 @@ class SweepBuffer:
         self._newest = max(self._newest, time)
         # The newest chunk always stays: it is never larger than the capacity.
         while self._count > self._capacity or self._chunks[0][1] < self._newest - self._window:
-            self._count -= len(self._chunks.popleft()[0])
+            oldest = self._chunks.popleft()
+            self._count -= len(oldest[0])
+            self._older_count += len(oldest[0])
+            self._older.append(oldest)
         self._unread = min(self._unread, len(self._chunks))
+        first = self._newest - self._window - self._older_window
+        while self._older and (self._older_count > self._older_capacity or self._older[0][1] < first):
+            self._older_count -= len(self._older.popleft()[0])
 
 
 def make_sweep_buffer(config: OnboardConfig) -> SweepBuffer:
@@ -181,6 +195,7 @@ def make_sweep_buffer(config: OnboardConfig) -> SweepBuffer:
         lidar.sweeps,
         lidar.sweep_period,
         lidar.points_max,
+        older_sweeps=lidar.older_sweeps,
         mount_position=(lidar.mount_x, lidar.mount_y, lidar.mount_z),
         mount_quaternion=quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw),
     )

@@ -146,6 +146,21 @@ def test_the_cloud_holds_the_last_sweeps():
     assert age == pytest.approx(0.02)
 
 
+def test_older_sweeps_are_thinned_and_then_forgotten():
+    buffer, random = SweepBuffer(sweeps=5, period=0.1, older_sweeps=10), np.random.default_rng(0)
+    for k in range(100):
+        points = random.uniform(-1.0, 1.0, (100, 3)).astype(np.float32)
+        points[:, 0] = k
+        buffer.add_pose(0.02 * k, (0, 0, 0), LEVEL)
+        buffer.add_points(points, np.full(100, 0.02 * k))
+        if k % 3 == 0:
+            buffer.cloud(0.02 * k)
+    counts = np.bincount(cloud_of(buffer, 2.0)[0][:, 0].astype(int), minlength=100)
+    assert np.all(counts[74:] == 100)
+    assert np.all(counts[24:74] > 0) and 0.15 < counts[24:74].mean() / 100 < 0.25
+    assert not counts[:22].any()  # three ticks form a sweep
+
+
 def test_ages():
     buffer = SweepBuffer()
     assert cloud_of(buffer, 7.0)[1] == math.inf
@@ -178,15 +193,16 @@ def test_memory_is_bounded_while_poses_are_missing():
     assert buffer.waiting == 0
 
 
-def test_memory_is_bounded_while_points_pour_in():
-    buffer = SweepBuffer(capacity=1000)
+@pytest.mark.parametrize(("older", "most"), [(0, 1000), (20, 1500)])
+def test_memory_is_bounded_while_points_pour_in(older: int, most: int):
+    buffer = SweepBuffer(capacity=1000, older_sweeps=older)
     for k in range(1000):
         buffer.add_pose(0.001 * k, (0, 0, 0), LEVEL)
         buffer.add_points(np.full((70, 3), k), np.full(70, 0.001 * k))
     cloud, _ = cloud_of(buffer, 1.0)
-    assert 900 < len(cloud) <= 1000
+    assert most - 600 < len(cloud) <= most
     assert cloud[-1, 0] == 999
-    assert len(np.unique(cloud[:, 0])) < 20  # calls of add_points that are still held
+    assert len(np.unique(cloud[:, 0])) < 45  # calls of add_points that are still held
 
 
 def test_hours_of_poses_fit():
