@@ -159,7 +159,7 @@ def test_the_complete_report(tmp_path: Path):
     failed = [check.name for check in report.checks if not check.ok and check.required]
     assert failed == ["vehicle state", "LiDAR"] and not report.passed
     assert found["warp-lang"].ok and found["pymavlink"].ok and found["mcap"].ok
-    assert "plans 2000 points in" in found["device cpu"].finding
+    assert "plans 2800 points in" in found["device cpu"].finding
     assert str(tmp_path) in found["disk for the log"].finding and found["hover thrust"].ok
     content = json.loads(json.dumps(report.to_dict()))
     assert content["passed"] is False and len(content["checks"]) == len(report.checks)
