@@ -63,7 +63,7 @@ _RUN = RunFlags()
 
 def bench(
     name: tyro.conf.Positional[
-        Literal["table2", "success", "density", "rooms", "ablation", "default", "sudden", "scaling"]
+        Literal["table2", "success", "density", "rooms", "ablation", "default", "sudden", "moving", "scaling"]
     ],
     *,
     flights: int = 50,
@@ -74,8 +74,8 @@ def bench(
 
     table2: the paper's three scenes at 7 m/s. success: speed limits from 1 to 7 m/s. density: 200 to 1000 obstacles.
     rooms: four indoor rooms. ablation: each mechanism switched off alone. default: acceptance test of the default
-    configuration. sudden: an object that appears in front of the drone. scaling: flights per minute for several batch
-    sizes. Ctrl-C keeps the finished flights; --resume continues.
+    configuration. sudden: an object that appears in front of the drone. moving: 20 to 60 pillars that move. scaling:
+    flights per minute for several batch sizes. Ctrl-C keeps the finished flights; --resume continues.
 
     Args:
         name: Name of the benchmark.

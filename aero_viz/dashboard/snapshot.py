@@ -164,25 +164,24 @@ def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], 
         # The picture is transparent where nothing was drawn.
         cover = picture[..., 3:].astype(np.float32) / 255.0
         picture = (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
-        if not legend:
-            return picture
-        page.close()  # Chromium may fail to capture a page while another one draws on a busy machine
-        return _with_legend(picture, dashboard, browser)
+    return _with_legend(picture, dashboard) if legend else picture
 
 
-def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard, browser: Browser) -> NDArray[np.uint8]:
+def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard) -> NDArray[np.uint8]:
     """Return the picture with the legend of the visible layers in its lower left corner."""
     import imageio.v3 as iio
 
     url = base64.b64encode(iio.imwrite("<bytes>", picture, extension=".png")).decode()
-    page = browser.new_page(viewport={"width": picture.shape[1], "height": picture.shape[0]})
     style = "position:fixed;left:16px;bottom:16px;width:270px;padding:10px;border-radius:8px;font-family:sans-serif;"
     style += f"color:#dfe5ee;background:{palette.css((18, 23, 32), 0.82)}"
-    page.set_content(
-        f'<body style="margin:0"><img src="data:image/png;base64,{url}" style="display:block">'
-        f'<div style="{style}">{markup.legend(dashboard.legend())}</div>'
-    )
-    return iio.imread(page.screenshot())[..., :3]
+    # A browser of its own: on a busy machine, Chromium may fail to capture a page while another one draws.
+    with launch_chromium() as browser:
+        page = browser.new_page(viewport={"width": picture.shape[1], "height": picture.shape[0]})
+        page.set_content(
+            f'<body style="margin:0"><img src="data:image/png;base64,{url}" style="display:block">'
+            f'<div style="{style}">{markup.legend(dashboard.legend())}</div>'
+        )
+        return iio.imread(page.screenshot(timeout=60_000))[..., :3]
 
 
 def _first_client(dashboard: Dashboard, page: Page) -> Any:

@@ -24,6 +24,7 @@ FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
 _STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
 """Reason for which the planner stops the drone, by the status of the plan."""
+_MOVING = "hit a moving obstacle"
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,11 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
     place, obstacle = _contact(last, world, end)
+    if speed := _speed(last.moving_world, obstacle):
+        text = f"It hit {obstacle}, which moves at {speed:.1f} m/s, at {_point(end)}."
+        missing = [*trace.missing, "Since when a moving obstacle was seen, and when braking would have worked."]
+        report = PostMortem(**facts, cause=_MOVING, obstacle=obstacle, sentences=[text], missing=missing)
+        return report, replan(frames[-1])
     seen = find_seen(frames, place)
     sentences = [f"It hit {obstacle} at {_point(end)}." if world else f"It collided at {_point(end)}."]
     frame = _last_braking(frames, world, trace.rules.radius)
@@ -126,6 +132,13 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
         **facts, cause=cause, obstacle=obstacle, seen=seen, braking=braking, sentences=sentences, missing=trace.missing
     )
     return report, evidence or replan(frames[-1])
+
+
+def _speed(world: World | None, obstacle: str) -> float:
+    """Return the speed of an obstacle with a name of `World.nearest` [m/s]."""
+    kind, _, row = obstacle.partition(" ")
+    is_moving = world is not None and len(world.motion) and kind == "cylinder"
+    return float(np.linalg.norm(world.motion[int(row), :2])) if is_moving else 0.0  # type: ignore[union-attr]
 
 
 def _cause(seen: Seen, braking: BrakingTick | None, was_braking: bool, *, is_start: bool) -> str:

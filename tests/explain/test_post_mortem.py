@@ -85,6 +85,18 @@ def test_the_obstacle_of_a_collision_among_cylinders_is_named():
     assert len(trace.frames) <= 301
 
 
+def test_a_moving_obstacle_is_named_with_its_speed_and_not_followed_back():
+    pillar, motion = [[20.0, 0, 0, 0, 0, 1, 0.5, 8]], [[-6.0, 0.0, 40.0]]
+    content = {"name": "test", "start": [0, 0, 2], "goal": [0, 0.5, 2], "cylinders": pillar, "motion": motion}
+    world = World.from_dict({**content, "boxes": [GROUND, [0, 2, 2, 4, 1, 4, 0], [0, -2, 2, 4, 1, 4, 0]]})
+    rules = FlightRules(arrival_radius=0.01)
+    _, trace, report, evidence = flown(world, rules=rules)
+    assert (report.outcome, report.cause) == ("collision", "hit a moving obstacle")
+    assert report.obstacle == "cylinder 0" and "moves at 6.0 m/s" in report.format_table()
+    assert report.seen is None and report.braking is None and len(report.missing) == 1 + len(trace.missing)
+    assert evidence is not None
+
+
 def test_a_box_overhead_is_never_seen():
     """Straight up lies outside the field of view of a Mid-360."""
     world = world_of([0, 0.5, 14], [0, 0, 7, 12, 12, 0.4, 0])

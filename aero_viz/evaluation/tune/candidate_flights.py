@@ -56,6 +56,7 @@ class CandidateFlights:
         self._worlds, self._seed, self._options = worlds, seed, options
         self._executor, self._size, self._report = executor, size, report
         self.done = self.total = 0
+        self._is_interrupted = False
 
     def fly(
         self, configs: Sequence[PlannerConfig], worlds: Sequence[int], label: str
@@ -63,8 +64,10 @@ class CandidateFlights:
         """Fly each configuration through each of these worlds; return the results by index of both.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C was pressed.
+            KeyboardInterrupt: Ctrl-C was pressed, now or during the last flights before, which were complete.
         """
+        if self._is_interrupted:
+            raise KeyboardInterrupt
         pairs = [(c, w) for w in worlds for c in range(len(configs))]
         parts = [pairs[first : first + self._size] for first in range(0, len(pairs), self._size)]
         shards = [
@@ -84,7 +87,8 @@ class CandidateFlights:
             self._report(self.done + finished, self.total, batch_status(label, finished, flights, seconds))
 
         for index, (flown, interrupted) in self._executor.map(_fly_shard, shards, progress=follow):
-            if interrupted:
+            self._is_interrupted |= interrupted
+            if interrupted and (len(flown) + len(results) < len(pairs) or not all(flight.reason for flight in flown)):
                 raise KeyboardInterrupt
             results.update(zip(parts[index], flown, strict=True))
             self.done += len(flown)
