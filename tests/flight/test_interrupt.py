@@ -1,5 +1,6 @@
 import signal
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -42,7 +43,15 @@ def test_the_first_ctrl_c_waits_and_the_second_does_not():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_ctrl_c_that_was_not_reported_takes_effect_at_the_end():
+@pytest.fixture
+def default_handler() -> Iterator[None]:
+    """Python's own handler of Ctrl-C, which a background job of a shell does not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_that_was_not_reported_takes_effect_at_the_end(default_handler):
     with pytest.raises(KeyboardInterrupt), deferred_interrupt() as pressed:
         assert not pressed()
         signal.raise_signal(signal.SIGINT)
