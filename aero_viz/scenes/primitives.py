@@ -60,4 +60,7 @@ def _sphere_distance(points: NDArray[np.float64], table: NDArray[np.float64]) ->
 
 
 DISTANCES = {"cylinders": _cylinder_distance, "boxes": _box_distance, "spheres": _sphere_distance}
-"""By table: signed distances [m], [.., n], of points [.., 1, 3] or [3] to every row [n, k]; negative inside."""
+"""By table: signed distances [m], [.., n], of points [.., 1, 3] or [3] to every row [n, k]; negative inside.
+
+Points [.., n, 3] differ by row.
+"""

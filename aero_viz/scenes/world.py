@@ -177,9 +177,7 @@ class World:
             times: when the points are there [s], [n] or one for all; they matter only if something moves.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        if len(self.motion):
-            moments = zip(points, np.broadcast_to(times, len(points)), strict=True)
-            return np.array([self.at(float(time)).distance(point)[0] for point, time in moments])
+        times = np.broadcast_to(np.asarray(times, dtype=np.float64), len(points))
         nearest = np.full(len(points), np.inf)
         for key, distance in DISTANCES.items():
             table = getattr(self, key)
@@ -188,7 +186,10 @@ class World:
             step = max(1, _PAIRS_MAX // len(table))
             for first in range(0, len(points), step):
                 part = slice(first, first + step)
-                nearest[part] = np.minimum(nearest[part], distance(points[part, None, :], table).min(axis=1))
+                places = points[part, None, :]
+                if key == "cylinders" and len(self.motion):  # the point moves instead, the other way
+                    places = places - np.pad(displacements(self.motion, times[part]), ((0, 0), (0, 0), (0, 1)))
+                nearest[part] = np.minimum(nearest[part], distance(places, table).min(axis=1))
         if len(self.triangles) and len(points):
             nearest = np.minimum(nearest, self._tree.nearest(points)[0])
         return nearest

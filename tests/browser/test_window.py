@@ -28,8 +28,9 @@ def test_no_panel_covers_the_drone_or_the_chosen_rollout(small):
 
 
 def test_the_status_takes_less_than_half_the_height(small):
-    tab = small.page.get_by_role("tab", name="Planner").bounding_box()
-    assert tab["y"] > 0.5 * size(small)["height"]
+    tab = small.page.get_by_role("tab", name="Planner")
+    top = small.settled(lambda: tab.bounding_box()["y"], "the layout")
+    assert top > 0.5 * size(small)["height"]
     small.page.get_by_role("tab", name="Legend").click()
     small.page.get_by_text("partition", exact=True).first.wait_for()
     small.page.get_by_role("tab", name="Planner").click()
