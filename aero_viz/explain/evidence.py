@@ -12,12 +12,23 @@ from numpy.typing import NDArray
 from aero_planner import Plan, Planner
 from aero_planner.arrays import fine_shape
 from aero_planner.kernels.kernel_tuning import CPU
+from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.records import DroneState, bundle
 from aero_planner.kernels.records import Rollouts as StateRollouts
 from aero_planner.kernels.stops import evaluate_stops, roll_out_stops
 from aero_viz.errors import UserError
-from aero_viz.explain.terms import Obstacles, Problem, Rollouts, collision_cost, roll_out, stage1_terms, stage2_terms
+from aero_viz.explain.terms import (
+    MovingObstacles,
+    Obstacles,
+    Problem,
+    Rollouts,
+    collision_cost,
+    roll_out,
+    stage1_terms,
+    stage2_terms,
+    step_times,
+)
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]
@@ -153,12 +164,12 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     problem = Problem(
         config,
         (goal, read("goal_velocity"), read("goal_quaternion")),
-        Obstacles(points, frame.observation.ground_height, config),
+        Obstacles(points, frame.observation.ground_height, config, _moving_obstacles(planner)),
         places.astype(np.float64),
     )
     states = (plan.positions, plan.velocities, plan.quaternions)
     x = Rollouts(*(array[:, 1:].astype(np.float64) for array in states))
-    distance = problem.obstacles.distance(x.positions)
+    distance = problem.obstacles.distance(x.positions, step_times(x.positions, config))
     terms = stage2_terms(x, waypoints, problem, collision=collision_cost(distance, config))
     nearest, start_clearance = read("instance_scores")[:M, 1], float(read("state_terms")[0, -1, 3])
     safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
@@ -190,6 +201,14 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     )
 
 
+def _moving_obstacles(planner: Planner) -> MovingObstacles:
+    """Return what the last plan took for moving."""
+    work, growth = planner.workspace, planner.config.partition.predict_growth
+    count = int(work.mover_count.numpy()[0])
+    arrays = (work.mover_position, work.mover_velocity, work.mover_radius)
+    return MovingObstacles(*(array.numpy()[0, :count].astype(np.float64) for array in arrays), growth=growth)
+
+
 def _clearance_of_all_stops(planner: Planner) -> Array:
     """Return the clearance of every stop of the last plan [m], shape [M STOPS].
 
@@ -200,6 +219,8 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
         return w.stop_clearance.numpy()[0].astype(np.float64)
     state = {name: getattr(w, name) for name in ("position", "velocity", "quaternion", "acceleration")}
     drone = bundle(DroneState, **state, command=w.command, control=w.control)
+    moving = {name: getattr(w, f"mover_{name}") for name in ("count", "position", "velocity", "radius")}
+    movers = bundle(Movers, **moving)
     names = ("controls", "positions", "velocities", "quaternions")
     rollouts = bundle(StateRollouts, **{name: getattr(o, name) for name in names})
     count, (rows, columns) = w.stop_clearance.shape[1], fine_shape(config)
@@ -207,7 +228,7 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
     with wp.ScopedDevice("cpu"):
         inputs = [drone, planner.params, w.plan_period, rollouts]
         wp.launch(roll_out_stops, (1, count), inputs=inputs, outputs=outputs)
-        inputs = [i.position, i.quaternion, i.ground_height, planner.params, int(PROBES), 1, rows, columns]
+        inputs = [i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns]
         inputs += [o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1], w.state_terms]
         wp.launch(evaluate_stops(CPU), (1, count, 4 * config.sampling.steps, 1), inputs=inputs, outputs=outputs[2:])
     return outputs[2].numpy()[0].astype(np.float64)

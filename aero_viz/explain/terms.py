@@ -35,26 +35,71 @@ class Rollouts:
     """w x y z, body to world, shape [.., N, 4]."""
 
 
+@dataclass(frozen=True, eq=False)
+class MovingObstacles:
+    """Vertical cylinders that the planner expects to move on at a constant velocity."""
+
+    positions: Array
+    """Axes at the start of the plan [m], shape [n, 2]."""
+    velocities: Array
+    """[m/s], shape [n, 2]."""
+    radii: Array
+    """[m], shape [n]."""
+    growth: float
+    """Growth of the radii [m/s]."""
+
+    def nearest(self, positions: Array, times: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Return the distance [m] of positions [m], shape [.., 3], to the nearest one at a time [s], and its index."""
+        if not len(self.radii):
+            return np.full(positions.shape[:-1], np.inf), np.zeros(positions.shape[:-1], dtype=np.int64)
+        times = np.broadcast_to(times, positions.shape[:-1])[..., None]
+        axes = self.positions + times[..., None] * self.velocities
+        gaps = np.linalg.norm(positions[..., None, :2] - axes, axis=-1) - self.radii - times * self.growth
+        return np.maximum(gaps.min(axis=-1), 0.0), gaps.argmin(axis=-1)
+
+
+NOTHING_MOVES = MovingObstacles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 0.0)
+
+
 class Obstacles:
-    """Distances as the planner measures them: to the filtered cloud, to the ground and to the band of heights.
+    """Distances as the planner measures them: to the filtered cloud, what moves, the ground and the band of heights.
 
     Args:
         points: filtered cloud [m], shape [P, 3].
         ground_height: [m]; None where it is unknown.
         config: configuration of the planner.
+        moving: obstacles that the planner takes for moving.
     """
 
-    def __init__(self, points: NDArray[np.float32], ground_height: float | None, config: PlannerConfig) -> None:
+    def __init__(
+        self,
+        points: NDArray[np.float32],
+        ground_height: float | None,
+        config: PlannerConfig,
+        moving: MovingObstacles = NOTHING_MOVES,
+    ) -> None:
         self.points = points
+        self._moving = moving
         self._tree = KDTree(points) if len(points) else None
         self._ground = -np.inf if ground_height is None or not config.costs.use_ground else ground_height
         self._band = config.costs.height_min, config.costs.height_max
 
-    def distance(self, positions: Array) -> Array:
-        """Return the distance of each position [m], shape [.., 3], to the nearest obstacle [m]."""
+    def distance(self, positions: Array, times: Array | None = None) -> Array:
+        """Return the distance of each position [m], shape [.., 3], to the nearest obstacle [m].
+
+        Args:
+            positions: [m], shape [.., 3].
+            times: time of each position in the plan [s], which broadcasts to [..]; None leaves out what moves.
+        """
         height = positions[..., 2]
         level = np.minimum(np.minimum(height - self._band[0], self._band[1] - height), height - self._ground)
-        return np.minimum(self._nearest(positions)[0], np.maximum(level, 0.0))
+        distance = np.minimum(self._nearest(positions)[0], np.maximum(level, 0.0))
+        return distance if times is None else np.minimum(distance, self._moving.nearest(positions, times)[0])
+
+    def speed_of_nearest(self, position: Array, time: float) -> float | None:
+        """Return the speed of the nearest obstacle at a time in the plan [m/s]; None if that stands."""
+        distance, row = self._moving.nearest(position, np.array(time))
+        return float(np.linalg.norm(self._moving.velocities[row])) if distance < self.distance(position) else None
 
     def nearest_point(self, position: Array) -> NDArray[np.float32] | None:
         """Return the nearest point of the cloud [m], shape [3]; None where the ground or the band is nearer."""
@@ -80,6 +125,11 @@ class Problem:
     """Places without progress that were remembered [m], shape [n, 3]."""
 
 
+def step_times(positions: Array, config: PlannerConfig) -> Array:
+    """Return the time of each step of rollouts [.., N, 3] [s], shape [N]."""
+    return config.sampling.dt * np.arange(1, positions.shape[-2] + 1)
+
+
 def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: Array | None = None) -> Array:
     """Return the terms `STAGE2` at each step, shape [terms, .., N]; their sum is S2.
 
@@ -94,7 +144,8 @@ def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: A
     c, speed_limit = problem.config.costs, problem.config.vehicle.speed_limit
     p_goal, v_goal, q_goal = problem.goal
     if collision is None:
-        collision = collision_cost(problem.obstacles.distance(x.positions), problem.config)
+        times = step_times(x.positions, problem.config)
+        collision = collision_cost(problem.obstacles.distance(x.positions, times), problem.config)
     error = multiply(x.quaternions, conjugate(q_goal))
     excess = np.maximum(np.linalg.norm(x.velocities, axis=-1) - speed_limit, 0.0)
     end = x.positions[..., -1, :]

@@ -79,7 +79,7 @@ def _small(frame: Frame) -> Frame:
     """Return a frame without what takes megabytes: the samples, and the joined cloud that others have asked for."""
     seen = frame.observation
     whole = len(seen.sweeps) - seen.sweeps.thinned if seen.sweeps.thinned else None
-    observation = dataclasses.replace(seen, sweeps=Sweeps(seen.sweeps, whole=whole))
+    observation = dataclasses.replace(seen, sweeps=Sweeps(seen.sweeps, whole=whole, arrivals=seen.sweeps.arrivals))
     return dataclasses.replace(frame, observation=observation, plan=dataclasses.replace(frame.plan, samples=None))
 
 

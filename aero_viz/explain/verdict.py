@@ -29,8 +29,13 @@ def closest(evidence: Evidence, instance: int, steps: slice = slice(None)) -> tu
     distance = evidence.distance[instance, steps]
     step = int(distance.argmin()) + (steps.start or 0)
     position = np.asarray(evidence.plan.positions[instance, step + 1], dtype=np.float64)
-    name = obstacle_name(evidence.frame.world, evidence.problem.obstacles.nearest_point(position))
-    return float(distance.min()), (step + 1) * evidence.frame.config.sampling.dt, name
+    obstacles, time = evidence.problem.obstacles, (step + 1) * evidence.frame.config.sampling.dt
+    speed = obstacles.speed_of_nearest(position, time)
+    if speed is None:
+        name = obstacle_name(evidence.frame.world, obstacles.nearest_point(position))
+    else:
+        name = f"an obstacle that moves at {speed:.1f} m/s"
+    return float(distance.min()), time, name
 
 
 def verdict(evidence: Evidence, instance: int) -> str:

@@ -173,7 +173,8 @@ class FlightBatch:
     def _store(self, sweep: int) -> None:
         """Store a complete sweep in the cloud, and tell the planner how old the cloud is if sweeps are lost."""
         lidar = self.simulator.lidar
-        self.planner.store_sweep(sweep % SWEEPS, lidar.points)
+        self._observe()
+        self.planner.store_sweep(sweep % SWEEPS, lidar.points, time=lidar.model.sweep_end(sweep))
         if lidar.model.sweep_loss > 0.0:
             self._lost_sweeps = np.where(lidar.loses(sweep), self._lost_sweeps + 1, 0)
             self.planner.inputs.cloud_age.assign((self._lost_sweeps / lidar.model.sweep_rate).astype(np.float32))

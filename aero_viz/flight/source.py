@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Goal, Plan, PlannerConfig, Sweeps, VehicleState
+from aero_planner import Arrival, Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.batch import SWEEPS, WHOLE_SWEEPS
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
@@ -341,9 +341,14 @@ class FlightSource:
     def _set_sweeps(self, sweeps: tuple[Sweep, ...]) -> None:
         """Make the cloud of these sweeps, oldest first."""
         self._sweeps = sweeps
-        self._cloud = Sweeps((self._cache.points(sweep) for sweep in sweeps), whole=WHOLE_SWEEPS)
-        numbers = np.array([sweep.scans[-1].sweep for sweep in sweeps])
-        self._sweep_times = (numbers + 1) / self.simulator.lidar.model.sweep_rate
+        lidar = self.simulator.lidar.model
+        self._sweep_times = np.array([lidar.sweep_end(sweep.scans[-1].sweep) for sweep in sweeps])
+        arrivals = (
+            Arrival(time, tuple(sweep.scans[-1].after[1, :3].tolist()))
+            for time, sweep in zip(self._sweep_times.tolist(), sweeps, strict=True)
+        )
+        points = (self._cache.points(sweep) for sweep in sweeps)
+        self._cloud = Sweeps(points, whole=WHOLE_SWEEPS, arrivals=arrivals)
         lost_in_row = next((i for i, sweep in enumerate(reversed(sweeps)) if not self._is_lost(sweep)), len(sweeps))
         self._cloud_age = lost_in_row / self.simulator.lidar.model.sweep_rate
         self._observation = None

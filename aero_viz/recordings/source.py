@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Goal, Plan, Sweeps, VehicleState
+from aero_planner import Arrival, Goal, Plan, Sweeps, VehicleState
 from aero_planner.quaternions import rotate, rotation_matrix
 from aero_planner.sweeps import as_constant
 from aero_viz.errors import UserError
@@ -218,7 +218,9 @@ class RecordingSource:
 
     def _collect_sweeps(self, first: int, last: int) -> Sweeps:
         """Return sweeps first .. last - 1 in the world frame [m]."""
-        return Sweeps(self._world_sweep(i) for i in range(first, last))
+        times = self.recording.sweep_times[first:last].tolist()
+        arrivals = (Arrival(time, tuple(self._pose(time).position.tolist())) for time in times)
+        return Sweeps((self._world_sweep(i) for i in range(first, last)), arrivals=arrivals)
 
     def _compute_world_sweep(self, index: int) -> NDArray[np.float32]:
         """Return a sweep in the world frame [n, 3] [m], read-only."""

@@ -79,6 +79,10 @@ class LidarModel(ParameterSection, section="lidar"):
         """Return the time of each point since the start of its sweep [s], [points_per_sweep]."""
         return (np.arange(self.points_per_sweep) + 0.5) / (self.points_per_sweep * self.sweep_rate)
 
+    def sweep_end(self, sweep: int) -> float:
+        """Return the time at which a sweep is complete [s]; that of sweep 0 starts at 0."""
+        return (sweep + 1) / self.sweep_rate
+
 
 _MODELS = (
     LidarModel("mid360", pattern="livox"),

@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from aero_planner.deploy.aot import compile_ahead, warmup
     from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
     from aero_planner.planner import Planner
-    from aero_planner.sweeps import Sweeps
+    from aero_planner.sweeps import Arrival, Sweeps
 
 __all__ = [
+    "Arrival",
     "Goal",
     "Plan",
     "PlanStatus",
@@ -31,7 +32,7 @@ __getattr__, __dir__ = lazy_exports(
         "config": ("PlannerConfig",),
         "plan": ("Goal", "Plan", "PlanStatus", "VehicleState"),
         "planner": ("Planner",),
-        "sweeps": ("Sweeps",),
+        "sweeps": ("Arrival", "Sweeps"),
         "deploy.aot": ("compile_ahead", "warmup"),
     },
 )

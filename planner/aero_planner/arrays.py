@@ -11,7 +11,7 @@ Shapes use these symbols:
     J   stops of an instance                H   remembered places
     W   workers: CPU threads, 1 on CUDA     T   noise sequences in the table
     S   sweeps of the cloud                 P   points of the cloud
-    E   counters of a sweep
+    E   counters of a sweep                 X   moving obstacles
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from aero_planner.kernels.clearance import GRID
 from aero_planner.kernels.escape import PLACES
 from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.mppi import NOISE_ROWS, PROBES
 from aero_planner.kernels.records import CloudSweeps, bundle
 from aero_planner.kernels.stops import STOPS
@@ -70,6 +71,8 @@ class CloudArrays:
     start: wp.array = array(wp.int32, "S", "", "Index of the first point of each sweep.")
     count: wp.array = array(wp.int32, "B S", "", "Number of points of each sweep.")
     is_ordered: wp.array = array(wp.int32, "S", "", "1 for a sweep whose points are listed by shell, else 0.")
+    origin: wp.array = array(wp.vec3, "B S", "m", "Position of the drone when each sweep arrived, world frame.")
+    time: wp.array = array(wp.float64, "B S", "s", "Stamp of each sweep: when it arrived.")
     center: wp.array = array(wp.vec3, "B S", "m", "Centre of the shells of each sweep, world frame.")
     reach: wp.array = array(wp.float32, "B S", "m", "Radius of the first shell of each sweep.")
     shell_ends: wp.array = array(wp.int32, "B*S E", "", "End of each shell in `order`, and the points not finite.")
@@ -78,6 +81,24 @@ class CloudArrays:
     def bundle(self) -> Any:
         """Return the arrays as the argument of a kernel."""
         return bundle(CloudSweeps, **as_dict(self))
+
+
+@dataclass(eq=False)
+class MotionArrays:
+    """What moves among the obstacles of each drone; see `aero_planner.kernels.motion`."""
+
+    scan: wp.array = array(wp.int32, "B L A", "", "Nearest range of each bin of the recent sweeps, as an integer.")
+    segment_count: wp.array = array(wp.int32, "B L", "", "Number of segments of each of these sweeps.")
+    segment_center: wp.array = array(wp.vec2, "B L X", "m", "Centres of their circles, world frame.")
+    segment_radius: wp.array = array(wp.float32, "B L X", "m", "Radii of their circles.")
+    found_position: wp.array = array(wp.vec2, "B Y X", "m", "Axes of segments that move, by the sweep last seen in.")
+    found_velocity: wp.array = array(wp.vec2, "B Y X", "m/s", "Their velocities, world frame.")
+    found_radius: wp.array = array(wp.float32, "B Y X", "m", "Their radii; -1 for none.")
+    track_count: wp.array = array(wp.int32, "B", "", "Number of obstacles that move.")
+    track_time: wp.array = array(wp.float64, "B", "s", "Stamp of the newest sweep.")
+    track_position: wp.array = array(wp.vec2, "B X", "m", "Their axes at that time, world frame.")
+    track_velocity: wp.array = array(wp.vec2, "B X", "m/s", "Their velocities, world frame.")
+    track_radius: wp.array = array(wp.float32, "B X", "m", "Their radii.")
 
 
 @dataclass(eq=False)
@@ -144,6 +165,11 @@ class Workspace:
     state_terms: wp.array = array(wp.vec4, "B R Q+N+1", "", "J_goal, J_col, speed cost, clearance of Stage II states.")
     instance_scores: wp.array = array(wp.vec2, "B R", "", "S2 and the minimum clearance [m].")
 
+    mover_count: wp.array = array(wp.int32, "B", "", "Number of moving obstacles.")
+    mover_position: wp.array = array(wp.vec2, "B X", "m", "Their axes at the start of the plan, world frame.")
+    mover_velocity: wp.array = array(wp.vec2, "B X", "m/s", "Their velocities, world frame.")
+    mover_radius: wp.array = array(wp.float32, "B X", "m", "Their radii.")
+
     plan_period: wp.array = array(wp.float32, "B", "s", "Time since the previous plan, taken as that to the next one.")
     stop_ready: wp.array = array(wp.int32, "B", "", "1 where a proven stop is left to fly.")
     stop_controls: wp.array = array(wp.vec4, "B M*J N", "N, rad/s", "Controls of the braking manoeuvre of each stop.")
@@ -203,6 +229,7 @@ class Sizes:
     V0: int
     W: int
     T: int
+    X: int
 
     @classmethod
     def from_config(cls, config: PlannerConfig, *, batch: int, workers: int, tuning: KernelTuning) -> Sizes:
@@ -233,6 +260,7 @@ class Sizes:
             V0=pack,
             W=workers,
             T=int(NOISE_ROWS),
+            X=int(MOVERS),
         )
 
     @property

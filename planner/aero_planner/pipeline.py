@@ -13,13 +13,14 @@ from typing import Any
 import warp as wp
 
 from aero_planner.array_memory import as_scalars, as_vectors
-from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
+from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels import (
     anchors,
     clearance,
     continuation,
     guides,
+    movers,
     mppi,
     partition,
     prediction,
@@ -62,6 +63,7 @@ class Pipeline(LaunchSequence):
         tuning: tuning of the device for one drone.
         inputs, outputs, work: arrays of the planner.
         cloud: the sweeps to plan from.
+        motion: what moves among their obstacles.
         params: live parameters, shape [B].
     """
 
@@ -75,6 +77,7 @@ class Pipeline(LaunchSequence):
         outputs: PlannerOutputs,
         work: Workspace,
         cloud: CloudArrays,
+        motion: MotionArrays,
         params: wp.array,
     ) -> None:
         super().__init__(wp.get_device(str(params.device)), sizes.W)
@@ -86,7 +89,7 @@ class Pipeline(LaunchSequence):
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
         self._duplicate_rows = 0 if tuning.is_cuda else 1
-        self._records = PipelineRecords(inputs, outputs, work)
+        self._records = PipelineRecords(inputs, outputs, work, motion)
         self.stages = self._record()
 
     # --- the stages, in the order of docs/design.md ------------------------------------------------------------------
@@ -121,7 +124,7 @@ class Pipeline(LaunchSequence):
                 w.command, w.control, r.goal, w.lookahead_length, w.initial_directions, o.initial_endpoints,
             ],
         )  # fmt: skip
-        return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), place]
+        return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), self._place_movers(), place]
 
     def _predict_state(self) -> Callable[[], Any]:
         r = self._records
@@ -130,6 +133,15 @@ class Pipeline(LaunchSequence):
             (self._sizes.B,),
             inputs=[r.given_drone, self._inputs.time, self._params, r.previous],
             outputs=[r.drone],
+        )
+
+    def _place_movers(self) -> Callable[[], Any]:
+        r = self._records
+        return self.record(
+            movers.place_movers,
+            (self._sizes.B,),
+            inputs=[self._inputs.time, self._params, r.tracks],
+            outputs=[r.movers],
         )
 
     def _scan_points(self) -> list[Chunk]:
@@ -277,14 +289,14 @@ class Pipeline(LaunchSequence):
         )  # fmt: skip
 
     def _query_clearance(self, first: int, count: int) -> Callable[[], Any]:
-        i, w, sizes = self._inputs, self._work, self._sizes
+        i, w, r, sizes = self._inputs, self._work, self._records, self._sizes
         if not self._tuning.is_cuda:
             return self.record(
                 sample_clearance.query_sample_vectors(self._tuning),
                 (count, sizes.Q),
                 inputs=[
-                    first, sizes.M, sizes.N, i.position, i.ground_height, self._params, w.cell_ends, w.point_packs,
-                    as_vectors(w.sample_positions, self._tuning.samples_per_thread),
+                    first, sizes.M, sizes.N, i.position, i.ground_height, r.movers, self._params, w.cell_ends,
+                    w.point_packs, as_vectors(w.sample_positions, self._tuning.samples_per_thread),
                 ],
                 outputs=[w.sample_clearance_cost],
             )  # fmt: skip
@@ -292,7 +304,7 @@ class Pipeline(LaunchSequence):
             sample_clearance.query_clearance(self._batch_tuning),
             (count, sizes.Q, sizes.K * self._batch_tuning.threads_per_sample_query),
             inputs=[
-                first, sizes.M, sizes.N, i.position, i.ground_height, self._params, self._duplicate_rows,
+                first, sizes.M, sizes.N, i.position, i.ground_height, r.movers, self._params, self._duplicate_rows,
                 w.cell_ends, w.point_packs, w.sample_positions,
             ],
             outputs=[w.sample_clearance_cost],
@@ -345,7 +357,7 @@ class Pipeline(LaunchSequence):
             selection.evaluate_states(self._batch_tuning),
             (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
             inputs=[
-                r.drone, i.position, i.ground_height, r.goal, self._params, self._duplicate_rows, w.cell_ends,
+                r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows, w.cell_ends,
                 w.point_packs, w.waypoints, r.rollouts,
             ],
             outputs=[o.clearance, w.state_terms],
@@ -367,7 +379,7 @@ class Pipeline(LaunchSequence):
             stops.prove_stops(self._batch_tuning),
             (sizes.B,),
             inputs=[
-                r.drone, i.position, i.quaternion, i.ground_height, self._params, sizes.M, sizes.Q - sizes.N,
+                r.drone, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.M, sizes.Q - sizes.N,
                 self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts, w.cell_ends,
                 w.point_packs, w.state_terms, w.instance_scores,
             ],
@@ -388,9 +400,9 @@ class Pipeline(LaunchSequence):
             stops.evaluate_stops(self._batch_tuning),
             (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_query),
             inputs=[
-                i.position, i.quaternion, i.ground_height, self._params, sizes.Q - sizes.N, self._duplicate_rows,
-                sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs,
-                w.stop_positions, w.state_terms,
+                i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,
+                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends,
+                w.point_packs, w.stop_positions, w.state_terms,
             ],
             outputs=[w.stop_clearance],
             block_dim=32,

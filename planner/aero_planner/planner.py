@@ -21,6 +21,7 @@ from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
+from aero_planner.motion import Motion
 from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
@@ -84,6 +85,7 @@ class Planner:
         self._scanned = self._cloud.arrays
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
         self._write_params([self._config])
+        self._motion = Motion(self._inputs.arrays, self._params)
         self._pipeline = self._make_pipeline()
 
     def _set_input_defaults(self) -> None:
@@ -121,6 +123,7 @@ class Planner:
             outputs=self._outputs.arrays,
             work=self._work,
             cloud=self._scanned,
+            motion=self._motion.arrays,
             params=self._params,
         )
 
@@ -128,6 +131,7 @@ class Planner:
         """Plan from this cloud from now on."""
         if cloud is not self._scanned:
             self._scanned = cloud
+            self._motion.forget()
             self._replace_pipeline()
 
     def _replace_pipeline(self) -> None:
@@ -226,23 +230,25 @@ class Planner:
         Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`.
         """
         position = self._inputs.arrays.position
-        self._memory = SweepMemory(position, self._params, sweeps=sweeps, points=points, whole=whole)
+        self._memory = SweepMemory(position, self._params, self._motion, sweeps=sweeps, points=points, whole=whole)
         self._scan(self._memory.arrays)
 
-    def store_sweep(self, index: int, points: wp.array) -> None:
+    def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:
         """Replace a sweep of each drone by points on the device; nothing is copied to or from the host.
 
         Args:
             index: which of the sweeps; all have the same size. Of points at the same range, that of the first sweep
                 is kept.
             points: vec3 [B, n] [m], world frame; NaN for rays without return.
+            time: when the sweep was complete [s], at the position of `inputs`; None is the time of `inputs`. Sweeps
+                that are stored in turn show what moves.
 
         Raises:
             ValueError: there is no room for the sweep, see `reserve_sweeps`.
         """
         if self._memory is None or self._scanned is not self._memory.arrays:
             raise ValueError("there is no room for sweeps; call `reserve_sweeps` first.")
-        self._memory.store(index, points)
+        self._memory.store(index, points, time=time)
 
     def reset(self, *, seed: int | None = None) -> None:
         """Discard the previous plan and restart the noise sequence, with another `seed` if one is given."""

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from aero_planner.array_memory import PackedArrays, allocate
 from aero_planner.arrays import CloudArrays, SweepTable
+from aero_planner.kernels.motion import RECENT
 from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep, thin_sweep
-from aero_planner.sweeps import Sweeps
+from aero_planner.motion import Motion
+from aero_planner.sweeps import Arrival, Sweeps
 
 
 class _Sizes(NamedTuple):
@@ -27,6 +29,7 @@ class _Entry(NamedTuple):
     """A sweep in the ring."""
 
     points: NDArray[np.float32]
+    arrival: Arrival | None
     row: int
     """Its row in the tables."""
     start: int
@@ -45,6 +48,7 @@ class SweepMemory:
         params: live parameters, shape [B].
         sweeps: S, largest number of sweeps.
         points: P, room for the points of all sweeps of a drone.
+        motion: estimates the motion of obstacles from the newest sweeps.
         whole: number of newest sweeps that `store` keeps whole, as in `Sweeps`; None keeps all.
 
     Attributes:
@@ -52,10 +56,18 @@ class SweepMemory:
     """
 
     def __init__(
-        self, position: wp.array, params: wp.array, *, sweeps: int, points: int, whole: int | None = None
+        self,
+        position: wp.array,
+        params: wp.array,
+        motion: Motion,
+        *,
+        sweeps: int,
+        points: int,
+        whole: int | None = None,
     ) -> None:
         device = wp.get_device(str(position.device))
         self._device = device
+        self._motion = motion
         self._sizes = sizes = _Sizes(len(position), sweeps, max(points, 1))
         self._table = PackedArrays(SweepTable, sizes, device)
         arrays = allocate(CloudArrays, sizes, device)
@@ -91,14 +103,21 @@ class SweepMemory:
         """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room."""
         self._mark_ordered()
         aged: list[_Entry] = []
+        newest_before = self._entries[-1] if self._entries else None
         if sweeps is not self._held:
-            aged = self._take_over(list(sweeps), sweeps.thinned)
+            aged = self._take_over(list(sweeps), sweeps.arrivals, sweeps.thinned)
             self._held = sweeps
         if self._is_changed:
             self._table.upload()
             self._is_changed = False
         for entry in aged:
             self._thin_points(entry.row, len(entry.points))
+        if self._entries and self._entries[-1] is not newest_before:
+            recent = list(reversed(self._entries))[: int(RECENT)]
+            points = max((len(entry.points) for entry in recent), default=0)
+            self._motion.estimate(self.arrays, [entry.row for entry in recent], points)
+        elif not self._entries:
+            self._motion.forget()
 
     def order_arrived(self) -> None:
         """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.
@@ -117,7 +136,9 @@ class SweepMemory:
             self._is_changed = True
         self._ordered = []
 
-    def _take_over(self, sweeps: list[NDArray[np.float32]], thinned: int) -> list[_Entry]:
+    def _take_over(
+        self, sweeps: list[NDArray[np.float32]], arrivals: tuple[Arrival | None, ...], thinned: int
+    ) -> list[_Entry]:
         """Drop the sweeps that left and copy those that arrived; return those of the oldest `thinned` still to thin."""
         kept = self._count_kept(sweeps)
         while len(self._entries) > kept:
@@ -125,7 +146,7 @@ class SweepMemory:
         if any(entry.row in self._thinned for entry in list(self._entries)[thinned:]):
             self._entries.clear()  # their other points are needed again
             kept = 0
-        arrived = self._place(sweeps[kept:])
+        arrived = self._place(sweeps[kept:], arrivals[kept:])
         self._thinned -= {entry.row for entry in arrived}
         aged = [entry for entry in list(self._entries)[:thinned] if entry.row not in self._thinned]
         copied = {entry.row for entry in arrived}
@@ -133,10 +154,16 @@ class SweepMemory:
         self._write_table()
         for entry in arrived:
             self._copy(entry)
+            self._motion.stamp(self.arrays, entry.row, **({} if entry.arrival is None else entry.arrival._asdict()))
         return aged
 
-    def store(self, row: int, points: wp.array) -> None:
+    def store(self, row: int, points: wp.array, *, time: float | None = None) -> None:
         """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
+
+        Args:
+            row: which of the sweeps.
+            points: vec3 [B, n] [m], world frame.
+            time: when it was complete [s]; None is the time of the inputs. The place is that of the inputs.
 
         Raises:
             ValueError: there is no room for this sweep.
@@ -153,6 +180,9 @@ class SweepMemory:
         if host["count"][0, row] != size or host["start"][row] != start:
             host["count"][:, row], host["start"][row], host["is_ordered"][row] = size, start, 1
             self._table.upload()
+        self._motion.stamp(self.arrays, row, time=time)
+        rows = [(row - age) % self._sizes.S for age in range(min(int(RECENT), self._sizes.S))]
+        self._motion.estimate(self.arrays, [r for r in rows if host["count"][0, r]], size)
         self._order(row, size)
         if self._whole is not None:
             aged = (row - self._whole) % self._sizes.S
@@ -168,18 +198,19 @@ class SweepMemory:
                 return count
         return 0
 
-    def _place(self, sweeps: list[NDArray[np.float32]]) -> list[_Entry]:
+    def _place(self, sweeps: list[NDArray[np.float32]], arrivals: tuple[Arrival | None, ...]) -> list[_Entry]:
         """Add sweeps to the ring and return their entries; those that are in the ring may move, and are among them."""
         added: list[_Entry] = []
-        for points in sweeps:
+        for points, arrival in zip(sweeps, arrivals, strict=True):
             start = self._free_place(len(points))
             if start is None:
                 # The gaps are too large: begin again at the start of the ring.
-                everything = [entry.points for entry in self._entries] + sweeps[len(added) :]
+                held = list(self._entries)
                 self._entries.clear()
-                return self._place(everything)
+                everything = [entry.points for entry in held] + sweeps[len(added) :]
+                return self._place(everything, (*[entry.arrival for entry in held], *arrivals[len(added) :]))
             row = min(set(range(self._sizes.S)).difference(entry.row for entry in self._entries))
-            added.append(_Entry(points, row, start))
+            added.append(_Entry(points, arrival, row, start))
             self._entries.append(added[-1])
         return added
 

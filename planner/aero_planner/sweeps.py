@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,15 @@ THINNING = 5
 """One point in five of an older sweep is kept."""
 HASH_FACTORS = (2654435761, 2246822519, 3266489917)
 """Odd factors of the bits of x, y and z, whose sum chooses the points that are kept: it depends on the point alone."""
+
+
+class Arrival(NamedTuple):
+    """When and where a sweep was complete."""
+
+    time: float
+    """[s], on the clock of the states."""
+    position: tuple[float, float, float]
+    """Position of the drone [m], world frame."""
 
 
 class Sweeps:
@@ -26,14 +36,27 @@ class Sweeps:
             are copied.
         whole: number of newest sweeps of which all points are kept; of older ones one in `THINNING` is, which
             remembers surfaces for longer at little cost. None keeps all points of all sweeps.
+        arrivals: when and where each sweep was complete, from which the planner estimates what moves. None takes a
+            sweep for complete when it is first planned from.
 
     Raises:
-        ValueError: a sweep has the wrong shape or type.
+        ValueError: a sweep has the wrong shape or type, or there is not one arrival for each.
     """
 
-    def __init__(self, sweeps: Iterable[NDArray[np.float32]] = (), *, whole: int | None = None) -> None:
+    def __init__(
+        self,
+        sweeps: Iterable[NDArray[np.float32]] = (),
+        *,
+        whole: int | None = None,
+        arrivals: Iterable[Arrival | None] | None = None,
+    ) -> None:
         self._sweeps = tuple(map(as_constant, sweeps))
         self._whole = whole
+        self._arrivals = (None,) * len(self._sweeps) if arrivals is None else tuple(arrivals)
+        if len(self._arrivals) != len(self._sweeps):
+            raise ValueError(
+                f"{len(self._arrivals)} arrivals were given for {len(self._sweeps)} sweeps; give one each."
+            )
 
     def __len__(self) -> int:
         return len(self._sweeps)
@@ -41,11 +64,17 @@ class Sweeps:
     def __iter__(self) -> Iterator[NDArray[np.float32]]:
         return iter(self._sweeps)
 
-    def add(self, sweep: NDArray[np.float32], *, limit: int = 10) -> Sweeps:
+    def add(self, sweep: NDArray[np.float32], *, limit: int = 10, arrival: Arrival | None = None) -> Sweeps:
         """Return the newest `limit` sweeps, of which `sweep` is the last."""
         added = Sweeps(whole=self._whole)
         added._sweeps = (*self._sweeps, as_constant(sweep))[-limit:]
+        added._arrivals = (*self._arrivals, arrival)[-limit:]
         return added
+
+    @property
+    def arrivals(self) -> tuple[Arrival | None, ...]:
+        """When and where each sweep was complete; None where that is unknown."""
+        return self._arrivals
 
     @property
     def thinned(self) -> int:

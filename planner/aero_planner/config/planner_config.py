@@ -115,6 +115,27 @@ class PartitionConfig(ParameterSection, section="partition"):
         "that surfaces near the edges of the field of view are continued as well; 0 as in the paper.",
         label="Age of the view",
     )  # fmt: skip
+    predict: bool = switch(
+        True, "Estimate the velocities of obstacles from successive sweeps, and keep clear of where they will be. Off "
+        "as in the paper.",
+        label="Predict motion",
+    )  # fmt: skip
+    predict_range: float = live(
+        10.0, "m", 1.0, 100.0, "Obstacles farther away than this are taken for standing ones.",
+        label="Range of predicted motion",
+    )  # fmt: skip
+    predict_speed: float = live(
+        0.4, "m/s", 0.05, 10.0, "Obstacles slower than this are taken for standing ones.",
+        label="Least speed of predicted motion",
+    )  # fmt: skip
+    predict_width: float = live(
+        1.6, "m", 0.1, 10.0, "Obstacles wider than this are taken for standing ones.",
+        label="Width of moving obstacles",
+    )  # fmt: skip
+    predict_growth: float = live(
+        0.1, "m/s", 0.0, 10.0, "Rate at which the predicted radius of a moving obstacle grows.",
+        label="Growth of moving obstacles",
+    )  # fmt: skip
     fine_cells: int = structural(
         6, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg.",
         label="Fine cells per coarse cell", symbol="n",

@@ -11,6 +11,7 @@ _PAPER: dict[str, Value] = {
     "partition.range_time": 0.0,
     "partition.continue_below": 0.0,
     "partition.continue_above": 0.0,
+    "partition.predict": False,
     "anchors.lookahead_time": 0.0,
     "anchors.slow_spread": 1.0,
     "anchors.slow_rise": 1.0,

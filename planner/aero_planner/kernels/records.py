@@ -16,6 +16,8 @@ class CloudSweeps:
     start: wp.array(dtype=int)  # [S], index of the first point of each sweep
     count: wp.array2d(dtype=int)  # [B, S], points of each sweep
     is_ordered: wp.array(dtype=int)  # [S], 1 for a sweep whose points are listed by shell, else 0
+    origin: wp.array2d(dtype=wp.vec3)  # [B, S], position of the drone when the sweep arrived, world frame [m]
+    time: wp.array2d(dtype=wp.float64)  # [B, S], when it arrived [s]
     center: wp.array2d(dtype=wp.vec3)  # [B, S], centre of the shells, world frame [m]
     reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]
     shell_ends: wp.array2d(dtype=int)  # [B S, COUNTERS], see `kernels.shells`

@@ -19,6 +19,7 @@ from aero_planner.kernels.clearance import (
 )
 from aero_planner.kernels.costs import collision_cost
 from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.warp_ops import point_pack
 
@@ -41,6 +42,7 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         # problem
         position: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
+        movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
         duplicate_rows: int,
@@ -69,6 +71,8 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
         d = clearance(x, limit, b, thread, position[b], size, duplicate_rows, cell_ends, point_packs)
         d = above_ground(d, x, ground_height[b], c)
+        if t < steps:
+            d = clear_of_movers(d, x, float(t + 1) * c.dt, b, movers, c)
         if thread == 0:
             blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
             sample_clearance_cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), blocked)
@@ -99,6 +103,7 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
         # problem
         position: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
+        movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
         # in
@@ -147,7 +152,10 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
                     nearest[j] = reduce(scan(best, x, b, first // PACK, end, point_packs))
             for j in range(WIDTH):
                 d = wp.where(nearest[j] < limit * limit, wp.sqrt(nearest[j]), limit)
-                d = above_ground(d, wp.vec3(xs[j], ys[j], zs[j]), ground, c)
+                x = wp.vec3(xs[j], ys[j], zs[j])
+                d = above_ground(d, x, ground, c)
+                if t < steps:
+                    d = clear_of_movers(d, x, float(t + 1) * c.dt, b, movers, c)
                 blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
                 cost[j] = wp.where(t < steps, collision_cost(d, c), blocked)
             for j in range(wp.min(WIDTH, samples - group * WIDTH)):

@@ -15,6 +15,7 @@ from aero_planner.kernels.costs import collision_cost, goal_cost, speed_cost
 from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step
 from aero_planner.kernels.escape import Escape, escape_cost, remember_place
 from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
@@ -97,6 +98,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         center: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
         goal: GoalState,
+        movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
         duplicate_rows: int,
@@ -121,6 +123,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         x = rollouts.positions[b, m, wp.min(t + 1, steps)]
         limit = query_limit(t, steps, c)
         margin = float(0.0)
+        time = float(t + 1) * c.dt
         if t >= steps + PROBES:
             # The last row is the start, as the midpoint between the start and itself.
             half = (t - steps - PROBES) % steps
@@ -129,6 +132,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             # A midpoint faster than the speed limit is below its margin in open space, too, and counts as unsafe. That
             # limit is the one for which the grid is made, and the speed cost keeps candidates near it.
             limit = safety_limit(c)
+            time = (float(half) + 0.5 * float(half_end - half)) * c.dt
             margin = c.speed_margin * wp.length(rollouts.velocities[b, m, half])
             if t == state_terms.shape[2] - 1:
                 margin = 0.0
@@ -136,6 +140,8 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             x = probe_position(x, waypoints[b, m], goal.position[b], t - steps, c)
         d = clearance_of(x, limit, b, thread, center[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
         d = above_ground(d, x, ground_height[b], c)
+        if t < steps or t >= steps + PROBES:
+            d = clear_of_movers(d, x, time, b, movers, c)
         J_goal = float(0.0)
         J_speed = float(0.0)
         if t < steps:

@@ -27,6 +27,7 @@ from aero_planner.kernels.dynamics import (
 )
 from aero_planner.kernels.guides import guide_acceleration, quintic
 from aero_planner.kernels.kernel_tuning import KernelTuning
+from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction
 from aero_planner.kernels.records import DroneState, Rollouts
@@ -176,6 +177,7 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
         position: wp.vec3,
         quaternion: wp.vec4,
         ground_height: float,
+        movers: Movers,
         probes: int,
         duplicate_rows: int,
         rows: int,
@@ -203,7 +205,9 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
             margin = c.speed_margin * wp.length(stop_positions[b, i, t + 1] - stop_positions[b, i, t]) / c.dt
             limit = wp.min(c.safe_clearance + margin, cell_size(c))
             d = clearance_of(x, limit, b, thread, position, cell_size(c), duplicate_rows, cell_ends, point_packs)
-            d = above_ground(d, x, ground_height, c) - margin
+            d = above_ground(d, x, ground_height, c)
+            time = float(switch_step(i % STOPS, steps, plan_period, c)) + 0.5 * float(row // 2 * 2 + 2 - row % 2)
+            d = clear_of_movers(d, x, time * c.dt, b, movers, c) - margin
         else:
             t = (row - 2 * steps) // 2
             if t < switch_step(i % STOPS, steps, plan_period, c):
@@ -234,6 +238,7 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
         ground_height: wp.array(dtype=float),
+        movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
         probes: int,
@@ -261,8 +266,8 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         if c.prove_stop == 0:
             return
         d = clearance(
-            b, i, row, thread, c, position[b], quaternion[b], ground_height[b], probes, duplicate_rows, rows, columns,
-            fine_range, positions, plan_period[b], cell_ends, point_packs, stop_positions, state_terms,
+            b, i, row, thread, c, position[b], quaternion[b], ground_height[b], movers, probes, duplicate_rows, rows,
+            columns, fine_range, positions, plan_period[b], cell_ends, point_packs, stop_positions, state_terms,
         )  # fmt: skip
         if thread == 0 and d < c.safe_clearance:
             wp.atomic_min(stop_clearance, b, i, d)
@@ -286,6 +291,7 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
         ground_height: wp.array(dtype=float),
+        movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
         instances: int,
@@ -341,9 +347,9 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
                     for row in range(4 * (stop_positions.shape[2] - 1)):
                         if least >= stop_safe:
                             d = clearance(
-                                b, i, row, 0, c, position[b], quaternion[b], ground_height[b], probes, duplicate_rows,
-                                rows, columns, fine_range, rollouts.positions, plan_period[b], cell_ends, point_packs,
-                                stop_positions, state_terms,
+                                b, i, row, 0, c, position[b], quaternion[b], ground_height[b], movers, probes,
+                                duplicate_rows, rows, columns, fine_range, rollouts.positions, plan_period[b],
+                                cell_ends, point_packs, stop_positions, state_terms,
                             )  # fmt: skip
                             least = wp.min(least, d)
                     stop_clearance[b, i] = least

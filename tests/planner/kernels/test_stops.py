@@ -6,6 +6,7 @@ import warp as wp
 
 from aero_planner import Planner, PlannerConfig, PlanStatus
 from aero_planner.kernels.kernel_tuning import CPU
+from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.records import DroneState, Rollouts, bundle
 from aero_planner.kernels.stops import STOPS, evaluate_stops, roll_out_stops
@@ -24,6 +25,9 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
     )
     count, part = M * int(STOPS), config.partition
     rows, columns = part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
+    movers = bundle(
+        Movers, count=w.mover_count, position=w.mover_position, velocity=w.mover_velocity, radius=w.mover_radius
+    )
     controls, positions, clearance = (wp.empty_like(a) for a in (w.stop_controls, w.stop_positions, w.stop_clearance))
     wp.launch(
         roll_out_stops, (1, count), inputs=[drone, planner.params, w.plan_period, rollouts],
@@ -33,8 +37,8 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
         evaluate_stops(CPU),
         (1, count, 4 * config.sampling.steps, 1),
         inputs=[
-            i.position, i.quaternion, i.ground_height, planner.params, int(PROBES), 1, rows, columns, o.fine_range,
-            o.positions, w.plan_period, w.cell_ends, w.point_packs, positions, w.state_terms,
+            i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns,
+            o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, positions, w.state_terms,
         ],
         outputs=[clearance],
     )  # fmt: skip

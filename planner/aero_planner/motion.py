@@ -1,0 +1,101 @@
+"""The motion of obstacles, estimated whenever a sweep arrives."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike
+
+from aero_planner.array_memory import allocate
+from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs
+from aero_planner.kernels.motion import (
+    BINS,
+    RECENT,
+    STARTS,
+    FoundTracks,
+    RecentRows,
+    Segments,
+    find_segments,
+    follow_segments,
+    merge_tracks,
+    scan_obstacles,
+    stamp_sweep,
+)
+from aero_planner.kernels.movers import MOVERS, Tracks
+from aero_planner.kernels.records import bundle
+
+
+class _Sizes(NamedTuple):
+    B: int
+    L: int = int(RECENT)
+    A: int = int(BINS)
+    X: int = int(MOVERS)
+    Y: int = int(STARTS)
+
+
+class Motion:
+    """Finds what moves among the obstacles of each drone.
+
+    Args:
+        inputs: inputs of the planner, which say when and where a sweep arrives if the caller does not.
+        params: live parameters, shape [B].
+
+    Attributes:
+        arrays: the tracks, and what they are made of.
+    """
+
+    def __init__(self, inputs: PlannerInputs, params: wp.array) -> None:
+        self._inputs, self._params = inputs, params
+        self._device = wp.get_device(str(params.device))
+        self.arrays = arrays = allocate(MotionArrays, _Sizes(len(params)), self._device)
+        self._segments = bundle(
+            Segments, count=arrays.segment_count, center=arrays.segment_center, radius=arrays.segment_radius
+        )
+        self._found = bundle(
+            FoundTracks, position=arrays.found_position, velocity=arrays.found_velocity, radius=arrays.found_radius
+        )
+        self._tracks = bundle(
+            Tracks,
+            time=arrays.track_time,
+            count=arrays.track_count,
+            position=arrays.track_position,
+            velocity=arrays.track_velocity,
+            radius=arrays.track_radius,
+        )
+
+    def forget(self) -> None:
+        """Take all obstacles for standing ones until the next sweep."""
+        self.arrays.track_count.zero_()
+
+    def stamp(
+        self, cloud: CloudArrays, row: int, *, time: float | None = None, position: ArrayLike | None = None
+    ) -> None:
+        """Keep when [s] and where [m] a sweep was complete; None is the time or the position of the inputs."""
+        given_time = math.nan if time is None else time
+        given_position = wp.vec3(math.nan) if position is None else wp.vec3(*np.asarray(position, dtype=np.float32))
+        inputs = [row, given_time, given_position, self._inputs.time, self._inputs.position]
+        self._launch(stamp_sweep, (), inputs, [cloud.bundle()])
+
+    def estimate(self, cloud: CloudArrays, rows: list[int], points: int) -> None:
+        """Estimate the motion from the newest sweeps.
+
+        Args:
+            cloud: all sweeps.
+            rows: rows of the newest sweeps, newest first, at most `RECENT`.
+            points: number of points of the largest of them.
+        """
+        recent: Any = RecentRows(*rows[:RECENT], *[-1] * (int(RECENT) - len(rows)))
+        i, arrays, sweeps = self._inputs, self.arrays, cloud.bundle()
+        arrays.scan.zero_()
+        size = (int(RECENT), points)
+        self._launch(scan_obstacles, size, [recent, sweeps, i.ground_height, self._params], [arrays.scan])
+        self._launch(find_segments, (int(RECENT),), [recent, sweeps, self._params, arrays.scan], [self._segments])
+        size = (int(STARTS), int(MOVERS))
+        self._launch(follow_segments, size, [recent, sweeps, self._params, self._segments], [self._found])
+        self._launch(merge_tracks, (), [recent, sweeps, self._found], [self._tracks])
+
+    def _launch(self, kernel: wp.Kernel, size: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, (len(self._params), *size), inputs=inputs, outputs=outputs, device=self._device)

@@ -1,0 +1,211 @@
+"""Velocities of obstacles, estimated from sweeps of a simulated pillar, and the clearance from where they will be."""
+
+import numpy as np
+import pytest
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner import Arrival, Goal, Plan, Planner, Sweeps, VehicleState
+from aero_planner.kernels.motion import LENGTH, RECENT, STARTS, FoundTracks, RecentRows, Segments, follow_segments
+from aero_planner.kernels.movers import MOVERS
+from aero_planner.kernels.params import Params, pack
+from aero_planner.kernels.records import CloudSweeps, bundle
+from tests.planner.cases import assert_same, config_of
+
+Array = NDArray[np.float64]
+PERIOD = 0.1
+RADIUS = 0.3
+GOAL = Goal((20.0, 0.0, 0.0))
+
+
+def pillar_points(axis: Array, origin: Array, *, noise: float = 0.01, seed: int = 0) -> Array:
+    """Return points [m], [n, 3], of the side of a pillar that faces `origin`, from 0.5 m below it to 1.3 m above."""
+    rng = np.random.default_rng(seed)
+    to_origin = origin[:2] - axis
+    distance = np.linalg.norm(to_origin)
+    half = np.arccos(RADIUS / distance)
+    angle = np.arctan2(to_origin[1], to_origin[0]) + rng.uniform(-half, half, 1500)
+    surface = axis + RADIUS * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    direction = surface - origin[:2]
+    surface += noise * rng.normal(size=(1500, 1)) * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.column_stack((surface, origin[2] + rng.uniform(-0.5, 1.3, 1500)))
+
+
+def sweeps_of(pillars: list[tuple[Array, Array]], velocity: Array, *, count: int = 8) -> tuple[Sweeps, Array]:
+    """Return sweeps of pillars (axis at the end of the last sweep, velocity), and the last position of the drone.
+
+    The drone flies at a constant `velocity`. Each sweep shows the pillars as they are in the middle of it.
+    """
+    sweeps, position = Sweeps(), np.zeros(3)
+    for k in range(count):
+        age = (count - 1 - k) * PERIOD
+        origin, position = -(age + 0.5 * PERIOD) * velocity, -age * velocity
+        clouds = [
+            pillar_points(axis - (age + 0.5 * PERIOD) * speed, origin, seed=100 * k + i)
+            for i, (axis, speed) in enumerate(pillars)
+        ]
+        arrival = Arrival(1.0 + k * PERIOD, tuple(position.tolist()))
+        sweeps = sweeps.add(np.concatenate(clouds).astype(np.float32), limit=30, arrival=arrival)
+    return sweeps, position
+
+
+def plan_from(planner: Planner, sweeps: Sweeps, position: Array, *, later: float = 0.0) -> Plan:
+    """Plan some time after the last sweep [s]."""
+    arrival = sweeps.arrivals[-1]
+    assert arrival is not None
+    state = VehicleState(position, np.zeros(3), (1.0, 0.0, 0.0, 0.0), time=arrival.time + later)
+    return planner.plan(state, GOAL, sweeps)
+
+
+def movers_of(planner: Planner) -> tuple[Array, Array, Array]:
+    """Return positions [m], velocities [m/s] and radii [m] of what the last plan took for moving."""
+    work = planner.workspace
+    count = int(work.mover_count.numpy()[0])
+    arrays = (work.mover_position, work.mover_velocity, work.mover_radius)
+    positions, velocities, radii = (array.numpy()[0, :count].astype(np.float64) for array in arrays)
+    return positions, velocities, radii
+
+
+@pytest.mark.parametrize("own", [(0.0, 0.0, 0.0), (4.0, 0.0, 0.5)])
+@pytest.mark.parametrize("velocity", [(1.0, 0.0), (-1.2, 1.2), (0.0, 2.0), (-0.6, -0.4)])
+def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float], own: tuple[float, float, float]):
+    planner, axis = Planner(config_of(), device=device), np.array([5.0, 1.0])
+    plan_from(planner, *sweeps_of([(axis, np.array(velocity))], np.array(own)), later=0.04)
+    positions, velocities, radii = movers_of(planner)
+    assert len(positions) == 1
+    np.testing.assert_allclose(velocities[0], velocity, atol=0.15)
+    np.testing.assert_allclose(positions[0], axis + 0.04 * np.array(velocity), atol=0.1)
+    assert abs(radii[0] - RADIUS) < 0.06
+
+
+@pytest.mark.parametrize("own", [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (0.0, 6.0, 1.0), (3.0, -3.0, 0.0)])
+def test_pillars_that_stand_do_not_move(device: str, own: tuple[float, float, float]):
+    """Neither do those that come out from behind another one."""
+    planner = Planner(config_of(), device=device)
+    places = [(3.0, 1.5), (6.0, 2.6), (4.0, -2.0), (7.0, -2.8), (-3.0, 2.0), (-6.0, 3.6)]
+    pillars = [(np.array(place), np.zeros(2)) for place in places]
+    plan_from(planner, *sweeps_of(pillars, np.array(own)))
+    assert len(movers_of(planner)[0]) == 0
+
+
+def test_a_pillar_is_followed_while_it_is_hidden(device: str):
+    planner, axis, velocity = Planner(config_of(), device=device), np.array([5.0, 0.5]), np.array([0.0, 1.0])
+    sweeps, position = sweeps_of([(axis, velocity)], np.zeros(3))
+    hidden = Sweeps()
+    for k, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
+        points = points if k < len(sweeps) - 2 else np.zeros((0, 3), np.float32)
+        hidden = hidden.add(points, limit=30, arrival=arrival)
+    plan_from(planner, hidden, position)
+    positions, velocities, _ = movers_of(planner)
+    np.testing.assert_allclose(positions, [axis], atol=0.12)
+    np.testing.assert_allclose(velocities, [velocity], atol=0.15)
+
+
+def test_the_clearance_is_that_of_the_predicted_pillar(device: str):
+    planner = Planner(config_of(partition__predict_growth=0.2, costs__distance_max=3.0), device=device)
+    sweeps, position = sweeps_of([(np.array([3.0, 2.0]), np.array([0.0, -1.5]))], np.zeros(3))
+    plan = plan_from(planner, sweeps, position)
+    positions, velocities, radii = movers_of(planner)
+    x, config = plan.positions[:, 1:].astype(np.float64), planner.config
+    t = config.sampling.dt * np.arange(1, x.shape[1] + 1)
+    gap = np.linalg.norm(x[..., :2] - positions[0] - t[:, None] * velocities[0], axis=-1) - radii[0] - 0.2 * t
+    points = plan.filtered_points.astype(np.float64)
+    nearest = np.linalg.norm(x[..., None, :] - points, axis=-1).min(axis=-1)
+    expected = np.minimum(np.minimum(nearest, np.maximum(gap, 0.0)), config.costs.distance_max)
+    np.testing.assert_allclose(plan.clearance, expected, atol=1e-4)
+    assert (gap < np.minimum(nearest, config.costs.distance_max) - 0.05).any()  # it is the nearest somewhere
+
+
+def test_plans_start_after_the_delay(device: str):
+    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
+    found = []
+    for delay in (0.0, 0.2):
+        planner = Planner(config_of(vehicle__delay=delay), device=device)
+        plan_from(planner, sweeps, position)
+        found.append(movers_of(planner))
+    np.testing.assert_allclose(found[1][0] - found[0][0], 0.2 * found[0][1], atol=1e-5)
+
+
+@pytest.mark.parametrize("changes", [{"partition__predict": False}, {"partition__predict_speed": 1.5}])
+def test_nothing_moves_if_it_is_not_looked_for(device: str, changes: dict[str, float]):
+    planner = Planner(config_of(**changes), device=device)
+    plan_from(planner, *sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3)))
+    assert len(movers_of(planner)[0]) == 0
+
+
+def test_old_sweeps_show_no_motion(device: str):
+    planner = Planner(config_of(), device=device)
+    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
+    plan_from(planner, sweeps, position, later=0.6)
+    assert len(movers_of(planner)[0]) == 0
+
+
+def test_the_motion_depends_on_the_sweeps_alone(device: str):
+    """A planner that is given all sweeps at once plans as one that they reached one by one: a flight can be rewound."""
+    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.array([3.0, 0.0, 0.4]), count=10)
+    one_by_one, at_once = (Planner(config_of(), device=device, seed=1) for _ in range(2))
+    part = Sweeps()
+    for points, arrival in zip(sweeps, sweeps.arrivals, strict=True):
+        part = part.add(points, limit=30, arrival=arrival)
+        plan_from(one_by_one, part, position)
+    one_by_one.reset()
+    assert_same(plan_from(one_by_one, part, position), plan_from(at_once, sweeps, position))
+    assert len(movers_of(at_once)[0]) == 1
+
+
+def test_stored_sweeps_show_the_same_motion(device: str):
+    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.array([3.0, 0.0, 0.0]))
+    single, batch = Planner(config_of(), device=device), Planner(config_of(), device=device, batch=2)
+    plan_from(single, sweeps, position)
+    batch.reserve_sweeps(len(sweeps), sum(map(len, sweeps)))
+    for row, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
+        assert arrival is not None
+        batch.inputs.position.assign(np.array([arrival.position] * 2, np.float32))
+        batch.store_sweep(row, wp.array(np.array([points] * 2), dtype=wp.vec3, device=device), time=arrival.time)
+    batch.inputs.time.assign(np.array([arrival.time] * 2))
+    batch.inputs.quaternion.assign(np.array([[1.0, 0.0, 0.0, 0.0]] * 2, np.float32))
+    batch.launch()
+    for b in range(2):
+        np.testing.assert_array_equal(batch.workspace.mover_count.numpy()[b], 1)
+        for name in ("mover_position", "mover_velocity", "mover_radius"):
+            ours, expected = (getattr(planner.workspace, name).numpy() for planner in (batch, single))
+            np.testing.assert_array_equal(ours[b, 0], expected[0, 0])
+
+
+def test_uniform_motion_is_fitted_by_least_squares(device: str):
+    """The fit is that of NumPy, over the sweeps that show the segment; the others keep their places."""
+    rng = np.random.default_rng(3)
+    L, X, config = int(RECENT), int(MOVERS), config_of()
+    times = 5.0 - PERIOD * np.arange(L)
+    starts, speeds = 4.0 * np.arange(6)[:, None] * np.ones(2), rng.uniform(-1.5, 1.5, (6, 2))
+    centers = np.zeros((1, L, X, 2), np.float32)
+    centers[0, :, :6] = starts + (times - 5.0)[:, None, None] * speeds + 0.01 * rng.normal(size=(L, 6, 2))
+    radii = np.full((1, L, X), 0.3, np.float32)
+    segments = bundle(
+        Segments,
+        count=wp.array(np.full((1, L), 6, np.int32), device=device),
+        center=wp.array(centers, dtype=wp.vec2, device=device),
+        radius=wp.array(radii, dtype=float, device=device),
+    )
+    cloud = bundle(CloudSweeps, time=wp.array(times[None], dtype=wp.float64, device=device))
+    shape = (1, int(STARTS), X)
+    found = bundle(
+        FoundTracks,
+        position=wp.zeros(shape, dtype=wp.vec2, device=device),
+        velocity=wp.zeros(shape, dtype=wp.vec2, device=device),
+        radius=wp.zeros(shape, dtype=float, device=device),
+    )
+    params = wp.array(np.array([pack(config)]), dtype=Params, device=device)
+    rows = RecentRows(*range(L))
+    wp.launch(follow_segments, shape, inputs=[rows, cloud, params, segments], outputs=[found], device=device)
+    for begin in range(int(STARTS)):
+        t, x = times[begin : begin + int(LENGTH)], centers[0, begin : begin + int(LENGTH), :6].astype(np.float64)
+        for i in range(6):
+            slope, at_newest = np.polyfit(t - 5.0, x[:, i], 1)
+            if np.linalg.norm(slope) > 0.8:
+                np.testing.assert_allclose(found.velocity.numpy()[0, begin, i], slope, atol=1e-4)
+                expected = at_newest + 0.5 * PERIOD * slope
+                np.testing.assert_allclose(found.position.numpy()[0, begin, i], expected, atol=1e-4)
+                np.testing.assert_allclose(found.radius.numpy()[0, begin, i], 0.3, rtol=1e-5)
+        assert (found.radius.numpy()[0, begin, 6:] == -1.0).all()
+    assert (np.linalg.norm(speeds, axis=1) > 0.8).sum() >= 3
