@@ -180,6 +180,7 @@ class Workspace:
     tick: wp.array = array(wp.int32, "B", "", "Number of plans so far, which selects the noise.")
     previous_controls: wp.array = array(wp.vec4, "B N", "N, rad/s", "Controls to fly of the newest plan.")
     previous_start_control: wp.array = array(wp.vec4, "B", "N, rad/s", "Control in effect at the start of that plan.")
+    view_quaternion: wp.array = array(wp.vec4, "B", "", "Attitude, body to world, that lags by `view_age` on average.")
     proven_stop: wp.array = array(wp.vec4, "B 2*N", "N, rad/s", "Controls of the stop that was proven last.")
     proven_stop_age: wp.array = array(wp.float32, "B", "s", "Time from that plan to the previous one.")
     places: wp.array = array(wp.vec3, "B H", "m", "Places without progress, world frame.")

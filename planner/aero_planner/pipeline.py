@@ -132,7 +132,7 @@ class Pipeline(LaunchSequence):
             prediction.predict_state,
             (self._sizes.B,),
             inputs=[r.given_drone, self._inputs.time, self._params, r.previous],
-            outputs=[r.drone],
+            outputs=[self._work.view_quaternion, r.drone],
         )
 
     def _place_movers(self) -> Callable[[], Any]:
@@ -179,8 +179,8 @@ class Pipeline(LaunchSequence):
                 continuation.find_edges,
                 (sizes.B, -(-sizes.F // sizes.W)),
                 inputs=[
-                    worker, sizes.W, i.position, i.velocity, i.quaternion, w.control, self._params, w.fine_directions,
-                    o.occupied, o.filtered_points,
+                    worker, sizes.W, i.position, i.velocity, i.quaternion, self._params, w.view_quaternion,
+                    w.fine_directions, o.occupied, o.filtered_points,
                 ],
                 outputs=[w.surfaces],
             ))[0]

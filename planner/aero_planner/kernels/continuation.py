@@ -27,13 +27,6 @@ _Surfaces = wp.types.matrix(shape=(_READ_WIDTH, 2), dtype=wp.float32)
 
 
 @wp.func
-def earlier_direction(offset: wp.vec3, velocity: wp.vec3, q: wp.vec4, rates: wp.vec3, age: float) -> wp.vec3:
-    """Return the body direction in which the drone saw a place at `offset` some time ago [s], at steady motion."""
-    d = quat_inverse_rotate(q, offset + age * velocity)
-    return d + age * wp.cross(rates, d)
-
-
-@wp.func
 def near_cell(d: wp.vec3, rows: int, columns: int) -> int:
     """Return the number of the cell that contains the direction d; rounding may decide at its borders."""
     row = int((near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1])) / wp.PI + 0.5) * float(rows))
@@ -50,10 +43,10 @@ def find_edges(
     position: wp.array(dtype=wp.vec3),
     velocity: wp.array(dtype=wp.vec3),
     quaternion: wp.array(dtype=wp.vec4),
-    control: wp.array(dtype=wp.vec4),
     # configuration
     params: wp.array(dtype=Params),
     # in
+    view_quaternion: wp.array(dtype=wp.vec4),
     directions: wp.array2d(dtype=wp.vec3),
     occupied: wp.array2d(dtype=int),
     filtered_points: wp.array2d(dtype=wp.vec3),
@@ -63,8 +56,8 @@ def find_edges(
     """Find the surfaces at the lower (0) and the upper (1) edge of the field of view, and beyond.
 
     `surfaces` are the horizontal distance, infinite without a surface, and the height above the drone [m], for each
-    cell of the world frame. A surface counts if it was at the edge `view_age` ago: what has come into view since may
-    not have been measured yet. Launched over [B, fine cells / workers, rounded up].
+    cell of the world frame. A surface counts if it was at the edge `view_age` ago, at the attitude `view_quaternion`:
+    what has come into view since may not have been measured yet. Launched over [B, fine cells / workers, rounded up].
     """
     b, i = wp.tid()
     cell = i * workers + worker
@@ -82,8 +75,7 @@ def find_edges(
     if occupied[b, source] == 1:
         offset = filtered_points[b, source] - position[b]
         surface = wp.vec2(wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1]), offset[2])
-        u = control[b]
-        d = earlier_direction(offset, velocity[b], q, wp.vec3(u[1], u[2], u[3]), c.view_age)
+        d = quat_inverse_rotate(view_quaternion[b], offset + c.view_age * velocity[b])
         then = near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
         height = wp.PI / float(rows)
         now = (float(source // columns) + 0.5) * height - 0.5 * wp.PI

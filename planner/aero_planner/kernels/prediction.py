@@ -16,6 +16,16 @@ _STEP = wp.constant(0.01)
 """Longest step of the prediction [s]."""
 
 
+@wp.func
+def lagged_attitude(q: wp.vec4, before: wp.vec4, since: float, lag: float) -> wp.vec4:
+    """Return an attitude that follows q and is older by `lag` [s] on average; `before` is that of `since` [s] ago."""
+    if not since >= 0.0:  # also if there is no plan before
+        return q
+    nearest = wp.where(wp.dot(before, q) < 0.0, -before, before)
+    share = since / wp.max(since + lag, 1.0e-6)
+    return wp.normalize(nearest + share * (q - nearest))
+
+
 @wp.kernel
 def predict_state(
     # problem
@@ -25,13 +35,16 @@ def predict_state(
     params: wp.array(dtype=Params),
     # in
     previous: PreviousPlan,
+    # in and out
+    view_quaternion: wp.array(dtype=wp.vec4),
     # out
     start: DroneState,
 ):
     """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
 
     The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
-    Without a delay the state is copied, with its attitude normalised. Launched over [B].
+    Without a delay the state is copied, with its attitude normalised. `view_quaternion` follows the given attitude.
+    Launched over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -39,8 +52,9 @@ def predict_state(
     v = drone.velocity[b]
     q = wp.normalize(drone.quaternion[b])
     acceleration = drone.acceleration[b]
+    since = time_since_plan(b, time[b], previous, c)
+    view_quaternion[b] = lagged_attitude(q, view_quaternion[b], since, c.view_age)
     if c.delay > 0.0:
-        since = time_since_plan(b, time[b], previous, c)
         steps = int(wp.ceil(c.delay / _STEP - 1.0e-3))
         dt = c.delay / float(steps)
         u = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)

@@ -1,5 +1,7 @@
 """Continued surfaces, proven stops, places without progress, and the prediction of the start."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -154,7 +156,7 @@ def test_the_prediction_follows_the_commands_of_the_previous_plan_with_the_lags(
 @pytest.mark.parametrize("above", [0.0, 3.0])
 @pytest.mark.parametrize("before", [0.5, 1e3])
 def test_continued_cells_are_those_of_the_rule(device: str, above: float, before: float):
-    """The second plan is compared, since the drone turns then; rounding may decide for a few of the cells."""
+    """The drone has turned since the plan before; rounding may decide for a few of the cells."""
     config = config_of(
         partition__continue_below=2.0, partition__continue_above=above, partition__continue_before=before
     )
@@ -163,18 +165,21 @@ def test_continued_cells_are_those_of_the_rule(device: str, above: float, before
     for seed in range(3):
         case = random_case(seed, count=3000, tilt=0.4)
         measured = case.plan(Planner(without, device=device))
-        case.plan(planner)
+        turned = dataclasses.replace(case, quaternion=random_case(seed + 100, tilt=0.4).quaternion)
+        planner.reset()
+        turned.plan(planner)
         found = case.plan(planner).fine_range.ravel()
-        rates = planner.workspace.control.numpy()[0, 1:].astype(np.float64)
-        assert np.linalg.norm(rates) > 0.1
-        expected = continued_ranges(case, config, measured, rates)
+        expected = continued_ranges(case, config, measured, turned.quaternion)
         filled += np.sum(expected != measured.fine_range.ravel())
         different += np.sum(np.abs(found - expected) > 1e-3)
     assert filled > 300 and different <= 0.02 * filled
 
 
-def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, rates: np.ndarray) -> np.ndarray:
-    """Return the fine ranges [m] with continued surfaces, shape [F]; `measured` is a plan without them."""
+def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, before: np.ndarray) -> np.ndarray:
+    """Return the fine ranges [m] with continued surfaces, shape [F].
+
+    `measured` is a plan without them, and `before` the attitude at the plan before, which was the first one.
+    """
     part, R, ranges = config.partition, reference.rotation(reference.unit(case.quaternion)), measured.fine_range
     rows, columns = ranges.shape
     elevation = np.repeat((np.arange(rows) + 0.5) * np.pi / rows - np.pi / 2, columns)
@@ -186,6 +191,10 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, rates: n
         column = np.floor((np.arctan2(d[1], d[0]) / (2 * np.pi) + 0.5) * columns).astype(int) % columns
         return np.clip(row, 0, rows - 1) * columns + column
 
+    q, before = reference.unit(case.quaternion), reference.unit(before)
+    period = config.sampling.replan_period
+    share = period / (period + part.view_age)
+    seen_from = reference.rotation(reference.unit((1.0 - share) * before * np.sign(before @ q) + share * q))
     offsets = np.full((3, rows * columns), np.inf)
     offsets[:, ranges.ravel() < config.farthest_range] = (
         np.asarray(measured.filtered_points, dtype=float) - case.position
@@ -199,8 +208,7 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, rates: n
         x = offsets[:, source]
         has_point = np.isfinite(x[0])
         x[:, ~has_point] = 1.0
-        earlier = R.T @ (x + part.view_age * case.velocity[:, None])
-        earlier += part.view_age * np.cross(rates, earlier, axisb=0).T
+        earlier = seen_from.T @ (x + part.view_age * case.velocity[:, None])
         angle = np.arctan2(earlier[2], np.hypot(earlier[0], earlier[1]))
         then = angle - np.radians(part.view_min) if side == 0 else np.radians(part.view_max) - angle
         is_edge = np.minimum((lower, upper)[side][source], then) <= 2 * np.pi / rows
@@ -221,6 +229,23 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, rates: n
         is_filled &= is_empty | (ranges.ravel() > distance + part.continue_before)
         result[is_filled] = distance[is_filled]
     return result
+
+
+@pytest.mark.parametrize("period", [0.02, 0.1])
+def test_the_attitude_of_the_view_is_the_given_one_of_some_time_ago(device: str, period: float):
+    """Recorded drones do not follow the commands of the planner: what counts is how they turned."""
+    config, rate = config_of(partition__view_age=0.1), 1.0
+    planner, case = Planner(config, device=device), level()
+    for tick in range(round(1.0 / period) + 1):
+        half = 0.5 * rate * tick * period
+        attitude = np.array([np.cos(half), 0.0, np.sin(half), 0.0]) * (-1.0) ** tick  # q and -q are the same attitude
+        state = VehicleState(case.position, case.velocity, attitude, case.acceleration, time=tick * period)
+        planner.plan(state, Goal(case.goal), case.points)
+    w, _, y, _ = planner.history().view_quaternion[0]
+    assert 2.0 * np.arctan2(y, w) % (2.0 * np.pi) == pytest.approx(rate * (1.0 - 0.1), abs=1e-3)
+    planner.reset()
+    case.plan(planner)
+    np.testing.assert_array_equal(planner.history().view_quaternion[0], case.quaternion)
 
 
 def test_a_wall_that_has_just_come_into_view_continues(device: str):
