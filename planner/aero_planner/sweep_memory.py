@@ -17,6 +17,9 @@ from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fi
 from aero_planner.motion import Motion
 from aero_planner.sweeps import Arrival, Sweeps
 
+_LEAST_PERIOD = 0.09
+"""Time from one sweep to the next in which obstacles move visibly, a little less than that of a Mid-360 [s]."""
+
 
 class _Sizes(NamedTuple):
     B: int
@@ -113,11 +116,20 @@ class SweepMemory:
         for entry in aged:
             self._thin_points(entry.row, len(entry.points))
         if self._entries and self._entries[-1] is not newest_before:
-            recent = list(reversed(self._entries))[: int(RECENT)]
+            recent = self._recent()
             points = max((len(entry.points) for entry in recent), default=0)
             self._motion.estimate(self.arrays, [entry.row for entry in recent], points)
         elif not self._entries:
             self._motion.forget()
+
+    def _recent(self) -> list[_Entry]:
+        """Return the newest sweeps, newest first, that show motion: those of a fast planner are partly left out."""
+        recent: list[_Entry] = []
+        for entry in reversed(self._entries):
+            later = recent[-1].arrival if recent else None
+            if later is None or entry.arrival is None or entry.arrival.time <= later.time - _LEAST_PERIOD:
+                recent.append(entry)
+        return recent[: int(RECENT)]
 
     def order_arrived(self) -> None:
         """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
-from aero_planner.sweeps import Sweeps
+from aero_planner.sweeps import Arrival, Sweeps
 
 _POSES = 512
 """Poses that are kept: 5 s at 100 Hz."""
@@ -135,7 +135,16 @@ class SweepBuffer:
                 self._chunks.append((points, max(time for _, time in placed)))
             self._unread = 0
             chunks = [points for points, _ in (*self._older, *self._chunks)]
-            return Sweeps(chunks, whole=len(self._chunks)), now - self._newest
+            arrivals = [None] * len(self._older) + self._arrivals()
+            return Sweeps(chunks, whole=len(self._chunks), arrivals=arrivals), now - self._newest
+
+    def _arrivals(self) -> list[Arrival]:
+        """Return when the newest point of each chunk was measured, and from where."""
+        if not self._chunks:
+            return []
+        times = [time for _, time in self._chunks]
+        positions, _ = self._poses.interpolate(times)
+        return [Arrival(time, (x, y, z)) for time, (x, y, z) in zip(times, positions.tolist(), strict=True)]
 
     def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
         """Return the newest sweeps' points of the older and of the newer half [m], and the time between the two [s].

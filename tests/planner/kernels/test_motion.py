@@ -31,20 +31,22 @@ def pillar_points(axis: Array, origin: Array, *, noise: float = 0.01, seed: int 
     return np.column_stack((surface, origin[2] + rng.uniform(-0.5, 1.3, 1500)))
 
 
-def sweeps_of(pillars: list[tuple[Array, Array]], velocity: Array, *, count: int = 8) -> tuple[Sweeps, Array]:
+def sweeps_of(
+    pillars: list[tuple[Array, Array]], velocity: Array, *, count: int = 8, period: float = PERIOD
+) -> tuple[Sweeps, Array]:
     """Return sweeps of pillars (axis at the end of the last sweep, velocity), and the last position of the drone.
 
     The drone flies at a constant `velocity`. Each sweep shows the pillars as they are in the middle of it.
     """
     sweeps, position = Sweeps(), np.zeros(3)
     for k in range(count):
-        age = (count - 1 - k) * PERIOD
-        origin, position = -(age + 0.5 * PERIOD) * velocity, -age * velocity
+        age = (count - 1 - k) * period
+        origin, position = -(age + 0.5 * period) * velocity, -age * velocity
         clouds = [
-            pillar_points(axis - (age + 0.5 * PERIOD) * speed, origin, seed=100 * k + i)
+            pillar_points(axis - (age + 0.5 * period) * speed, origin, seed=100 * k + i)
             for i, (axis, speed) in enumerate(pillars)
         ]
-        arrival = Arrival(1.0 + k * PERIOD, tuple(position.tolist()))
+        arrival = Arrival(1.0 + k * period, tuple(position.tolist()))
         sweeps = sweeps.add(np.concatenate(clouds).astype(np.float32), limit=30, arrival=arrival)
     return sweeps, position
 
@@ -76,6 +78,15 @@ def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float]
     np.testing.assert_allclose(velocities[0], velocity, atol=0.15)
     np.testing.assert_allclose(positions[0], axis + 0.04 * np.array(velocity), atol=0.1)
     assert abs(radii[0] - RADIUS) < 0.06
+
+
+def test_sweeps_of_a_fast_planner_show_the_motion(device: str):
+    """A node that plans at 30 Hz makes a sweep of what it has received since the plan before."""
+    planner, axis, velocity = Planner(config_of(), device=device), np.array([5.0, 1.0]), np.array([0.0, 0.8])
+    plan_from(planner, *sweeps_of([(axis, velocity)], np.array([2.0, 0.0, 0.0]), count=24, period=0.033))
+    positions, velocities, _ = movers_of(planner)
+    np.testing.assert_allclose(velocities, [velocity], atol=0.15)
+    np.testing.assert_allclose(positions, [axis], atol=0.1)
 
 
 @pytest.mark.parametrize("own", [(0.0, 0.0, 0.0), (6.0, 0.0, 0.0), (0.0, 6.0, 1.0), (3.0, -3.0, 0.0)])
