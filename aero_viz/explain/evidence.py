@@ -19,7 +19,6 @@ from aero_planner.kernels.records import Rollouts as StateRollouts
 from aero_planner.kernels.stops import evaluate_stops, roll_out_stops
 from aero_viz.errors import UserError
 from aero_viz.explain.terms import (
-    MovingObstacles,
     Obstacles,
     Problem,
     Rollouts,
@@ -164,7 +163,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     problem = Problem(
         config,
         (goal, read("goal_velocity"), read("goal_quaternion")),
-        Obstacles(points, frame.observation.ground_height, config, _moving_obstacles(planner)),
+        Obstacles(points, frame.observation.ground_height, config, plan.moving),
         places.astype(np.float64),
     )
     states = (plan.positions, plan.velocities, plan.quaternions)
@@ -201,14 +200,6 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     )
 
 
-def _moving_obstacles(planner: Planner) -> MovingObstacles:
-    """Return what the last plan took for moving."""
-    work, growth = planner.workspace, planner.config.partition.predict_growth
-    count = int(work.mover_count.numpy()[0])
-    arrays = (work.mover_position, work.mover_velocity, work.mover_radius)
-    return MovingObstacles(*(array.numpy()[0, :count].astype(np.float64) for array in arrays), growth=growth)
-
-
 def _clearance_of_all_stops(planner: Planner) -> Array:
     """Return the clearance of every stop of the last plan [m], shape [M STOPS].
 
@@ -219,7 +210,7 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
         return w.stop_clearance.numpy()[0].astype(np.float64)
     state = {name: getattr(w, name) for name in ("position", "velocity", "quaternion", "acceleration")}
     drone = bundle(DroneState, **state, command=w.command, control=w.control)
-    moving = {name: getattr(w, f"mover_{name}") for name in ("count", "position", "velocity", "radius")}
+    moving = {name: getattr(o, f"mover_{name}") for name in ("count", "position", "velocity", "radius")}
     movers = bundle(Movers, **moving)
     names = ("controls", "positions", "velocities", "quaternions")
     rollouts = bundle(StateRollouts, **{name: getattr(o, name) for name in names})

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from aero_planner import PlannerConfig
 from aero_planner.kernels.mppi import PROBES
+from aero_planner.plan import MovingObstacles
 from aero_planner.quaternions import conjugate, multiply, rotate
 
 Array = NDArray[np.float64]
@@ -35,32 +36,6 @@ class Rollouts:
     """w x y z, body to world, shape [.., N, 4]."""
 
 
-@dataclass(frozen=True, eq=False)
-class MovingObstacles:
-    """Vertical cylinders that the planner expects to move on at a constant velocity."""
-
-    positions: Array
-    """Axes at the start of the plan [m], shape [n, 2]."""
-    velocities: Array
-    """[m/s], shape [n, 2]."""
-    radii: Array
-    """[m], shape [n]."""
-    growth: float
-    """Growth of the radii [m/s]."""
-
-    def nearest(self, positions: Array, times: Array) -> tuple[Array, NDArray[np.int64]]:
-        """Return the distance [m] of positions [m], shape [.., 3], to the nearest one at a time [s], and its index."""
-        if not len(self.radii):
-            return np.full(positions.shape[:-1], np.inf), np.zeros(positions.shape[:-1], dtype=np.int64)
-        times = np.broadcast_to(times, positions.shape[:-1])[..., None]
-        axes = self.positions + times[..., None] * self.velocities
-        gaps = np.linalg.norm(positions[..., None, :2] - axes, axis=-1) - self.radii - times * self.growth
-        return np.maximum(gaps.min(axis=-1), 0.0), gaps.argmin(axis=-1)
-
-
-NOTHING_MOVES = MovingObstacles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 0.0)
-
-
 class Obstacles:
     """Distances as the planner measures them: to the filtered cloud, what moves, the ground and the band of heights.
 
@@ -76,10 +51,11 @@ class Obstacles:
         points: NDArray[np.float32],
         ground_height: float | None,
         config: PlannerConfig,
-        moving: MovingObstacles = NOTHING_MOVES,
+        moving: MovingObstacles | None = None,
     ) -> None:
         self.points = points
         self._moving = moving
+        self._growth = config.partition.predict_growth
         self._tree = KDTree(points) if len(points) else None
         self._ground = -np.inf if ground_height is None or not config.costs.use_ground else ground_height
         self._band = config.costs.height_min, config.costs.height_max
@@ -94,17 +70,28 @@ class Obstacles:
         height = positions[..., 2]
         level = np.minimum(np.minimum(height - self._band[0], self._band[1] - height), height - self._ground)
         distance = np.minimum(self._nearest(positions)[0], np.maximum(level, 0.0))
-        return distance if times is None else np.minimum(distance, self._moving.nearest(positions, times)[0])
+        return distance if times is None else np.minimum(distance, self._nearest_moving(positions, times)[0])
 
     def speed_of_nearest(self, position: Array, time: float) -> float | None:
         """Return the speed of the nearest obstacle at a time in the plan [m/s]; None if that stands."""
-        distance, row = self._moving.nearest(position, np.array(time))
-        return float(np.linalg.norm(self._moving.velocities[row])) if distance < self.distance(position) else None
+        distance, row = self._nearest_moving(position, np.array(time))
+        if self._moving is None or distance >= self.distance(position):
+            return None
+        return float(np.linalg.norm(self._moving.velocities[row]))
 
     def nearest_point(self, position: Array) -> NDArray[np.float32] | None:
         """Return the nearest point of the cloud [m], shape [3]; None where the ground or the band is nearer."""
         distance, row = self._nearest(position)
         return self.points[int(row)] if np.isfinite(distance) and distance <= self.distance(position) else None
+
+    def _nearest_moving(self, positions: Array, times: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Return the distance [m] of each position to the nearest obstacle that moves, at its time [s], and the row."""
+        if self._moving is None or not len(self._moving.radii):
+            return np.full(positions.shape[:-1], np.inf), np.zeros(positions.shape[:-1], dtype=np.int64)
+        times = np.broadcast_to(times, positions.shape[:-1])[..., None]
+        axes = self._moving.positions + times[..., None] * self._moving.velocities
+        gaps = np.linalg.norm(positions[..., None, :2] - axes, axis=-1) - self._moving.radii - times * self._growth
+        return np.maximum(gaps.min(axis=-1), 0.0), gaps.argmin(axis=-1)
 
     def _nearest(self, positions: Array) -> tuple[Array, NDArray[np.int64]]:
         if self._tree is None:

@@ -127,6 +127,10 @@ class PlannerOutputs:
     status: wp.array = array(wp.int32, "B", "", "See `PlanStatus`.")
     braking_instance: wp.array = array(wp.int32, "B", "", "Instance that a braking candidate has replaced, or -1.")
     dropped_points: wp.array = array(wp.int32, "B", "", "Number of points that were not finite.")
+    mover_count: wp.array = array(wp.int32, "B", "", "Number of obstacles that were found to move.")
+    mover_position: wp.array = array(wp.vec2, "B X", "m", "Their axes at the start of the plan, world frame.")
+    mover_velocity: wp.array = array(wp.vec2, "B X", "m/s", "Their velocities, world frame.")
+    mover_radius: wp.array = array(wp.float32, "B X", "m", "Their radii.")
 
 
 @dataclass(eq=False)
@@ -164,11 +168,6 @@ class Workspace:
 
     state_terms: wp.array = array(wp.vec4, "B R Q+N+1", "", "J_goal, J_col, speed cost, clearance of Stage II states.")
     instance_scores: wp.array = array(wp.vec2, "B R", "", "S2 and the minimum clearance [m].")
-
-    mover_count: wp.array = array(wp.int32, "B", "", "Number of moving obstacles.")
-    mover_position: wp.array = array(wp.vec2, "B X", "m", "Their axes at the start of the plan, world frame.")
-    mover_velocity: wp.array = array(wp.vec2, "B X", "m/s", "Their velocities, world frame.")
-    mover_radius: wp.array = array(wp.float32, "B X", "m", "Their radii.")
 
     plan_period: wp.array = array(wp.float32, "B", "s", "Time since the previous plan, taken as that to the next one.")
     stop_ready: wp.array = array(wp.int32, "B", "", "1 where a proven stop is left to fly.")

@@ -76,10 +76,10 @@ class PipelineRecords:
         )
         self.movers = bundle(
             Movers,
-            count=w.mover_count,
-            position=w.mover_position,
-            velocity=w.mover_velocity,
-            radius=w.mover_radius,
+            count=o.mover_count,
+            position=o.mover_position,
+            velocity=o.mover_velocity,
+            radius=o.mover_radius,
         )
         self.escape = bundle(
             Escape, places=w.places, count=w.place_count, goal=w.place_goal, nearest=w.place_nearest, idle=w.place_idle

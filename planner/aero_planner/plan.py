@@ -74,6 +74,18 @@ class BrakingCandidates:
 
 
 @dataclass(frozen=True, eq=False)
+class MovingObstacles:
+    """Vertical cylinders that the planner expects to move on at a constant velocity; their radii grow meanwhile."""
+
+    positions: Array
+    """Axes when the plan takes effect [m], shape [n, 2], world frame."""
+    velocities: Array
+    """[m/s], shape [n, 2], world frame."""
+    radii: Array
+    """When the plan takes effect [m], shape [n]. They grow by partition.predict_growth."""
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Result of one `Planner.plan` call. Its arrays are copies that no later call changes.
 
@@ -118,7 +130,7 @@ class Plan:
     collision_cost: Array
     """J_col of every instance, shape [M]."""
     clearance: Array
-    """Distance to the nearest filtered point after each control, at most d_max [m], shape [M, N]."""
+    """Distance to the nearest filtered point or moving obstacle after each control, at most d_max [m], shape [M, N]."""
     best: int | NDArray[np.int32]
     """Index of the instance to fly: `controls[best]`."""
     status: PlanStatus | NDArray[np.int32]
@@ -130,6 +142,8 @@ class Plan:
     """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
     braking: BrakingCandidates | None = None
     """None in plans that a drone has sent."""
+    moving: MovingObstacles | None = None
+    """Obstacles that were found to move; None with a batch, and in plans that a drone has sent."""
 
     @classmethod
     def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Plan:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from aero_planner.arrays import fine_shape
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.guides import BRAKING_FAN
-from aero_planner.plan import BrakingCandidates, Plan, PlanStatus
+from aero_planner.plan import BrakingCandidates, MovingObstacles, Plan, PlanStatus
 
 _PER_INSTANCE = frozenset({
     "initial_endpoints", "anchors", "guide_coefficients", "guides", "controls", "positions", "velocities",
@@ -47,6 +47,7 @@ def make_plan(
         stage_ms=stage_ms,
         samples=None if samples is None else arrays.per_drone(samples),
         braking=arrays.braking(),
+        moving=None if batched else arrays.moving(),
     )
 
 
@@ -66,6 +67,11 @@ class _PlanArrays:
             self.per_drone(self._values[name][:, rows]) for name in ("positions", "velocities", "clearance")
         )
         return BrakingCandidates(positions, velocities, clearance.min(axis=-1))
+
+    def moving(self) -> MovingObstacles:
+        count = int(self._values["mover_count"][0])
+        names = ("mover_position", "mover_velocity", "mover_radius")
+        return MovingObstacles(*(self._values[name][0, :count] for name in names))
 
     def __call__(self, name: str) -> Any:
         """Return a field of `Plan`; raises AttributeError for another name."""

@@ -19,6 +19,7 @@ from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.drone import DroneLayer, GhostLayer, TrailLayer
 from aero_viz.dashboard.layers.goal import GoalLayer
+from aero_viz.dashboard.layers.motion import MotionLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer, RecordedPlanLayer
@@ -47,6 +48,7 @@ LAYERS: tuple[type[Layer], ...] = (
     CloudLayer,
     FineCellLayer,
     CoarseCellLayer,
+    MotionLayer,
     DroneLayer,
     TrailLayer,
     GhostLayer,

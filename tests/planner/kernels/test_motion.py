@@ -59,12 +59,11 @@ def plan_from(planner: Planner, sweeps: Sweeps, position: Array, *, later: float
     return planner.plan(state, GOAL, sweeps)
 
 
-def movers_of(planner: Planner) -> tuple[Array, Array, Array]:
-    """Return positions [m], velocities [m/s] and radii [m] of what the last plan took for moving."""
-    work = planner.workspace
-    count = int(work.mover_count.numpy()[0])
-    arrays = (work.mover_position, work.mover_velocity, work.mover_radius)
-    positions, velocities, radii = (array.numpy()[0, :count].astype(np.float64) for array in arrays)
+def movers_of(plan: Plan) -> tuple[Array, Array, Array]:
+    """Return positions [m], velocities [m/s] and radii [m] of what the planner takes for moving."""
+    assert plan.moving is not None
+    moving = (plan.moving.positions, plan.moving.velocities, plan.moving.radii)
+    positions, velocities, radii = (array.astype(np.float64) for array in moving)
     return positions, velocities, radii
 
 
@@ -72,8 +71,9 @@ def movers_of(planner: Planner) -> tuple[Array, Array, Array]:
 @pytest.mark.parametrize("velocity", [(1.0, 0.0), (-1.2, 1.2), (0.0, 2.0), (-0.6, -0.4)])
 def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float], own: tuple[float, float, float]):
     planner, axis = Planner(config_of(), device=device), np.array([5.0, 1.0])
-    plan_from(planner, *sweeps_of([(axis, np.array(velocity))], np.array(own)), later=0.04)
-    positions, velocities, radii = movers_of(planner)
+    positions, velocities, radii = movers_of(
+        plan_from(planner, *sweeps_of([(axis, np.array(velocity))], np.array(own)), later=0.04)
+    )
     assert len(positions) == 1
     np.testing.assert_allclose(velocities[0], velocity, atol=0.15)
     np.testing.assert_allclose(positions[0], axis + 0.04 * np.array(velocity), atol=0.1)
@@ -83,8 +83,9 @@ def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float]
 def test_sweeps_of_a_fast_planner_show_the_motion(device: str):
     """A node that plans at 30 Hz makes a sweep of what it has received since the plan before."""
     planner, axis, velocity = Planner(config_of(), device=device), np.array([5.0, 1.0]), np.array([0.0, 0.8])
-    plan_from(planner, *sweeps_of([(axis, velocity)], np.array([2.0, 0.0, 0.0]), count=24, period=0.033))
-    positions, velocities, _ = movers_of(planner)
+    positions, velocities, _ = movers_of(
+        plan_from(planner, *sweeps_of([(axis, velocity)], np.array([2.0, 0.0, 0.0]), count=24, period=0.033))
+    )
     np.testing.assert_allclose(velocities, [velocity], atol=0.15)
     np.testing.assert_allclose(positions, [axis], atol=0.1)
 
@@ -95,8 +96,7 @@ def test_pillars_that_stand_do_not_move(device: str, own: tuple[float, float, fl
     planner = Planner(config_of(), device=device)
     places = [(3.0, 1.5), (6.0, 2.6), (4.0, -2.0), (7.0, -2.8), (-3.0, 2.0), (-6.0, 3.6)]
     pillars = [(np.array(place), np.zeros(2)) for place in places]
-    plan_from(planner, *sweeps_of(pillars, np.array(own)))
-    assert len(movers_of(planner)[0]) == 0
+    assert len(movers_of(plan_from(planner, *sweeps_of(pillars, np.array(own))))[0]) == 0
 
 
 def test_a_pillar_is_followed_while_it_is_hidden(device: str):
@@ -106,8 +106,7 @@ def test_a_pillar_is_followed_while_it_is_hidden(device: str):
     for k, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
         points = points if k < len(sweeps) - 2 else np.zeros((0, 3), np.float32)
         hidden = hidden.add(points, limit=30, arrival=arrival)
-    plan_from(planner, hidden, position)
-    positions, velocities, _ = movers_of(planner)
+    positions, velocities, _ = movers_of(plan_from(planner, hidden, position))
     np.testing.assert_allclose(positions, [axis], atol=0.12)
     np.testing.assert_allclose(velocities, [velocity], atol=0.15)
 
@@ -116,7 +115,7 @@ def test_the_clearance_is_that_of_the_predicted_pillar(device: str):
     planner = Planner(config_of(partition__predict_growth=0.2, costs__distance_max=3.0), device=device)
     sweeps, position = sweeps_of([(np.array([3.0, 2.0]), np.array([0.0, -1.5]))], np.zeros(3))
     plan = plan_from(planner, sweeps, position)
-    positions, velocities, radii = movers_of(planner)
+    positions, velocities, radii = movers_of(plan)
     x, config = plan.positions[:, 1:].astype(np.float64), planner.config
     t = config.sampling.dt * np.arange(1, x.shape[1] + 1)
     gap = np.linalg.norm(x[..., :2] - positions[0] - t[:, None] * velocities[0], axis=-1) - radii[0] - 0.2 * t
@@ -132,23 +131,21 @@ def test_plans_start_after_the_delay(device: str):
     found = []
     for delay in (0.0, 0.2):
         planner = Planner(config_of(vehicle__delay=delay), device=device)
-        plan_from(planner, sweeps, position)
-        found.append(movers_of(planner))
+        found.append(movers_of(plan_from(planner, sweeps, position)))
     np.testing.assert_allclose(found[1][0] - found[0][0], 0.2 * found[0][1], atol=1e-5)
 
 
 @pytest.mark.parametrize("changes", [{"partition__predict": False}, {"partition__predict_speed": 1.5}])
 def test_nothing_moves_if_it_is_not_looked_for(device: str, changes: dict[str, float]):
     planner = Planner(config_of(**changes), device=device)
-    plan_from(planner, *sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3)))
-    assert len(movers_of(planner)[0]) == 0
+    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
+    assert len(movers_of(plan_from(planner, sweeps, position))[0]) == 0
 
 
 def test_old_sweeps_show_no_motion(device: str):
     planner = Planner(config_of(), device=device)
     sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
-    plan_from(planner, sweeps, position, later=0.6)
-    assert len(movers_of(planner)[0]) == 0
+    assert len(movers_of(plan_from(planner, sweeps, position, later=0.6))[0]) == 0
 
 
 def test_the_motion_depends_on_the_sweeps_alone(device: str):
@@ -160,8 +157,9 @@ def test_the_motion_depends_on_the_sweeps_alone(device: str):
         part = part.add(points, limit=30, arrival=arrival)
         plan_from(one_by_one, part, position)
     one_by_one.reset()
-    assert_same(plan_from(one_by_one, part, position), plan_from(at_once, sweeps, position))
-    assert len(movers_of(at_once)[0]) == 1
+    expected = plan_from(at_once, sweeps, position)
+    assert_same(plan_from(one_by_one, part, position), expected)
+    assert len(movers_of(expected)[0]) == 1
 
 
 def test_stored_sweeps_show_the_same_motion(device: str):
@@ -177,9 +175,9 @@ def test_stored_sweeps_show_the_same_motion(device: str):
     batch.inputs.quaternion.assign(np.array([[1.0, 0.0, 0.0, 0.0]] * 2, np.float32))
     batch.launch()
     for b in range(2):
-        np.testing.assert_array_equal(batch.workspace.mover_count.numpy()[b], 1)
+        np.testing.assert_array_equal(batch.outputs.mover_count.numpy()[b], 1)
         for name in ("mover_position", "mover_velocity", "mover_radius"):
-            ours, expected = (getattr(planner.workspace, name).numpy() for planner in (batch, single))
+            ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
             np.testing.assert_array_equal(ours[b, 0], expected[0, 0])
 
 

@@ -26,7 +26,7 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
     count, part = M * int(STOPS), config.partition
     rows, columns = part.coarse_rows * part.fine_cells, part.coarse_columns * part.fine_cells
     movers = bundle(
-        Movers, count=w.mover_count, position=w.mover_position, velocity=w.mover_velocity, radius=w.mover_radius
+        Movers, count=o.mover_count, position=o.mover_position, velocity=o.mover_velocity, radius=o.mover_radius
     )
     controls, positions, clearance = (wp.empty_like(a) for a in (w.stop_controls, w.stop_positions, w.stop_clearance))
     wp.launch(
