@@ -97,5 +97,5 @@ class Motion:
         self._launch(follow_segments, size, [recent, sweeps, self._params, self._segments], [self._found])
         self._launch(merge_tracks, (), [recent, sweeps, self._found], [self._tracks])
 
-    def _launch(self, kernel: wp.Kernel, size: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+    def _launch(self, kernel: Any, size: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, (len(self._params), *size), inputs=inputs, outputs=outputs, device=self._device)

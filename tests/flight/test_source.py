@@ -268,3 +268,32 @@ def test_a_flight_among_moving_obstacles_repeats_and_ends_where_they_are():
     source.set_goal([9.0, 0.0, 2.0])  # where the pole was at time 0
     with pytest.raises(UserError, match="inside an obstacle"):
         source.set_goal(moving.at(source.simulator.time).cylinders[0, :3] + [0.0, 0.0, 2.0])
+
+
+def test_a_pillar_that_moves_is_found_and_a_restored_flight_plans_the_same():
+    pillars = np.array([[6.0, -2.0, 0.0, 0.0, 0.0, 1.0, 0.3, 6.0], [5.0, 3.0, 0.0, 0.0, 0.0, 1.0, 0.4, 6.0]])
+    motion = np.array([[0.0, 1.2, 9.0], [0.0, 0.0, 0.0]])
+    world = World("two", np.array([0.0, 0.0, 2.0]), np.array([30.0, 0.0, 2.0]), cylinders=pillars, motion=motion)
+    source = FlightSource(world, seed=1)
+    planner = Planner(PlannerConfig.preset("fast-cpu").replace({"vehicle.speed_limit": 2.0}), device="cpu", seed=4)
+
+    def moving(ticks: int) -> list[Any]:
+        found = []
+        for _ in range(ticks):
+            now = source.observe()
+            plan = planner.plan(now.state, now.goal, now.sweeps)
+            found.append(plan.moving)
+            source.advance(plan)
+        return found
+
+    moving(16)
+    checkpoint, history = source.checkpoint(), planner.history()
+    first = moving(12)
+    axis = world.at(source.simulator.time - 0.02).cylinders[0, :2]
+    np.testing.assert_allclose(first[-1].positions, [axis], atol=0.15)
+    np.testing.assert_allclose(first[-1].velocities, [[0.0, 1.2]], atol=0.3)
+    source.restore(checkpoint)
+    planner.restore(history)
+    for before, again in zip(first, moving(12), strict=True):
+        np.testing.assert_array_equal(before.positions, again.positions)
+        np.testing.assert_array_equal(before.radii, again.radii)

@@ -1,5 +1,7 @@
 """Velocities of obstacles, estimated from sweeps of a simulated pillar, and the clearance from where they will be."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -119,7 +121,7 @@ def test_the_clearance_is_that_of_the_predicted_pillar(device: str):
     x, config = plan.positions[:, 1:].astype(np.float64), planner.config
     t = config.sampling.dt * np.arange(1, x.shape[1] + 1)
     gap = np.linalg.norm(x[..., :2] - positions[0] - t[:, None] * velocities[0], axis=-1) - radii[0] - 0.2 * t
-    points = plan.filtered_points.astype(np.float64)
+    points = np.asarray(plan.filtered_points, dtype=np.float64)
     nearest = np.linalg.norm(x[..., None, :] - points, axis=-1).min(axis=-1)
     expected = np.minimum(np.minimum(nearest, np.maximum(gap, 0.0)), config.costs.distance_max)
     np.testing.assert_allclose(plan.clearance, expected, atol=1e-4)
@@ -136,7 +138,7 @@ def test_plans_start_after_the_delay(device: str):
 
 
 @pytest.mark.parametrize("changes", [{"partition__predict": False}, {"partition__predict_speed": 1.5}])
-def test_nothing_moves_if_it_is_not_looked_for(device: str, changes: dict[str, float]):
+def test_nothing_moves_if_it_is_not_looked_for(device: str, changes: dict[str, Any]):
     planner = Planner(config_of(**changes), device=device)
     sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
     assert len(movers_of(plan_from(planner, sweeps, position))[0]) == 0
@@ -171,7 +173,9 @@ def test_stored_sweeps_show_the_same_motion(device: str):
         assert arrival is not None
         batch.inputs.position.assign(np.array([arrival.position] * 2, np.float32))
         batch.store_sweep(row, wp.array(np.array([points] * 2), dtype=wp.vec3, device=device), time=arrival.time)
-    batch.inputs.time.assign(np.array([arrival.time] * 2))
+    newest = sweeps.arrivals[-1]
+    assert newest is not None
+    batch.inputs.time.assign(np.array([newest.time] * 2))
     batch.inputs.quaternion.assign(np.array([[1.0, 0.0, 0.0, 0.0]] * 2, np.float32))
     batch.launch()
     for b in range(2):
