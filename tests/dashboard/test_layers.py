@@ -1,5 +1,6 @@
 """Changes that layers send, without a browser but with a real server and a real plan."""
 
+import copy
 import dataclasses
 from types import SimpleNamespace
 from typing import Any, cast
@@ -8,12 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig, Sweeps
+from aero_planner import Plan, PlannerConfig, Sweeps
+from aero_planner.plan import MovingObstacles
 from aero_planner.quaternions import rotation_matrix
+from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import LAYERS, apply
 from aero_viz.dashboard.layers.base import Lines, polylines
 from aero_viz.dashboard.layers.cells import FineCellLayer, anchor_cells, mean_ranges
 from aero_viz.dashboard.layers.cloud import CloudLayer
+from aero_viz.dashboard.layers.motion import MotionLayer
 from aero_viz.dashboard.layers.rollouts import cost_scale
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
 from aero_viz.dashboard.quadrotor import quadrotor
@@ -254,3 +258,27 @@ def test_a_layer_that_is_hidden_while_a_visitor_connects_is_hidden_from_this_vis
             cast(Any, SimpleNamespace(client_id=visitor.client_id, scene=SimpleNamespace(add_frame=add_frame)))
         )
         assert not layer.is_visible_to(visitor.client_id)
+
+
+def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
+    layer, node = MotionLayer(server), "/motion/lines"
+    still = dataclasses.replace(frame, plan=with_moving(frame.plan, MovingObstacles(*np.zeros((2, 0, 2)), np.zeros(0))))
+    assert [value for _, name, value in layer.update(still) if name == "visible"] == [False] and not layer.legend(still)
+    moving = MovingObstacles(np.array([[5.0, 1.0]]), np.array([[0.0, -2.0]]), np.array([0.4]))
+    moved = dataclasses.replace(frame, plan=with_moving(frame.plan, moving))
+    (points,) = (value for handle, name, value in layer.update(moved) if name == "points" and handle.name == node)
+    height = frame.observation.actual_state.position[2]
+    np.testing.assert_allclose(points[..., 2], height, rtol=1e-6)
+    end = np.array([5.0, 1.0 - 2.0 * frame.config.horizon])
+    radius = 0.4 + frame.config.partition.predict_growth * frame.config.horizon
+    for center, expected, ring in (((5.0, 1.0), 0.4, points[:32]), (end, radius, points[32:64])):
+        np.testing.assert_allclose(np.linalg.norm(ring[..., :2] - center, axis=-1), expected, rtol=1e-5)
+    np.testing.assert_allclose(points[64, :, :2], [(5.0, 1.0), end], rtol=1e-6)
+    assert [key.color for key in layer.legend(moved)] == [palette.MOVING]
+
+
+def with_moving(plan: Plan, moving: MovingObstacles) -> Plan:
+    """Return a plan in which these obstacles move."""
+    changed = copy.copy(plan)
+    changed.__dict__["moving"] = moving
+    return changed

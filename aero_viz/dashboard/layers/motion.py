@@ -20,7 +20,7 @@ class MotionLayer(Layer):
     """A ring around each moving obstacle at the height of the drone, and where it will be at the end of the plan."""
 
     name, title = "motion", "Moving obstacles"
-    keys = (ColorKey("moving obstacle, now and at the end of the plan", palette.MOVING),)
+    keys = (ColorKey("moving obstacles, predicted", palette.MOVING),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._lines = Lines(scene, "/motion/lines", thickness=2.0, capacity=512)
