@@ -262,7 +262,8 @@ def test_a_layer_that_is_hidden_while_a_visitor_connects_is_hidden_from_this_vis
 
 def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
     layer, node = MotionLayer(server), "/motion/lines"
-    still = dataclasses.replace(frame, plan=with_moving(frame.plan, MovingObstacles(*np.zeros((2, 0, 2)), np.zeros(0))))
+    nothing = MovingObstacles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    still = dataclasses.replace(frame, plan=with_moving(frame.plan, nothing))
     assert [value for _, name, value in layer.update(still) if name == "visible"] == [False] and not layer.legend(still)
     moving = MovingObstacles(np.array([[5.0, 1.0]]), np.array([[0.0, -2.0]]), np.array([0.4]))
     moved = dataclasses.replace(frame, plan=with_moving(frame.plan, moving))
@@ -273,7 +274,7 @@ def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
     radius = 0.4 + frame.config.partition.predict_growth * frame.config.horizon
     for center, expected, ring in (((5.0, 1.0), 0.4, points[:32]), (end, radius, points[32:64])):
         np.testing.assert_allclose(np.linalg.norm(ring[..., :2] - center, axis=-1), expected, rtol=1e-5)
-    np.testing.assert_allclose(points[64, :, :2], [(5.0, 1.0), end], rtol=1e-6)
+    np.testing.assert_allclose(points[64, :, :2], np.array([[5.0, 1.0], end]), rtol=1e-6)
     assert [key.color for key in layer.legend(moved)] == [palette.MOVING]
 
 
