@@ -262,11 +262,9 @@ def test_a_layer_that_is_hidden_while_a_visitor_connects_is_hidden_from_this_vis
 
 def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
     layer, node = MotionLayer(server), "/motion/lines"
-    nothing = MovingObstacles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    still = dataclasses.replace(frame, plan=with_moving(frame.plan, nothing))
+    still = dataclasses.replace(frame, plan=with_moving(frame.plan, np.zeros((0, 5))))
     assert [value for _, name, value in layer.update(still) if name == "visible"] == [False] and not layer.legend(still)
-    moving = MovingObstacles(np.array([[5.0, 1.0]]), np.array([[0.0, -2.0]]), np.array([0.4]))
-    moved = dataclasses.replace(frame, plan=with_moving(frame.plan, moving))
+    moved = dataclasses.replace(frame, plan=with_moving(frame.plan, np.array([[5.0, 1.0, 0.0, -2.0, 0.4]])))
     (points,) = (value for handle, name, value in layer.update(moved) if name == "points" and handle.name == node)
     height = frame.observation.actual_state.position[2]
     np.testing.assert_allclose(points[..., 2], height, rtol=1e-6)
@@ -278,8 +276,8 @@ def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
     assert [key.color for key in layer.legend(moved)] == [palette.MOVING]
 
 
-def with_moving(plan: Plan, moving: MovingObstacles) -> Plan:
-    """Return a plan in which these obstacles move."""
-    changed = copy.copy(plan)
-    changed.__dict__["moving"] = moving
+def with_moving(plan: Plan, rows: NDArray[np.float64]) -> Plan:
+    """Return a plan in which obstacles move: rows of position [m], velocity [m/s] and radius [m], shape [n, 5]."""
+    changed, values = copy.copy(plan), rows.astype(np.float32)
+    changed.__dict__["moving"] = MovingObstacles(values[:, :2], values[:, 2:4], values[:, 4])
     return changed
