@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
+from aero_viz.flight import FlightSource
+from aero_viz.scenes import scene
 from tests.browser.desk import open_desk
 from tests.browser.pictures import count, differing
 
@@ -91,4 +93,20 @@ def test_clicks_on_a_switch_show_and_hide_its_layer(bare, name, color, least):
 def test_every_layer_of_a_flight_has_its_switch_tested(bare):
     desk, _ = bare
     layers = {name for name, layer in desk.dashboard.layers.items() if layer.available}
-    assert {name for name, *_ in SWITCHED} == layers - {"selection"}  # empty until something is selected: test_why.py
+    # Empty until something is selected (test_why.py), and where nothing moves.
+    assert {name for name, *_ in SWITCHED} == layers - {"selection", "motion"}
+
+
+def test_what_moves_is_drawn_where_it_is_predicted(browser):
+    with open_desk(browser, FlightSource(scene("moving", seed=3)), ticks=150, layers=["motion"]) as desk:
+        moving = desk.session.frame.plan.moving
+        assert moving is not None and len(moving.radii) > 0
+        height = desk.session.frame.observation.actual_state.position[2]
+        look_at = np.array([*moving.positions[0], height])
+
+        def drawn() -> int:
+            return count(desk.render(np.add(look_at, (-3.0, 0.0, 3.0)), look_at), palette.MOVING)
+
+        desk.wait_for(lambda: drawn() >= 100, "rings around what moves")
+        desk.dashboard.show_only([])
+        desk.wait_for(lambda: drawn() == 0, "no rings")
