@@ -1,7 +1,8 @@
 """The contents of a flight log besides its clouds: plans, goals, poses, world, configurations and the outcome.
 
 A process of its own reads them, with limits on its memory and time, because the reader of the mcap package expands
-whatever a file contains.
+whatever a file contains. The process imports this module for every log, so what only the parent needs is imported where
+it is used: the planner takes a second.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -19,17 +20,15 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from aero_planner import PlanStatus
-from aero_planner.config import PlannerConfig
-from aero_planner.config.file import ConfigFile
-from aero_planner.config.yaml_entries import parse_entries
 from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
+from aero_planner.plan import PlanStatus
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
-from aero_viz.flight.rules import FlightRules
 from aero_viz.reader_process import Limits, ReadCancelled, Reader, ReaderProcess
-from aero_viz.scenes import World
-from aero_viz.sensors import LidarModel
+
+if TYPE_CHECKING:
+    from aero_planner.config import PlannerConfig
+    from aero_viz.scenes import World
 
 _TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
 _TEXT_MAX = 1000
@@ -88,6 +87,8 @@ class LogContents:
         Raises:
             UserError: it is damaged.
         """
+        from aero_viz.scenes import World
+
         content = self._json(name)
         try:
             return None if content is None else World.from_dict(content)
@@ -100,6 +101,9 @@ class LogContents:
         Raises:
             UserError: they are damaged.
         """
+        from aero_viz.flight.rules import FlightRules
+        from aero_viz.sensors import LidarModel
+
         content = self._json("flight.json")
         if content is None:
             return {}
@@ -116,6 +120,9 @@ class LogContents:
         Raises:
             UserError: it is damaged.
         """
+        from aero_planner.config.file import ConfigFile
+        from aero_planner.config.yaml_entries import parse_entries
+
         names = sorted((n for n in self.attachments if n.startswith("config") and n.endswith(".yaml")), key=len)
         if not names:
             return None

@@ -2,6 +2,8 @@
 
 import json
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,6 +34,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
             log.write(session.tick())
     session.close()
     return path
+
+
+def test_the_process_that_reads_a_log_imports_neither_planner_nor_session():
+    code = "import sys, aero_viz.logs.log_contents; print({'warp', 'scipy', 'aero_viz.session'} & sys.modules.keys())"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert result.stdout == "set()\n"
 
 
 def rewrite(
