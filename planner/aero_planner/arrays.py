@@ -12,6 +12,7 @@ Shapes use these symbols:
     W   workers: CPU threads, 1 on CUDA     T   noise sequences in the table
     S   sweeps of the cloud                 P   points of the cloud
     E   counters of a sweep                 X   moving obstacles
+    U   wakes of a sweep
 """
 
 from __future__ import annotations
@@ -73,10 +74,21 @@ class CloudArrays:
     is_ordered: wp.array = array(wp.int32, "S", "", "1 for a sweep whose points are listed by shell, else 0.")
     origin: wp.array = array(wp.vec3, "B S", "m", "Position of the drone when each sweep arrived, world frame.")
     time: wp.array = array(wp.float64, "B S", "s", "Stamp of each sweep: when it arrived.")
+    number: wp.array = array(wp.int32, "S", "", "Number of each sweep in the order of arrival.")
     center: wp.array = array(wp.vec3, "B S", "m", "Centre of the shells of each sweep, world frame.")
     reach: wp.array = array(wp.float32, "B S", "m", "Radius of the first shell of each sweep.")
     shell_ends: wp.array = array(wp.int32, "B*S E", "", "End of each shell in `order`, and the points not finite.")
     order: wp.array = array(wp.int32, "B P", "", "Indices of the points of each sweep, by shell.")
+    tracked_from: wp.array = array(wp.int32, "S", "", "Number of the oldest sweep that the tracks of each one use.")
+    track_count: wp.array = array(wp.int32, "B S", "", "Number of obstacles that moved when each sweep arrived.")
+    track_seen: wp.array = array(wp.int32, "B S", "", "Number of those that the sweep shows; the others follow them.")
+    track_position: wp.array = array(wp.vec2, "B S X", "m", "Their axes at that time, world frame.")
+    track_velocity: wp.array = array(wp.vec2, "B S X", "m/s", "Their velocities, world frame.")
+    track_radius: wp.array = array(wp.float32, "B S X", "m", "Their radii.")
+    wake_count: wp.array = array(wp.int32, "B S", "", "Number of places that obstacles have left since each sweep.")
+    wake_position: wp.array = array(wp.vec2, "B S U", "m", "Axes of these obstacles when the sweep arrived.")
+    wake_velocity: wp.array = array(wp.vec2, "B S U", "m/s", "Their velocities, world frame.")
+    wake_radius: wp.array = array(wp.float32, "B S U", "m", "Their radii.")
 
     def bundle(self) -> Any:
         """Return the arrays as the argument of a kernel."""
@@ -94,11 +106,7 @@ class MotionArrays:
     found_position: wp.array = array(wp.vec2, "B Y X", "m", "Axes of segments that move, by the sweep last seen in.")
     found_velocity: wp.array = array(wp.vec2, "B Y X", "m/s", "Their velocities, world frame.")
     found_radius: wp.array = array(wp.float32, "B Y X", "m", "Their radii; -1 for none.")
-    track_count: wp.array = array(wp.int32, "B", "", "Number of obstacles that move.")
-    track_time: wp.array = array(wp.float64, "B", "s", "Stamp of the newest sweep.")
-    track_position: wp.array = array(wp.vec2, "B X", "m", "Their axes at that time, world frame.")
-    track_velocity: wp.array = array(wp.vec2, "B X", "m/s", "Their velocities, world frame.")
-    track_radius: wp.array = array(wp.float32, "B X", "m", "Their radii.")
+    newest: wp.array = array(wp.int32, "1", "", "Newest of these sweeps, whose tracks plans use; -1 for none.")
 
 
 @dataclass(eq=False)

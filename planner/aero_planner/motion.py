@@ -24,8 +24,9 @@ from aero_planner.kernels.motion import (
     scan_obstacles,
     stamp_sweep,
 )
-from aero_planner.kernels.movers import MOVERS, Tracks
+from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.records import bundle
+from aero_planner.kernels.wakes import find_wakes
 
 
 class _Sizes(NamedTuple):
@@ -44,7 +45,7 @@ class Motion:
         params: live parameters, shape [B].
 
     Attributes:
-        arrays: the tracks, and what they are made of.
+        arrays: the newest sweep, and what its tracks are made of.
     """
 
     def __init__(self, inputs: PlannerInputs, params: wp.array) -> None:
@@ -57,34 +58,40 @@ class Motion:
         self._found = bundle(
             FoundTracks, position=arrays.found_position, velocity=arrays.found_velocity, radius=arrays.found_radius
         )
-        self._tracks = bundle(
-            Tracks,
-            time=arrays.track_time,
-            count=arrays.track_count,
-            position=arrays.track_position,
-            velocity=arrays.track_velocity,
-            radius=arrays.track_radius,
-        )
+        self.forget()
 
     def forget(self) -> None:
         """Take all obstacles for standing ones until the next sweep."""
-        self.arrays.track_count.zero_()
+        self.arrays.newest.fill_(-1)
 
     def stamp(
-        self, cloud: CloudArrays, row: int, *, time: float | None = None, position: ArrayLike | None = None
+        self,
+        cloud: CloudArrays,
+        row: int,
+        number: int,
+        *,
+        time: float | None = None,
+        position: ArrayLike | None = None,
     ) -> None:
-        """Keep when [s] and where [m] a sweep was complete; None is the time or the position of the inputs."""
-        given_time = math.nan if time is None else time
-        given_position = wp.vec3(math.nan) if position is None else wp.vec3(*np.asarray(position, dtype=np.float32))
-        inputs = [row, given_time, given_position, self._inputs.time, self._inputs.position]
-        self._launch(stamp_sweep, (), inputs, [cloud.bundle()])
-
-    def estimate(self, cloud: CloudArrays, rows: list[int], points: int) -> None:
-        """Estimate the motion from the newest sweeps.
+        """Keep when [s] and where [m] a sweep was complete; None is the time or the position of the inputs.
 
         Args:
             cloud: all sweeps.
-            rows: rows of the newest sweeps, newest first, at most `RECENT`.
+            row: row of the sweep.
+            number: its number in the order of arrival.
+            time, position: [s], [m].
+        """
+        given_time = math.nan if time is None else time
+        given_position = wp.vec3(math.nan) if position is None else wp.vec3(*np.asarray(position, dtype=np.float32))
+        inputs = [row, number, given_time, given_position, self._inputs.time, self._inputs.position]
+        self._launch(stamp_sweep, (), inputs, [cloud.bundle()])
+
+    def estimate(self, cloud: CloudArrays, rows: list[int], points: int) -> None:
+        """Estimate the motion from sweeps that follow each other; the first one becomes the newest.
+
+        Args:
+            cloud: all sweeps.
+            rows: rows of the sweeps, newest first, of which the first `RECENT` are used.
             points: number of points of the largest of them.
         """
         recent: Any = RecentRows(*rows[:RECENT], *[-1] * (int(RECENT) - len(rows)))
@@ -95,7 +102,16 @@ class Motion:
         self._launch(find_segments, (int(RECENT),), [recent, sweeps, self._params, arrays.scan], [self._segments])
         size = (int(STARTS), int(MOVERS))
         self._launch(follow_segments, size, [recent, sweeps, self._params, self._segments], [self._found])
-        self._launch(merge_tracks, (), [recent, sweeps, self._found], [self._tracks])
+        self._launch(merge_tracks, (), [recent, self._found], [arrays.newest, sweeps])
+
+    def find_wakes(self, cloud: CloudArrays, oldest: int, newest: int) -> None:
+        """Find which points of the sweeps belong to obstacles that have moved on.
+
+        Args:
+            cloud: all sweeps.
+            oldest, newest: numbers of the first and the last sweep in memory.
+        """
+        self._launch(find_wakes, (len(cloud.start),), [oldest, newest, self._params], [cloud.bundle()])
 
     def _launch(self, kernel: Any, size: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, (len(self._params), *size), inputs=inputs, outputs=outputs, device=self._device)

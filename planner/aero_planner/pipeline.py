@@ -84,12 +84,12 @@ class Pipeline(LaunchSequence):
         self._config, self._sizes = config, sizes
         self._tuning, self._batch_tuning = tuning, tuning.for_batch(sizes.B)
         self._inputs, self._outputs, self._work = inputs, outputs, work
-        self._cloud, self._params = cloud, params
+        self._cloud, self._newest, self._params = cloud, motion.newest, params
         kinds = config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
         self._duplicate_rows = 0 if tuning.is_cuda else 1
-        self._records = PipelineRecords(inputs, outputs, work, motion)
+        self._records = PipelineRecords(inputs, outputs, work)
         self.stages = self._record()
 
     # --- the stages, in the order of docs/design.md ------------------------------------------------------------------
@@ -140,7 +140,7 @@ class Pipeline(LaunchSequence):
         return self.record(
             movers.place_movers,
             (self._sizes.B,),
-            inputs=[self._inputs.time, self._params, r.tracks],
+            inputs=[self._inputs.time, self._params, self._newest, self._cloud.bundle()],
             outputs=[r.movers],
         )
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from aero_planner.arrays import MotionArrays, PlannerInputs, PlannerOutputs, Workspace
+from aero_planner.arrays import PlannerInputs, PlannerOutputs, Workspace
 from aero_planner.kernels.escape import Escape
-from aero_planner.kernels.movers import Movers, Tracks
+from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts, bundle
 
 
@@ -13,7 +13,6 @@ class PipelineRecords:
 
     Args:
         i, o, w: inputs, outputs and workspace of the planner.
-        motion: what moves among the obstacles.
 
     Attributes:
         given_drone, given_goal: state and goal as the caller gives them.
@@ -21,10 +20,10 @@ class PipelineRecords:
         guides, rollouts, costs: arrays of the instances and the braking candidates.
         previous: what the previous plan leaves to the next one.
         escape: places without progress.
-        tracks, movers: moving obstacles in the newest sweeps, and at the start of the plan.
+        movers: moving obstacles at the start of the plan.
     """
 
-    def __init__(self, i: PlannerInputs, o: PlannerOutputs, w: Workspace, motion: MotionArrays) -> None:
+    def __init__(self, i: PlannerInputs, o: PlannerOutputs, w: Workspace) -> None:
         self.given_drone, self.drone = (
             bundle(
                 DroneState,
@@ -65,14 +64,6 @@ class PipelineRecords:
             end=w.previous_end,
             waypoint=w.previous_waypoint,
             time=w.previous_time,
-        )
-        self.tracks = bundle(
-            Tracks,
-            time=motion.track_time,
-            count=motion.track_count,
-            position=motion.track_position,
-            velocity=motion.track_velocity,
-            radius=motion.track_radius,
         )
         self.movers = bundle(
             Movers,

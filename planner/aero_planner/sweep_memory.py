@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from aero_planner.array_memory import PackedArrays, allocate
 from aero_planner.arrays import CloudArrays, SweepTable
 from aero_planner.kernels.motion import RECENT
+from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep, thin_sweep
+from aero_planner.kernels.wakes import WAKES
 from aero_planner.motion import Motion
 from aero_planner.sweeps import Arrival, Sweeps
 
@@ -26,6 +28,8 @@ class _Sizes(NamedTuple):
     S: int
     P: int
     E: int = int(COUNTERS)
+    X: int = int(MOVERS)
+    U: int = int(WAKES)
 
 
 class _Entry(NamedTuple):
@@ -33,6 +37,8 @@ class _Entry(NamedTuple):
 
     points: NDArray[np.float32]
     arrival: Arrival | None
+    number: int
+    """Its number in the order of arrival."""
     row: int
     """Its row in the tables."""
     start: int
@@ -75,6 +81,8 @@ class SweepMemory:
         self._table = PackedArrays(SweepTable, sizes, device)
         arrays = allocate(CloudArrays, sizes, device)
         self.arrays = dataclasses.replace(arrays, **vars(self._table.arrays))
+        self.arrays.number.fill_(-1)
+        self._next_number = 0
         self._entries: deque[_Entry] = deque()
         self._whole = whole
         self._thinned: set[int] = set()  # rows
@@ -106,30 +114,31 @@ class SweepMemory:
         """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room."""
         self._mark_ordered()
         aged: list[_Entry] = []
-        newest_before = self._entries[-1] if self._entries else None
+        first_new = self._next_number
         if sweeps is not self._held:
             aged = self._take_over(list(sweeps), sweeps.arrivals, sweeps.thinned)
-            self._held = sweeps
         if self._is_changed:
             self._table.upload()
             self._is_changed = False
+        if sweeps is not self._held:
+            self._estimate_motion(first_new, whole=max(len(sweeps) - sweeps.thinned, 1))
+            self._held = sweeps
         for entry in aged:
             self._thin_points(entry.row, len(entry.points))
-        if self._entries and self._entries[-1] is not newest_before:
-            recent = self._recent()
-            points = max((len(entry.points) for entry in recent), default=0)
-            self._motion.estimate(self.arrays, [entry.row for entry in recent], points)
-        elif not self._entries:
-            self._motion.forget()
 
-    def _recent(self) -> list[_Entry]:
-        """Return the newest sweeps, newest first, that show motion: those of a fast planner are partly left out."""
-        recent: list[_Entry] = []
-        for entry in reversed(self._entries):
-            later = recent[-1].arrival if recent else None
-            if later is None or entry.arrival is None or entry.arrival.time <= later.time - _LEAST_PERIOD:
-                recent.append(entry)
-        return recent[: int(RECENT)]
+    def _estimate_motion(self, first_new: int, *, whole: int) -> None:
+        """Estimate the motion at the sweeps from number `first_new` on, each from the `whole` newest of its time."""
+        entries = list(self._entries)
+        if not entries:
+            self._motion.forget()
+            return
+        for i, entry in enumerate(entries):
+            # Without all `RECENT` sweeps before it, only the newest one's motion matters.
+            if entry.number >= first_new and (i >= int(RECENT) - 1 or entry is entries[-1]):
+                recent = _recent(entries[max(i + 1 - whole, 0) : i + 1])
+                points = max(len(other.points) for other in recent)
+                self._motion.estimate(self.arrays, [other.row for other in recent], points)
+        self._motion.find_wakes(self.arrays, entries[0].number, entries[-1].number)
 
     def order_arrived(self) -> None:
         """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.
@@ -166,7 +175,8 @@ class SweepMemory:
         self._write_table()
         for entry in arrived:
             self._copy(entry)
-            self._motion.stamp(self.arrays, entry.row, **({} if entry.arrival is None else entry.arrival._asdict()))
+            known = {} if entry.arrival is None else entry.arrival._asdict()
+            self._motion.stamp(self.arrays, entry.row, entry.number, **known)
         return aged
 
     def store(self, row: int, points: wp.array, *, time: float | None = None) -> None:
@@ -192,9 +202,12 @@ class SweepMemory:
         if host["count"][0, row] != size or host["start"][row] != start:
             host["count"][:, row], host["start"][row], host["is_ordered"][row] = size, start, 1
             self._table.upload()
-        self._motion.stamp(self.arrays, row, time=time)
-        rows = [(row - age) % self._sizes.S for age in range(min(int(RECENT), self._sizes.S))]
+        number = self._next_number
+        self._next_number += 1
+        self._motion.stamp(self.arrays, row, number, time=time)
+        rows = [(row - age) % self._sizes.S for age in range(min(int(RECENT), self._whole or self._sizes.S))]
         self._motion.estimate(self.arrays, [r for r in rows if host["count"][0, r]], size)
+        self._motion.find_wakes(self.arrays, max(number - self._sizes.S + 1, 0), number)
         self._order(row, size)
         if self._whole is not None:
             aged = (row - self._whole) % self._sizes.S
@@ -222,7 +235,8 @@ class SweepMemory:
                 everything = [entry.points for entry in held] + sweeps[len(added) :]
                 return self._place(everything, (*[entry.arrival for entry in held], *arrivals[len(added) :]))
             row = min(set(range(self._sizes.S)).difference(entry.row for entry in self._entries))
-            added.append(_Entry(points, arrival, row, start))
+            added.append(_Entry(points, arrival, self._next_number, row, start))
+            self._next_number += 1
             self._entries.append(added[-1])
         return added
 
@@ -283,3 +297,13 @@ class SweepMemory:
             if is_per_point:
                 command.set_dim((self._sizes.B, count))
             command.launch()
+
+
+def _recent(entries: list[_Entry]) -> list[_Entry]:
+    """Return the newest sweeps, newest first, that show motion: those of a fast planner are partly left out."""
+    recent: list[_Entry] = []
+    for entry in reversed(entries):
+        later = recent[-1].arrival if recent else None
+        if later is None or entry.arrival is None or entry.arrival.time <= later.time - _LEAST_PERIOD:
+            recent.append(entry)
+    return recent[: int(RECENT)]

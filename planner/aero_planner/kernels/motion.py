@@ -15,7 +15,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner.kernels.dynamics import near_atan2
-from aero_planner.kernels.movers import MOVERS, Tracks
+from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
 
@@ -86,6 +86,7 @@ class FoundTracks:
 @wp.kernel
 def stamp_sweep(
     row: int,
+    number: int,
     given_time: wp.float64,
     given_position: wp.vec3,
     time: wp.array(dtype=wp.float64),
@@ -95,6 +96,9 @@ def stamp_sweep(
 ):
     """Keep when and where a sweep was complete: what is given, or the inputs where that is NaN. Launched over [B]."""
     b = wp.tid()
+    if b == 0:
+        cloud.number[row] = number
+        cloud.tracked_from[row] = -1
     cloud.time[b, row] = wp.where(wp.isnan(given_time), time[b], given_time)
     cloud.origin[b, row] = wp.where(wp.isnan(given_position[0]), position[b], given_position)
 
@@ -322,15 +326,21 @@ def follow_segments(
 @wp.kernel
 def merge_tracks(
     rows: RecentRows,
-    # problem
-    cloud: CloudSweeps,
     # in
     found: FoundTracks,
     # out
-    tracks: Tracks,
+    newest: wp.array(dtype=int),
+    cloud: CloudSweeps,
 ):
     """List what was found in the newest sweep, then what was last found in an older one. Launched over [B]."""
     b = wp.tid()
+    row = rows[0]
+    if b == 0:
+        newest[0] = row
+        last = rows[RECENT - 1]
+        cloud.tracked_from[row] = -1
+        if last >= 0:
+            cloud.tracked_from[row] = cloud.number[last]
     count = int(0)
     for begin in range(STARTS):
         listed = count
@@ -339,13 +349,13 @@ def merge_tracks(
                 position = found.position[b, begin, i]
                 is_new = bool(True)
                 for k in range(listed):
-                    if wp.length(tracks.position[b, k] - position) < tracks.radius[b, k] + _GATE:
+                    if wp.length(cloud.track_position[b, row, k] - position) < cloud.track_radius[b, row, k] + _GATE:
                         is_new = False
                 if is_new:
-                    tracks.position[b, count] = position
-                    tracks.velocity[b, count] = found.velocity[b, begin, i]
-                    tracks.radius[b, count] = found.radius[b, begin, i]
+                    cloud.track_position[b, row, count] = position
+                    cloud.track_velocity[b, row, count] = found.velocity[b, begin, i]
+                    cloud.track_radius[b, row, count] = found.radius[b, begin, i]
                     count += 1
-    tracks.count[b] = count
-    if rows[0] >= 0:
-        tracks.time[b] = cloud.time[b, rows[0]]
+        if begin == 0:
+            cloud.track_seen[b, row] = count
+    cloud.track_count[b, row] = count

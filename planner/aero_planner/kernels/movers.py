@@ -5,6 +5,7 @@
 import warp as wp
 
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.records import CloudSweeps
 
 wp.set_module_options({"enable_backward": False})
 
@@ -12,17 +13,6 @@ MOVERS = wp.constant(32)
 """Largest number of moving obstacles of a drone."""
 _AGE_MAX = wp.constant(wp.float64(0.5))
 """Age of the newest sweep up to which its tracks are used [s]."""
-
-
-@wp.struct
-class Tracks:
-    """Obstacles that moved in the newest sweeps; X is `MOVERS`."""
-
-    time: wp.array(dtype=wp.float64)  # [B], when the newest sweep arrived [s]
-    count: wp.array(dtype=int)  # [B]
-    position: wp.array2d(dtype=wp.vec2)  # [B, X], axis at that time, world frame [m]
-    velocity: wp.array2d(dtype=wp.vec2)  # [B, X], world frame [m/s]
-    radius: wp.array2d(dtype=float)  # [B, X], [m]
 
 
 @wp.struct
@@ -42,23 +32,27 @@ def place_movers(
     # configuration
     params: wp.array(dtype=Params),
     # in
-    tracks: Tracks,
+    newest: wp.array(dtype=int),
+    cloud: CloudSweeps,
     # out
     movers: Movers,
 ):
-    """List the tracks where they will be when the plan takes effect. Launched over [B]."""
+    """List the tracks of the newest sweep where they will be when the plan takes effect. Launched over [B]."""
     b = wp.tid()
-    count = int(0)
-    age = time[b] - tracks.time[b]
+    movers.count[b] = 0
+    row = newest[0]
+    if row < 0 or params[b].predict == 0:
+        return
+    age = time[b] - cloud.time[b, row]
     # False without a stamp.
-    if params[b].predict != 0 and age > wp.float64(-1.0e-3) and age < _AGE_MAX:
+    if age > wp.float64(-1.0e-3) and age < _AGE_MAX:
         elapsed = float(age) + params[b].delay
-        count = tracks.count[b]
+        count = cloud.track_count[b, row]
         for i in range(count):
-            movers.position[b, i] = tracks.position[b, i] + elapsed * tracks.velocity[b, i]
-            movers.velocity[b, i] = tracks.velocity[b, i]
-            movers.radius[b, i] = tracks.radius[b, i] + elapsed * params[b].predict_growth
-    movers.count[b] = count
+            movers.position[b, i] = cloud.track_position[b, row, i] + elapsed * cloud.track_velocity[b, row, i]
+            movers.velocity[b, i] = cloud.track_velocity[b, row, i]
+            movers.radius[b, i] = cloud.track_radius[b, row, i] + elapsed * params[b].predict_growth
+        movers.count[b] = count
 
 
 @wp.func

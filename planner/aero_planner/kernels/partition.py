@@ -16,6 +16,7 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.shells import SHELLS, last_shell
+from aero_planner.kernels.wakes import is_in_wake
 from aero_planner.kernels.warp_ops import add_count
 
 wp.set_module_options({"enable_backward": False})
@@ -83,9 +84,9 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         """Find r_ij as a minimum over packed keys.
 
         The upper half of a key is the range, the lower half the place of the point in the cloud, so that the first of
-        several points at the same range is kept. Of an ordered sweep only the shells within reach are read. Launched
-        over [B, sweeps, threads per sweep]. A thread handles every `stride`-th group of WIDTH points of its sweep.
-        Workers run at the same time, each on its own keys.
+        several points at the same range is kept. Of an ordered sweep only the shells within reach are read. Points in
+        the wakes of a sweep are left out. Launched over [B, sweeps, threads per sweep]. A thread handles every
+        `stride`-th group of WIDTH points of its sweep. Workers run at the same time, each on its own keys.
         """
         b, sweep, thread = wp.tid()
         count = cloud.count[b, sweep]
@@ -101,6 +102,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
         range_min = params[b].range_min
         range_max = farthest(params[b])
+        wake_count = wp.where(params[b].predict != 0, cloud.wake_count[b, sweep], 0)
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
             last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])
@@ -155,7 +157,9 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                     # The bits of non-negative floats have the order of the floats.
                     key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place)
                     if key < cell_keys[worker, b, cell]:
-                        wp.atomic_min(cell_keys, worker, b, cell, key)
+                        point = origin + wp.vec3(dx[j], dy[j], dz[j])
+                        if not is_in_wake(point, b, sweep, wake_count, cloud):
+                            wp.atomic_min(cell_keys, worker, b, cell, key)
                 elif cell == NOT_FINITE:
                     not_finite += 1
             add_count(worker_dropped, worker, b, not_finite)

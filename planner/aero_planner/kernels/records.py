@@ -18,10 +18,23 @@ class CloudSweeps:
     is_ordered: wp.array(dtype=int)  # [S], 1 for a sweep whose points are listed by shell, else 0
     origin: wp.array2d(dtype=wp.vec3)  # [B, S], position of the drone when the sweep arrived, world frame [m]
     time: wp.array2d(dtype=wp.float64)  # [B, S], when it arrived [s]
+    number: wp.array(dtype=int)  # [S], number of each sweep in the order of arrival
     center: wp.array2d(dtype=wp.vec3)  # [B, S], centre of the shells, world frame [m]
     reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]
     shell_ends: wp.array2d(dtype=int)  # [B S, COUNTERS], see `kernels.shells`
     order: wp.array2d(dtype=int)  # [B, P], indices of the points of each sweep by shell, from its start on
+    # What moved when each sweep arrived, see `kernels.motion`; X is `MOVERS`.
+    tracked_from: wp.array(dtype=int)  # [S], number of the oldest sweep that was used; -1 if there were too few
+    track_count: wp.array2d(dtype=int)  # [B, S]
+    track_seen: wp.array2d(dtype=int)  # [B, S], number of those that this sweep shows; the others follow them
+    track_position: wp.array3d(dtype=wp.vec2)  # [B, S, X], axis at that time, world frame [m]
+    track_velocity: wp.array3d(dtype=wp.vec2)  # [B, S, X], world frame [m/s]
+    track_radius: wp.array3d(dtype=float)  # [B, S, X], [m]
+    # Places that moving obstacles have left since each sweep, see `kernels.wakes`; U is `WAKES`.
+    wake_count: wp.array2d(dtype=int)  # [B, S]
+    wake_position: wp.array3d(dtype=wp.vec2)  # [B, S, U], axis when the sweep arrived, world frame [m]
+    wake_velocity: wp.array3d(dtype=wp.vec2)  # [B, S, U], world frame [m/s]
+    wake_radius: wp.array3d(dtype=float)  # [B, S, U], [m]
 
 
 @wp.struct

@@ -5,68 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from numpy.typing import NDArray
 
-from aero_planner import Arrival, Goal, Plan, Planner, Sweeps, VehicleState
+from aero_planner import Planner, Sweeps
 from aero_planner.kernels.motion import LENGTH, RECENT, STARTS, FoundTracks, RecentRows, Segments, follow_segments
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.records import CloudSweeps, bundle
 from tests.planner.cases import assert_same, config_of
-
-Array = NDArray[np.float64]
-PERIOD = 0.1
-RADIUS = 0.3
-GOAL = Goal((20.0, 0.0, 0.0))
-
-
-def pillar_points(axis: Array, origin: Array, *, noise: float = 0.01, seed: int = 0) -> Array:
-    """Return points [m], [n, 3], of the side of a pillar that faces `origin`, from 0.5 m below it to 1.3 m above."""
-    rng = np.random.default_rng(seed)
-    to_origin = origin[:2] - axis
-    distance = np.linalg.norm(to_origin)
-    half = np.arccos(RADIUS / distance)
-    angle = np.arctan2(to_origin[1], to_origin[0]) + rng.uniform(-half, half, 1500)
-    surface = axis + RADIUS * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-    direction = surface - origin[:2]
-    surface += noise * rng.normal(size=(1500, 1)) * direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return np.column_stack((surface, origin[2] + rng.uniform(-0.5, 1.3, 1500)))
-
-
-def sweeps_of(
-    pillars: list[tuple[Array, Array]], velocity: Array, *, count: int = 8, period: float = PERIOD
-) -> tuple[Sweeps, Array]:
-    """Return sweeps of pillars (axis at the end of the last sweep, velocity), and the last position of the drone.
-
-    The drone flies at a constant `velocity`. Each sweep shows the pillars as they are in the middle of it.
-    """
-    sweeps, position = Sweeps(), np.zeros(3)
-    for k in range(count):
-        age = (count - 1 - k) * period
-        origin, position = -(age + 0.5 * period) * velocity, -age * velocity
-        clouds = [
-            pillar_points(axis - (age + 0.5 * period) * speed, origin, seed=100 * k + i)
-            for i, (axis, speed) in enumerate(pillars)
-        ]
-        arrival = Arrival(1.0 + k * period, tuple(position.tolist()))
-        sweeps = sweeps.add(np.concatenate(clouds).astype(np.float32), limit=30, arrival=arrival)
-    return sweeps, position
-
-
-def plan_from(planner: Planner, sweeps: Sweeps, position: Array, *, later: float = 0.0) -> Plan:
-    """Plan some time after the last sweep [s]."""
-    arrival = sweeps.arrivals[-1]
-    assert arrival is not None
-    state = VehicleState(position, np.zeros(3), (1.0, 0.0, 0.0, 0.0), time=arrival.time + later)
-    return planner.plan(state, GOAL, sweeps)
-
-
-def movers_of(plan: Plan) -> tuple[Array, Array, Array]:
-    """Return positions [m], velocities [m/s] and radii [m] of what the planner takes for moving."""
-    assert plan.moving is not None
-    moving = (plan.moving.positions, plan.moving.velocities, plan.moving.radii)
-    positions, velocities, radii = (array.astype(np.float64) for array in moving)
-    return positions, velocities, radii
+from tests.planner.pillars import PERIOD, RADIUS, movers_of, plan_from, sweeps_of
 
 
 @pytest.mark.parametrize("own", [(0.0, 0.0, 0.0), (4.0, 0.0, 0.5)])
@@ -150,22 +96,25 @@ def test_old_sweeps_show_no_motion(device: str):
     assert len(movers_of(plan_from(planner, sweeps, position, later=0.6))[0]) == 0
 
 
-def test_the_motion_depends_on_the_sweeps_alone(device: str):
+@pytest.mark.parametrize(("count", "limit", "whole"), [(10, 30, None), (26, 20, 12)])
+def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: int, whole: int | None):
     """A planner that is given all sweeps at once plans as one that they reached one by one: a flight can be rewound."""
-    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.array([3.0, 0.0, 0.4]), count=10)
+    pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
+    sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.4]), count=count)
     one_by_one, at_once = (Planner(config_of(), device=device, seed=1) for _ in range(2))
-    part = Sweeps()
+    part = Sweeps(whole=whole)
     for points, arrival in zip(sweeps, sweeps.arrivals, strict=True):
-        part = part.add(points, limit=30, arrival=arrival)
+        part = part.add(points, limit=limit, arrival=arrival)
         plan_from(one_by_one, part, position)
     one_by_one.reset()
-    expected = plan_from(at_once, sweeps, position)
+    expected = plan_from(at_once, Sweeps(part, whole=whole, arrivals=part.arrivals), position)
     assert_same(plan_from(one_by_one, part, position), expected)
     assert len(movers_of(expected)[0]) == 1
 
 
 def test_stored_sweeps_show_the_same_motion(device: str):
-    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.array([3.0, 0.0, 0.0]))
+    pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
+    sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.0]), count=12)
     single, batch = Planner(config_of(), device=device), Planner(config_of(), device=device, batch=2)
     plan_from(single, sweeps, position)
     batch.reserve_sweeps(len(sweeps), sum(map(len, sweeps)))
@@ -183,6 +132,9 @@ def test_stored_sweeps_show_the_same_motion(device: str):
         for name in ("mover_position", "mover_velocity", "mover_radius"):
             ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
             np.testing.assert_array_equal(ours[b, 0], expected[0, 0])
+        for name in ("occupied", "fine_range"):
+            ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
+            np.testing.assert_array_equal(ours[b], expected[0])
 
 
 def test_uniform_motion_is_fitted_by_least_squares(device: str):

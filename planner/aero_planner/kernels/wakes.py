@@ -1,0 +1,101 @@
+"""Wakes: places that moving obstacles have left since a sweep was measured, whose points no longer stand for anything.
+
+The tracks of the sweeps that follow a sweep say where obstacles were when it was measured. They are laid on it, and the
+partition leaves out its points there. A track counts only if all sweeps that it was made of are still in memory, so
+that the wakes are a function of the sweeps in memory, however they got there.
+"""
+
+# Postponed annotations are left out: native functions need the types themselves.
+
+import warp as wp
+
+from aero_planner.kernels.params import Params
+from aero_planner.kernels.records import CloudSweeps
+
+wp.set_module_options({"enable_backward": False})
+
+WAKES = wp.constant(48)
+"""Largest number of wakes of a sweep."""
+_REACH = wp.constant(wp.float64(0.65))
+"""Time after a sweep up to which tracks are laid on it [s]: as long as an obstacle is followed back."""
+_SWEEP_TIME = wp.constant(0.1)
+"""Time in which a sweep is measured, at most [s]."""
+_MARGIN = wp.constant(0.15)
+"""Distance from a moving obstacle up to which points belong to it [m]."""
+_SAME = wp.constant(0.08)
+"""Distance between two tracks of one obstacle, at most [m]."""
+
+
+@wp.func
+def row_with_tracks(number: int, oldest: int, cloud: CloudSweeps) -> int:
+    """Return the row of a sweep, or -1 if a sweep that its tracks were made of has left the memory."""
+    found = int(-1)
+    for row in range(cloud.number.shape[0]):
+        if cloud.number[row] == number and cloud.tracked_from[row] >= oldest:
+            found = row
+    return found
+
+
+@wp.func
+def add_wakes(b: int, sweep: int, row: int, cloud: CloudSweeps):
+    """Lay the tracks of a later sweep on a sweep, if that shows the obstacle: it may have hidden where it was."""
+    elapsed = float(cloud.time[b, row] - cloud.time[b, sweep])
+    count = cloud.wake_count[b, sweep]
+    for i in range(cloud.track_seen[b, row]):
+        velocity = cloud.track_velocity[b, row, i]
+        position = cloud.track_position[b, row, i] - elapsed * velocity
+        radius = cloud.track_radius[b, row, i] + _MARGIN
+        is_new = count < WAKES
+        for k in range(count):
+            is_near = wp.length(cloud.wake_position[b, sweep, k] - position) < _SAME
+            if is_near and wp.abs(cloud.wake_radius[b, sweep, k] - radius) < _SAME:
+                is_new = False
+        if is_new:
+            cloud.wake_position[b, sweep, count] = position
+            cloud.wake_velocity[b, sweep, count] = velocity
+            cloud.wake_radius[b, sweep, count] = radius
+            count += 1
+    cloud.wake_count[b, sweep] = count
+
+
+@wp.kernel
+def find_wakes(
+    oldest: int,
+    newest: int,
+    # configuration
+    params: wp.array(dtype=Params),
+    # in and out
+    cloud: CloudSweeps,
+):
+    """Find the wakes of the sweeps with the numbers from `oldest` to `newest`. Launched over [B, S].
+
+    The oldest sweeps, which only tracks that do not count would tell about, take those of the first one that counts.
+    """
+    b, sweep = wp.tid()
+    cloud.wake_count[b, sweep] = 0
+    number = cloud.number[sweep]
+    if number < oldest or number >= newest or params[b].predict == 0:
+        return
+    is_first = bool(True)
+    for later in range(oldest, newest + 1):
+        row = row_with_tracks(later, oldest, cloud)
+        if row >= 0:
+            elapsed = cloud.time[b, row] - cloud.time[b, sweep]
+            # False without stamps.
+            if elapsed > wp.float64(0.0) and (elapsed < _REACH or is_first):
+                add_wakes(b, sweep, row, cloud)
+            is_first = False
+
+
+@wp.func
+def is_in_wake(point: wp.vec3, b: int, sweep: int, count: int, cloud: CloudSweeps) -> bool:
+    """Return True for a point of a sweep that belongs to an obstacle which has moved on. `count` is the sweep's."""
+    for i in range(count):
+        end = cloud.wake_position[b, sweep, i]
+        path = _SWEEP_TIME * cloud.wake_velocity[b, sweep, i]
+        offset = wp.vec2(point[0], point[1]) - end + path
+        # The obstacle went from `end - path` to `end` while the sweep was measured.
+        along = wp.clamp(wp.dot(offset, path) / wp.dot(path, path), 0.0, 1.0)
+        if wp.length(offset - along * path) < cloud.wake_radius[b, sweep, i]:
+            return True
+    return False
