@@ -24,8 +24,8 @@ from aero_planner.planner import Planner
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import init_warp
 
-_BLOCK_DIMS = (32, 64, 128, 256)
-"""CUDA block sizes; each one has its own binary."""
+_BLOCK_DIMS = (32, 256)
+"""CUDA block sizes of the launches of kernels that are not made for a tuning; each one has its own binary."""
 
 
 def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
