@@ -124,9 +124,9 @@ def estimate_motion(
         with _silent_stdout():
             matrix = register(sweep) if len(sweep.points) else None
         ms.append(1e3 * (time.perf_counter() - began))
-        end = sweep.time + (float(sweep.point_times.max()) if sweep.point_times is not None else 0.0)
-        if matrix is not None and np.isfinite(matrix).all() and (not times or end > times[-1]):
-            times.append(end)
+        posed = _time_in_sweep(sweep, register.posed_at)
+        if matrix is not None and np.isfinite(matrix).all() and (not times or posed > times[-1]):
+            times.append(posed)
             matrices.append(matrix)
         progress(index + 1, count)
     if len(times) < max(2, (1.0 - _MAX_LOST) * count):
@@ -148,8 +148,23 @@ def estimate_motion(
     return motion._replace(problems=tuple(problems))
 
 
+def _time_in_sweep(sweep: PointSweep, share: float) -> float:
+    """Return the time at which a share of a sweep was measured [s]."""
+    if sweep.point_times is None:
+        return sweep.time
+    first, last = float(sweep.point_times.min()), float(sweep.point_times.max())
+    return sweep.time + (1.0 - share) * first + share * last
+
+
 class _KissIcp:
-    """Registers sweeps by kiss-icp, which predicts a constant velocity."""
+    """Registers sweeps by kiss-icp, which predicts a constant velocity.
+
+    It would correct the motion during a sweep by that of the sweep before. A drone that accelerates turns differently,
+    so that the correction is wrong, and the next one follows from it: sweeps are registered as they were measured, and
+    the pose is that in the middle of the sweep.
+    """
+
+    posed_at = 0.5
 
     def __init__(self, level: NDArray[np.float64]) -> None:
         try:
@@ -159,18 +174,19 @@ class _KissIcp:
             raise _not_installed("kiss-icp", error) from error
         config = KISSConfig()
         config.data.min_range, config.data.max_range = _MIN_RANGE, _MAX_RANGE
-        config.mapping.voxel_size = _KISS_VOXEL
+        config.mapping.voxel_size, config.data.deskew = _KISS_VOXEL, False
         self._kiss, self._level = KissICP(config), level
 
     def __call__(self, sweep: PointSweep) -> NDArray[np.float64]:
-        """Return the pose of the body at the end of a sweep, [4, 4]."""
-        times = np.zeros(0) if sweep.point_times is None else sweep.point_times.astype(np.float64)
-        self._kiss.register_frame(sweep.points.astype(np.float64), times)
+        """Return the pose of the body in the middle of a sweep, [4, 4]."""
+        self._kiss.register_frame(sweep.points.astype(np.float64), np.zeros(0))
         return self._level @ self._kiss.last_pose
 
 
 class _RkoLio:
     """Registers sweeps by rko-lio, which predicts the motion from an IMU."""
+
+    posed_at = 1.0
 
     def __init__(self, imu: ImuSamples, mount: Transform, level: NDArray[np.float64], start: int) -> None:
         try:

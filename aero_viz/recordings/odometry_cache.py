@@ -14,7 +14,7 @@ import numpy as np
 
 from aero_viz.recordings.odometry import Motion
 
-_VERSION = 3
+_VERSION = 4
 """Changes when the estimate of the same file would change."""
 _WHOLE = 64 << 20
 """A file up to this size is hashed as a whole, of a larger one only `_SAMPLES` blocks of `_BLOCK` bytes [bytes]."""
