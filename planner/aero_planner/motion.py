@@ -86,12 +86,13 @@ class Motion:
         inputs = [row, number, given_time, given_position, self._inputs.time, self._inputs.position]
         self._launch(stamp_sweep, (), inputs, [cloud.bundle()])
 
-    def estimate(self, cloud: CloudArrays, rows: list[int], points: int) -> None:
+    def estimate(self, cloud: CloudArrays, rows: list[int], oldest: int, points: int) -> None:
         """Estimate the motion from sweeps that follow each other; the first one becomes the newest.
 
         Args:
             cloud: all sweeps.
             rows: rows of the sweeps, newest first, of which the first `RECENT` are used.
+            oldest: number of the oldest sweep in memory.
             points: number of points of the largest of them.
         """
         recent: Any = RecentRows(*rows[:RECENT], *[-1] * (int(RECENT) - len(rows)))
@@ -102,7 +103,7 @@ class Motion:
         self._launch(find_segments, (int(RECENT),), [recent, sweeps, self._params, arrays.scan], [self._segments])
         size = (int(STARTS), int(MOVERS))
         self._launch(follow_segments, size, [recent, sweeps, self._params, self._segments], [self._found])
-        self._launch(merge_tracks, (), [recent, self._found], [arrays.newest, sweeps])
+        self._launch(merge_tracks, (), [recent, oldest, arrays.scan, self._found], [arrays.newest, sweeps])
 
     def find_wakes(self, cloud: CloudArrays, oldest: int, newest: int) -> None:
         """Find which points of the sweeps belong to obstacles that have moved on.

@@ -137,7 +137,7 @@ class SweepMemory:
             if entry.number >= first_new and (i >= int(RECENT) - 1 or entry is entries[-1]):
                 recent = _recent(entries[max(i + 1 - whole, 0) : i + 1])
                 points = max(len(other.points) for other in recent)
-                self._motion.estimate(self.arrays, [other.row for other in recent], points)
+                self._motion.estimate(self.arrays, [other.row for other in recent], entries[0].number, points)
         self._motion.find_wakes(self.arrays, entries[0].number, entries[-1].number)
 
     def order_arrived(self) -> None:
@@ -206,8 +206,9 @@ class SweepMemory:
         self._next_number += 1
         self._motion.stamp(self.arrays, row, number, time=time)
         rows = [(row - age) % self._sizes.S for age in range(min(int(RECENT), self._whole or self._sizes.S))]
-        self._motion.estimate(self.arrays, [r for r in rows if host["count"][0, r]], size)
-        self._motion.find_wakes(self.arrays, max(number - self._sizes.S + 1, 0), number)
+        oldest = max(number - self._sizes.S + 1, 0)
+        self._motion.estimate(self.arrays, [r for r in rows if host["count"][0, r]], oldest, size)
+        self._motion.find_wakes(self.arrays, oldest, number)
         self._order(row, size)
         if self._whole is not None:
             aged = (row - self._whole) % self._sizes.S

@@ -1,9 +1,12 @@
 """A bundle for all tests, which takes long to compile."""
 
+import contextlib
+import fcntl
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,10 +32,21 @@ onboard:
 
 
 @pytest.fixture(scope="session")
-def bundle_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def export_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder that all workers of a run share."""
+    root = tmp_path_factory.getbasetemp()
+    folder = (root.parent if "PYTEST_XDIST_WORKER" in os.environ else root) / "export"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def bundle_config(export_folder: Path) -> Path:
     """A configuration of planner and node."""
-    path = tmp_path_factory.mktemp("config") / "tuned.yaml"
-    path.write_text(CONFIG.format(lidar=free_port(), autopilot=free_port()))
+    path = export_folder / "tuned.yaml"
+    with locked(export_folder):
+        if not path.exists():
+            path.write_text(CONFIG.format(lidar=free_port(), autopilot=free_port()))
     return path
 
 
@@ -44,16 +58,25 @@ def cpu_compiler() -> None:
 
 
 @pytest.fixture(scope="session")
-def bundle(bundle_config: Path, tmp_path_factory: pytest.TempPathFactory, cpu_compiler: None) -> Path:
-    """Folder with a bundle for an Orin and for this machine's CPU, made by the command line."""
-    path = tmp_path_factory.mktemp("export") / "orin"
+def bundle(bundle_config: Path, export_folder: Path, cpu_compiler: None) -> Path:
+    """Folder with a bundle for an Orin and for this machine's CPU, made by the command line, once for all workers."""
+    path = export_folder / "bundle" / "orin"
+    with locked(export_folder):
+        if not path.exists():
+            path.parent.mkdir()
+            export(bundle_config, path)
+    return path
+
+
+def export(config: Path, path: Path) -> None:
+    """Export a bundle and check what the command leaves behind."""
     command = [
         sys.executable,
         "-m",
         "aero_planner",
         "export",
         "--config",
-        str(bundle_config),
+        str(config),
         "--arch",
         "sm_87",
         "--cpu",
@@ -63,4 +86,11 @@ def bundle(bundle_config: Path, tmp_path_factory: pytest.TempPathFactory, cpu_co
     graphs = ", graphs of cpu" if makes_graphs() else ""
     assert re.fullmatch(rf"{path}: sm_87, \S+{graphs}; \d+ files, [\d.]+ MB, in \d+ s\n", done.stdout)
     assert os.listdir(path.parent) == ["orin"]  # no temporary files are left
-    return path
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Wait until no other worker is in this block."""
+    with (folder / "lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

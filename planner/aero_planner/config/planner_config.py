@@ -116,8 +116,8 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Age of the view",
     )  # fmt: skip
     predict: bool = switch(
-        True, "Estimate the velocities of obstacles from successive sweeps, keep clear of where they will be, and leave "
-        "out the points of where they were. Off as in the paper.",
+        True, "Estimate the velocities of obstacles from successive sweeps, keep clear of where they will be, and "
+        "forget where they were. Off as in the paper.",
         label="Predict motion",
     )  # fmt: skip
     predict_range: float = live(

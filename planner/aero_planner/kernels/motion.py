@@ -18,6 +18,7 @@ from aero_planner.kernels.dynamics import near_atan2
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.sweep_numbers import row_with_tracks
 
 wp.set_module_options({"enable_backward": False})
 
@@ -52,6 +53,10 @@ _SAME_RADIUS = wp.constant(0.2)
 """Difference between the radii of a segment in two sweeps, at most [m]."""
 _LEAST_MATCHES = wp.constant(3)
 """Older sweeps that show the segment, at least."""
+_MEMORY = wp.constant(1.0)
+"""Time for which an obstacle goes on after a sweep has shown its motion for the last time [s]."""
+_MEMORY_SWEEPS = wp.constant(12)
+"""Number of sweeps in that time, at most."""
 _RESIDUAL = wp.constant(0.07)
 """Root mean square distance from uniform motion, at most [m]."""
 _LEAST_DEVIATION = wp.constant(0.025)
@@ -323,16 +328,58 @@ def follow_segments(
     found.radius[b, begin, i] = sum_radius / n
 
 
+@wp.func
+def is_blocked(b: int, position: wp.vec2, radius: float, origin: wp.vec3, scan: wp.array3d(dtype=int)) -> bool:
+    """Return False if the newest scan shows free space, or nothing, where an obstacle is expected."""
+    offset = position - wp.vec2(origin[0], origin[1])
+    distance = wp.length(offset)
+    if distance <= radius:
+        return True
+    middle = int((wp.atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS))
+    half = int(wp.asin(radius / distance) / _BIN_ANGLE)
+    through = int(0)
+    blocked = int(0)
+    for k in range(middle - half, middle + half + 1):
+        r = range_of_bin(scan, b, 0, k)
+        if r > distance + _GATE:
+            through += 1
+        elif r > 0.0:
+            blocked += 1
+    return blocked > through
+
+
+@wp.func
+def add_track(b: int, row: int, position: wp.vec2, velocity: wp.vec2, radius: float, known: int, cloud: CloudSweeps):
+    """Add a track to those of a row, unless one of the first `known` is the same obstacle or there is no room."""
+    count = cloud.track_count[b, row]
+    is_new = count < MOVERS
+    for k in range(known):
+        if wp.length(cloud.track_position[b, row, k] - position) < cloud.track_radius[b, row, k] + _GATE:
+            is_new = False
+    if is_new:
+        cloud.track_position[b, row, count] = position
+        cloud.track_velocity[b, row, count] = velocity
+        cloud.track_radius[b, row, count] = radius
+        cloud.track_count[b, row] = count + 1
+
+
 @wp.kernel
 def merge_tracks(
     rows: RecentRows,
+    oldest: int,
     # in
+    scan: wp.array3d(dtype=int),
     found: FoundTracks,
     # out
     newest: wp.array(dtype=int),
     cloud: CloudSweeps,
 ):
-    """List what was found in the newest sweep, then what was last found in an older one. Launched over [B]."""
+    """List what was found in the newest sweep, then what was last found in older ones. Launched over [B].
+
+    An obstacle that a sweep of the last `_MEMORY` seconds showed goes on at its velocity, unless the newest scan shows
+    that it is not there. `oldest` is the number of the oldest sweep in memory: as in `kernels.wakes`, tracks are used
+    only while all sweeps that they were made of are.
+    """
     b = wp.tid()
     row = rows[0]
     if b == 0:
@@ -341,21 +388,27 @@ def merge_tracks(
         cloud.tracked_from[row] = -1
         if last >= 0:
             cloud.tracked_from[row] = cloud.number[last]
-    count = int(0)
+    cloud.track_count[b, row] = 0
     for begin in range(STARTS):
-        listed = count
+        known = cloud.track_count[b, row]
         for i in range(MOVERS):
-            if found.radius[b, begin, i] >= 0.0 and count < MOVERS:
-                position = found.position[b, begin, i]
-                is_new = bool(True)
-                for k in range(listed):
-                    if wp.length(cloud.track_position[b, row, k] - position) < cloud.track_radius[b, row, k] + _GATE:
-                        is_new = False
-                if is_new:
-                    cloud.track_position[b, row, count] = position
-                    cloud.track_velocity[b, row, count] = found.velocity[b, begin, i]
-                    cloud.track_radius[b, row, count] = found.radius[b, begin, i]
-                    count += 1
+            radius = found.radius[b, begin, i]
+            if radius >= 0.0:
+                add_track(b, row, found.position[b, begin, i], found.velocity[b, begin, i], radius, known, cloud)
         if begin == 0:
-            cloud.track_seen[b, row] = count
-    cloud.track_count[b, row] = count
+            cloud.track_seen[b, row] = cloud.track_count[b, row]
+    origin = origin_of_scan(b, 0, rows, cloud)
+    number = cloud.number[row]
+    for back in range(1, _MEMORY_SWEEPS + 1):
+        earlier = row_with_tracks(number - back, oldest, cloud)
+        if earlier >= 0:
+            elapsed = float(cloud.time[b, row] - cloud.time[b, earlier])
+            # False without stamps.
+            if elapsed > 0.0 and elapsed < _MEMORY:
+                known = cloud.track_count[b, row]
+                for i in range(cloud.track_seen[b, earlier]):
+                    velocity = cloud.track_velocity[b, earlier, i]
+                    position = cloud.track_position[b, earlier, i] + elapsed * velocity
+                    radius = cloud.track_radius[b, earlier, i]
+                    if is_blocked(b, position, radius, origin, scan):
+                        add_track(b, row, position, velocity, radius, known, cloud)

@@ -11,6 +11,7 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.sweep_numbers import row_with_tracks
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,16 +25,6 @@ _MARGIN = wp.constant(0.15)
 """Distance from a moving obstacle up to which points belong to it [m]."""
 _SAME = wp.constant(0.08)
 """Distance between two tracks of one obstacle, at most [m]."""
-
-
-@wp.func
-def row_with_tracks(number: int, oldest: int, cloud: CloudSweeps) -> int:
-    """Return the row of a sweep, or -1 if a sweep that its tracks were made of has left the memory."""
-    found = int(-1)
-    for row in range(cloud.number.shape[0]):
-        if cloud.number[row] == number and cloud.tracked_from[row] >= oldest:
-            found = row
-    return found
 
 
 @wp.func

@@ -18,6 +18,7 @@ CRIPPLED = small_config().replace({"vehicle.speed_limit": 2.0})
 """The planner asks for a fraction of the speed that the drone can fly."""
 RANGE = ParameterRange("vehicle.speed_limit", 2.0, 8.0)
 SPARSE = LidarModel("sparse", points_per_sweep=500)
+QUICK = FlightRules(ticks_per_plan=5)
 SHORT = FlightRules(time_limit=0.1)
 """No flight arrives, so that all candidates are equal."""
 
@@ -33,7 +34,7 @@ def search(world: World, *, flights: int = 2, check: int = 1, **options: Any) ->
     names = {field.name for field in dataclasses.fields(SearchOptions)}
     changes = {name: options.pop(name) for name in list(options) if name in names}
     how = dataclasses.replace(SearchOptions(trials=4, generation=4, rungs=1), **changes)
-    flight = FlightOptions(lidar=SPARSE, rules=options.pop("rules", None), device=options.pop("device", "cpu"))
+    flight = FlightOptions(lidar=SPARSE, rules=options.pop("rules", QUICK), device=options.pop("device", "cpu"))
     ranges = options.pop("ranges", [RANGE])
     return tune(CRIPPLED, ranges, [world] * flights, [world] * check, search=how, flight=flight, **options)
 
@@ -54,7 +55,7 @@ def test_worse_candidates_are_given_up_after_a_rung(poles: World):
     good = small_config().replace({"vehicle.speed_limit": 7.0})
     ranges = [ParameterRange("vehicle.speed_limit", 0.5, 7.0)]
     how = SearchOptions(trials=4, generation=4, rungs=2, seed=3)
-    flight = FlightOptions(lidar=LidarModel("sparse", points_per_sweep=1000))
+    flight = FlightOptions(lidar=LidarModel("sparse", points_per_sweep=1000), rules=QUICK)
     result = tune(good, ranges, [poles] * 8, [poles], search=how, flight=flight)
     flown = [len(candidate.flights) for candidate in result.candidates]
     assert flown[0] == 8 and set(flown[1:]) <= {4, 8} and 4 in flown
@@ -69,7 +70,9 @@ def test_results_do_not_depend_on_the_batch_size(poles: World):
         calls.append((finished, total))
 
     single, batched, other_seed = (
-        search(poles, flights=1, seed=seed, batch=batch, rules=FlightRules(time_limit=2.5), progress=note)
+        search(
+            poles, flights=1, seed=seed, batch=batch, rules=dataclasses.replace(QUICK, time_limit=2.5), progress=note
+        )
         for seed, batch in ((5, 1), (5, 3), (6, 3))
     )
     assert without_timing(single) == without_timing(batched) != without_timing(other_seed)

@@ -19,9 +19,10 @@ from aero_viz.sensors import LidarModel
 
 SPEED = ParameterRange("vehicle.speed_limit", 1.0, 8.0)
 TRACK = ParameterRange("costs.q_track", 0.5, 50.0)
+QUICK = FlightRules(ticks_per_plan=5)
 
 
-def fly(storage: str, *, trials: int, rules: FlightRules | None = None, **search: Any) -> None:
+def fly(storage: str, *, trials: int, rules: FlightRules = QUICK, **search: Any) -> None:
     world = small_source(goal=7.0).info.world
     assert world is not None
     how = dataclasses.replace(SearchOptions(trials, generation=4, rungs=1), **search)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from numpy.typing import NDArray
 
 from aero_planner import Planner, Sweeps
 from aero_planner.kernels.motion import LENGTH, RECENT, STARTS, FoundTracks, RecentRows, Segments, follow_segments
@@ -57,6 +58,28 @@ def test_a_pillar_is_followed_while_it_is_hidden(device: str):
     positions, velocities, _ = movers_of(plan_from(planner, hidden, position))
     np.testing.assert_allclose(positions, [axis], atol=0.12)
     np.testing.assert_allclose(velocities, [velocity], atol=0.15)
+
+
+def wall(distance: float) -> NDArray[np.float32]:
+    """Return points of a wall across the way, 4 m wide."""
+    y, z = np.meshgrid(np.linspace(-2.0, 2.0, 160), np.linspace(-0.4, 0.8, 7))
+    return np.column_stack((np.full(y.size, distance), y.ravel(), z.ravel())).astype(np.float32)
+
+
+@pytest.mark.parametrize(("distance", "hidden", "count"), [(2.5, 7, 1), (8.0, 7, 0), (2.5, 12, 0)])
+def test_a_pillar_goes_on_for_a_second_behind_others_but_not_through_free_space(
+    device: str, distance: float, hidden: int, count: int
+):
+    axis, velocity = np.array([5.0, 0.8]), np.array([0.0, 0.8])
+    sweeps, position = sweeps_of([(axis, velocity)], np.zeros(3), count=22)
+    last = Sweeps(
+        [points if k < len(sweeps) - hidden else wall(distance) for k, points in enumerate(sweeps)],
+        arrivals=sweeps.arrivals,
+    )
+    positions, velocities, _ = movers_of(plan_from(Planner(config_of(), device=device), last, position))
+    assert len(positions) == count
+    np.testing.assert_allclose(positions, [axis] * count if count else np.zeros((0, 2)), atol=0.15)
+    np.testing.assert_allclose(velocities, [velocity] * count if count else np.zeros((0, 2)), atol=0.15)
 
 
 def test_the_clearance_is_that_of_the_predicted_pillar(device: str):
