@@ -97,7 +97,7 @@ class CloudArrays:
 
 @dataclass(eq=False)
 class MotionArrays:
-    """What moves among the obstacles of each drone; see `aero_planner.kernels.motion`."""
+    """What moves among the obstacles of each drone; see `aero_planner.kernels.motion` and `.tracks`."""
 
     scan: wp.array = array(wp.int32, "B L A", "", "Nearest range of each bin of the recent sweeps, as an integer.")
     segment_count: wp.array = array(wp.int32, "B L", "", "Number of segments of each of these sweeps.")

@@ -11,21 +11,10 @@ from numpy.typing import ArrayLike
 
 from aero_planner.array_memory import allocate
 from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs
-from aero_planner.kernels.motion import (
-    BINS,
-    RECENT,
-    STARTS,
-    FoundTracks,
-    RecentRows,
-    Segments,
-    find_segments,
-    follow_segments,
-    merge_tracks,
-    scan_obstacles,
-    stamp_sweep,
-)
+from aero_planner.kernels.motion import BINS, RECENT, RecentRows, Segments, find_segments, scan_obstacles, stamp_sweep
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.records import bundle
+from aero_planner.kernels.tracks import STARTS, FoundTracks, follow_segments, merge_tracks
 from aero_planner.kernels.wakes import find_wakes
 
 

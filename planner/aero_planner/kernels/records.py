@@ -23,7 +23,7 @@ class CloudSweeps:
     reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]
     shell_ends: wp.array2d(dtype=int)  # [B S, COUNTERS], see `kernels.shells`
     order: wp.array2d(dtype=int)  # [B, P], indices of the points of each sweep by shell, from its start on
-    # What moved when each sweep arrived, see `kernels.motion`; X is `MOVERS`.
+    # What moved when each sweep arrived, see `kernels.tracks`; X is `MOVERS`.
     tracked_from: wp.array(dtype=int)  # [S], number of the oldest sweep that was used; -1 if there were too few
     track_count: wp.array2d(dtype=int)  # [B, S]
     track_seen: wp.array2d(dtype=int)  # [B, S], number of those that this sweep shows; the others follow them

@@ -91,7 +91,7 @@ def test_wakes_are_the_tracks_of_the_sweeps_that_follow(device: str):
     rng = np.random.default_rng(5)
     S, X, count, oldest = 14, int(MOVERS), 3, 2
     row_of = rng.permutation(S)  # number to row
-    times = 3.0 + 0.1 * np.arange(S)
+    times = np.array([3.0 + 0.1 * k for k in range(S)])
     tracked_from = [k - 7 if k >= 7 else -1 for k in range(S)]
     places, speeds, radii = rng.uniform(-9, 9, (count, 2)), rng.uniform(-1.5, 1.5, (count, 2)), rng.uniform(0.2, 0.6, 3)
     tracks = [
