@@ -11,7 +11,7 @@ from aero_planner.kernels.motion import BIN_ANGLE, BINS, RECENT, RecentRows, Seg
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
-from aero_planner.kernels.sweep_numbers import row_with_tracks
+from aero_planner.kernels.sweep_numbers import is_confirmed, row_with_tracks
 
 wp.set_module_options({"enable_backward": False})
 
@@ -182,9 +182,9 @@ def merge_tracks(
 ):
     """List what was found in the newest sweep, then what was last found in older ones. Launched over [B].
 
-    An obstacle that a sweep of the last `_MEMORY` seconds showed goes on at its velocity, unless the newest scan shows
-    that it is not there. `oldest` is the number of the oldest sweep in memory: as in `kernels.wakes`, tracks are used
-    only while all sweeps that they were made of are.
+    An obstacle that two sweeps of the last `_MEMORY` seconds showed goes on at its velocity, unless the newest scan
+    shows that it is not there. `oldest` is the number of the oldest sweep in memory: as in `kernels.wakes`, tracks are
+    used only while all sweeps that they were made of are.
     """
     b = wp.tid()
     row = rows[0]
@@ -207,7 +207,8 @@ def merge_tracks(
     number = cloud.number[row]
     for back in range(1, _MEMORY_SWEEPS + 1):
         earlier = row_with_tracks(number - back, oldest, cloud)
-        if earlier >= 0:
+        before = row_with_tracks(number - back - 1, oldest, cloud)
+        if earlier >= 0 and before >= 0:
             elapsed = float(cloud.time[b, row] - cloud.time[b, earlier])
             # False without stamps.
             if elapsed > 0.0 and elapsed < _MEMORY:
@@ -216,5 +217,6 @@ def merge_tracks(
                     velocity = cloud.track_velocity[b, earlier, i]
                     position = cloud.track_position[b, earlier, i] + elapsed * velocity
                     radius = cloud.track_radius[b, earlier, i]
-                    if is_blocked(b, position, radius, origin, scan):
+                    is_moving = is_confirmed(b, earlier, i, before, cloud)
+                    if is_moving and is_blocked(b, position, radius, origin, scan):
                         add_track(b, row, position, velocity, radius, known, cloud)

@@ -11,7 +11,7 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
-from aero_planner.kernels.sweep_numbers import row_with_tracks
+from aero_planner.kernels.sweep_numbers import is_confirmed, row_with_tracks
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,15 +28,15 @@ _SAME = wp.constant(0.08)
 
 
 @wp.func
-def add_wakes(b: int, sweep: int, row: int, cloud: CloudSweeps):
-    """Lay the tracks of a later sweep on a sweep, if that shows the obstacle: it may have hidden where it was."""
+def add_wakes(b: int, sweep: int, row: int, before: int, cloud: CloudSweeps):
+    """Lay the confirmed tracks that a later sweep shows on a sweep: one that is hidden may be where it was."""
     elapsed = float(cloud.time[b, row] - cloud.time[b, sweep])
     count = cloud.wake_count[b, sweep]
     for i in range(cloud.track_seen[b, row]):
         velocity = cloud.track_velocity[b, row, i]
         position = cloud.track_position[b, row, i] - elapsed * velocity
         radius = cloud.track_radius[b, row, i] + _MARGIN
-        is_new = count < WAKES
+        is_new = count < WAKES and is_confirmed(b, row, i, before, cloud)
         for k in range(count):
             is_near = wp.length(cloud.wake_position[b, sweep, k] - position) < _SAME
             if is_near and wp.abs(cloud.wake_radius[b, sweep, k] - radius) < _SAME:
@@ -70,11 +70,12 @@ def find_wakes(
     is_first = bool(True)
     for later in range(oldest, newest + 1):
         row = row_with_tracks(later, oldest, cloud)
-        if row >= 0:
+        before = row_with_tracks(later - 1, oldest, cloud)
+        if row >= 0 and before >= 0:
             elapsed = cloud.time[b, row] - cloud.time[b, sweep]
             # False without stamps.
             if elapsed > wp.float64(0.0) and (elapsed < _REACH or is_first):
-                add_wakes(b, sweep, row, cloud)
+                add_wakes(b, sweep, row, before, cloud)
             is_first = False
 
 

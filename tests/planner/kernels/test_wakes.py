@@ -76,13 +76,16 @@ def reference_wakes(
 ) -> list[tuple[Array, float]]:
     """Return axis [m] and radius [m] of the wakes of a sweep; the sweeps are in the order of arrival."""
     wakes: list[tuple[Array, float]] = []
-    usable = [k for k in range(oldest, len(times)) if tracked_from[k] >= oldest]
+    usable = [k for k in range(oldest + 1, len(times)) if tracked_from[k] >= tracked_from[k - 1] >= oldest]
     for k in usable:
         elapsed = times[k] - times[sweep]
         if elapsed > 0.0 and (elapsed < 0.65 or k == usable[0]):
-            for position, velocity, radius in tracks[k]:
+            for i, (position, velocity, radius) in enumerate(tracks[k]):
                 place = position - elapsed * velocity
-                if not any(np.linalg.norm(p - place) < 0.08 and abs(r - radius - 0.15) < 0.08 for p, r in wakes):
+                before = tracks[k - 1][i][0] + (times[k] - times[k - 1]) * velocity
+                if np.linalg.norm(before - position) < 0.25 and not any(
+                    np.linalg.norm(p - place) < 0.08 and abs(r - radius - 0.15) < 0.08 for p, r in wakes
+                ):
                     wakes.append((place, radius + 0.15))
     return wakes
 
@@ -95,7 +98,10 @@ def test_wakes_are_the_tracks_of_the_sweeps_that_follow(device: str):
     tracked_from = [k - 7 if k >= 7 else -1 for k in range(S)]
     places, speeds, radii = rng.uniform(-9, 9, (count, 2)), rng.uniform(-1.5, 1.5, (count, 2)), rng.uniform(0.2, 0.6, 3)
     tracks = [
-        [(places[i] + times[k] * speeds[i] + rng.normal(0.0, 0.1, 2), speeds[i], float(radii[i])) for i in range(count)]
+        [
+            (places[i] + times[k] * speeds[i] + rng.normal(0.0, 0.08, 2), speeds[i], float(radii[i]))
+            for i in range(count)
+        ]
         for k in range(S)
     ]
     host = {
