@@ -78,6 +78,25 @@ def test_the_list_has_every_key_and_so_have_the_docs(desk):
     table.wait_for(state="hidden")
 
 
+def test_the_command_palette_lists_every_key_and_runs_what_is_chosen(desk):
+    page = desk.page
+    page.keyboard.press("Control+k")
+    search = page.get_by_placeholder("Search commands...")
+    search.wait_for()
+    for _, label in rows():
+        assert page.get_by_text(label, exact=True).count() == 1, label
+    index = desk.session.frame.index
+    search.fill("ten ticks forw")
+    page.get_by_role("button", name="Ten ticks forward").click()
+    desk.wait_for(lambda: desk.session.frame.index == index + 10, "ten ticks")
+    search.wait_for(state="hidden")
+    page.keyboard.press("Control+k")
+    search.fill("top")
+    page.keyboard.press("Enter")
+    drone = desk.session.frame.observation.state.position
+    desk.wait_for(lambda: desk.camera.position[2] > drone[2] + 5.0, "the view from above")
+
+
 def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_layers(desk, browser):
     second = visit(browser, desk.dashboard.url)
     second.get_by_text("You look on; your camera").wait_for()

@@ -6,19 +6,20 @@ import pytest
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.selection import SelectionLayer
+from aero_viz.explain.picking import pick
 from tests.browser.desk import open_desk
 from tests.browser.pictures import count
 from tests.explain.conftest import OPEN_ABOVE
 
 INSTANCE = 5
+LAYERS = ["rollouts", "selection", "anchors", "drone"]
 
 
 @pytest.fixture(scope="module")
 def desk(browser):
     """At the first wall of the trap."""
-    layers = ["rollouts", "selection", "anchors", "drone"]
     source = open_source("double_wall_trap", seed=0)
-    with open_desk(browser, source, ticks=12, config=OPEN_ABOVE, size=(1280, 900), layers=layers) as desk:
+    with open_desk(browser, source, ticks=12, config=OPEN_ABOVE, size=(1280, 900), layers=LAYERS) as desk:
         desk.open_tab("Why")
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0
@@ -68,6 +69,42 @@ def test_a_click_on_an_anchor_selects_its_instance(desk):
     lone = int(gaps.min(axis=1).argmax())
     desk.page.mouse.click(*spots[lone])
     desk.wait_for(lambda: selected(desk) == lone, f"instance {lone}")
+
+
+def place_of(desk, kind: str) -> np.ndarray:
+    """Return a place [m] near the middle of the page at which a click means a point of the cloud, or a cell."""
+    frame, eye = desk.session.frame, np.asarray(desk.camera.position)
+    points = np.asarray(frame.plan.filtered_points, dtype=np.float64)
+    toward, distances = np.asarray(desk.camera.look_at) - eye, np.linalg.norm(points - eye, axis=1, keepdims=True)
+    # For a cell, a ray that passes its point farther than a click on the point may.
+    targets = points if kind == "point" else points + 0.025 * distances * (0.0, 0.0, 1.0)
+    for target in targets[np.argsort(-((targets - eye) / distances) @ toward)]:
+        picked = pick(frame, eye, (target - eye) / np.linalg.norm(target - eye), cells=True)
+        if picked is not None and picked.kind == kind:
+            return target
+    raise AssertionError(f"no {kind} can be clicked")
+
+
+@pytest.mark.parametrize(("kind", "layer"), [("point", "cloud"), ("cell", "fine_cells")])
+def test_a_click_on_a_point_or_a_cell_shows_its_range_age_and_sweep(desk, kind: str, layer: str):
+    desk.dashboard.show_only(["selection", layer])
+    seen, selection, target = desk.session.frame.observation, desk.dashboard.layers["selection"], place_of(desk, kind)
+    before = selection.point
+    desk.page.mouse.click(*desk.place_on_page(target))
+    desk.wait_for(lambda: selection.point is not None and selection.point is not before, f"the {kind}")
+    point, eye = selection.point, np.asarray(desk.camera.position)
+    rays = [(place - eye) / np.linalg.norm(place - eye) for place in (target, point)]
+    assert np.arccos(rays[0] @ rays[1]) < 0.06  # what was clicked
+    card = desk.page.locator(".aero-point")
+    card.get_by_text(f"{np.linalg.norm(point - seen.state.position):.2f} m", exact=True).first.wait_for()
+    number = int(np.argmin([np.linalg.norm(sweep - point, axis=1).min() for sweep in seen.sweeps]))
+    words = card.inner_text()
+    assert f"{number + 1} of {len(seen.sweeps)}" in words and "row " in words
+    assert f"{seen.time - seen.sweep_times[number]:.2f} s since the end" in words
+    desk.wait_for(lambda: magenta(desk) > 5, "the point in the scene")
+    desk.dashboard.show_only(LAYERS)
+    desk.page.get_by_role("button", name=str(INSTANCE), exact=True).click()
+    desk.wait_for(lambda: selected(desk) == INSTANCE and selection.point is None, "an instance instead")
 
 
 def test_a_failed_flight_has_a_report_that_leads_to_the_tick_in_question(desk):

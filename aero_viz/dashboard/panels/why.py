@@ -107,7 +107,9 @@ class WhyPanel(Panel):
 
     def _key(self, frame: Frame) -> tuple[object, ...]:
         layer = self._selection
-        return (frame, None, None) if layer is None else (frame, layer.instance, layer.point)
+        if layer is None:
+            return frame, None, None
+        return frame, layer.instance, None if layer.point is None else tuple(layer.point.tolist())
 
     def _explain(self, frame: Frame) -> None:
         """Explain a frame and show the result, on the mailbox's thread."""
@@ -122,8 +124,9 @@ class WhyPanel(Panel):
         parts = _recorded(frame)
         if isinstance(instance, int) and instance < len(evidence.plan.kinds):
             parts.append(card(evidence, instance))
-        if isinstance(point, np.ndarray):
-            parts.append(markup.table([(label, value, "") for label, value in describe_point(frame, point)]))
+        if isinstance(point, tuple):
+            facts = markup.table([(label, value, "") for label, value in describe_point(frame, np.array(point))])
+            parts.append(f'<div class="aero-point">{facts}</div>')
         if not parts:
             parts.append(markup.muted("Click an anchor, a guide, a rollout, a point or a cell, or a number above."))
         self._show(chart(evidence, instance if isinstance(instance, int) else None), *parts)
