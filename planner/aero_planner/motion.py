@@ -92,7 +92,9 @@ class Motion:
         self._launch(find_segments, (int(RECENT),), [recent, sweeps, self._params, arrays.scan], [self._segments])
         size = (int(STARTS), int(MOVERS))
         self._launch(follow_segments, size, [recent, sweeps, self._params, self._segments], [self._found])
-        self._launch(merge_tracks, (), [recent, oldest, arrays.scan, self._found], [arrays.newest, sweeps])
+        self._launch(
+            merge_tracks, (), [recent, oldest, self._params, arrays.scan, self._found], [arrays.newest, sweeps]
+        )
 
     def find_wakes(self, cloud: CloudArrays, oldest: int, newest: int) -> None:
         """Find which points of the sweeps belong to obstacles that have moved on.

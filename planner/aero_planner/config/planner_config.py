@@ -116,9 +116,13 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Age of the view",
     )  # fmt: skip
     predict: bool = switch(
-        True, "Estimate the velocities of obstacles from successive sweeps, keep clear of where they will be, and "
-        "forget where they were. Off as in the paper.",
+        True, "Estimate the velocities of obstacles from successive sweeps, and keep clear of where they will be. Off "
+        "as in the paper.",
         label="Predict motion",
+    )  # fmt: skip
+    predict_memory: bool = switch(
+        False, "Follow moving obstacles for a second behind others, and forget the points of where they were.",
+        label="Remember motion",
     )  # fmt: skip
     predict_range: float = live(
         10.0, "m", 1.0, 100.0, "Obstacles farther away than this are taken for standing ones.",

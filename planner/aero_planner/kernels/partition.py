@@ -102,7 +102,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
         range_min = params[b].range_min
         range_max = farthest(params[b])
-        wake_count = wp.where(params[b].predict != 0, cloud.wake_count[b, sweep], 0)
+        wake_count = wp.where(params[b].predict_memory != 0, cloud.wake_count[b, sweep], 0)
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
             last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])

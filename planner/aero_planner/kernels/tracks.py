@@ -173,6 +173,8 @@ def add_track(b: int, row: int, position: wp.vec2, velocity: wp.vec2, radius: fl
 def merge_tracks(
     rows: RecentRows,
     oldest: int,
+    # configuration
+    params: wp.array(dtype=Params),
     # in
     scan: wp.array3d(dtype=int),
     found: FoundTracks,
@@ -203,6 +205,8 @@ def merge_tracks(
                 add_track(b, row, found.position[b, begin, i], found.velocity[b, begin, i], radius, known, cloud)
         if begin == 0:
             cloud.track_seen[b, row] = cloud.track_count[b, row]
+    if params[b].predict_memory == 0:
+        return
     origin = origin_of_scan(b, 0, rows, cloud)
     number = cloud.number[row]
     for back in range(1, _MEMORY_SWEEPS + 1):

@@ -65,7 +65,7 @@ def find_wakes(
     b, sweep = wp.tid()
     cloud.wake_count[b, sweep] = 0
     number = cloud.number[sweep]
-    if number < oldest or number >= newest or params[b].predict == 0:
+    if number < oldest or number >= newest or params[b].predict_memory == 0:
         return
     is_first = bool(True)
     for later in range(oldest, newest + 1):

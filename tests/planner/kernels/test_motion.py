@@ -72,7 +72,9 @@ def test_a_pillar_goes_on_for_a_second_behind_others_but_not_through_free_space(
         [points if k < len(sweeps) - hidden else wall(distance) for k, points in enumerate(sweeps)],
         arrivals=sweeps.arrivals,
     )
-    positions, velocities, _ = movers_of(plan_from(Planner(config_of(), device=device), last, position))
+    positions, velocities, _ = movers_of(
+        plan_from(Planner(config_of(partition__predict_memory=True), device=device), last, position)
+    )
     assert len(positions) == count
     np.testing.assert_allclose(positions, [axis] * count if count else np.zeros((0, 2)), atol=0.15)
     np.testing.assert_allclose(velocities, [velocity] * count if count else np.zeros((0, 2)), atol=0.15)
@@ -120,7 +122,7 @@ def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: 
     """A planner that is given all sweeps at once plans as one that they reached one by one: a flight can be rewound."""
     pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
     sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.4]), count=count)
-    one_by_one, at_once = (Planner(config_of(), device=device, seed=1) for _ in range(2))
+    one_by_one, at_once = (Planner(config_of(partition__predict_memory=True), device=device, seed=1) for _ in range(2))
     part = Sweeps(whole=whole)
     for points, arrival in zip(sweeps, sweeps.arrivals, strict=True):
         part = part.add(points, limit=limit, arrival=arrival)
@@ -134,7 +136,9 @@ def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: 
 def test_stored_sweeps_show_the_same_motion(device: str):
     pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
     sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.0]), count=12)
-    single, batch = Planner(config_of(), device=device), Planner(config_of(), device=device, batch=2)
+    single, batch = (
+        Planner(config_of(partition__predict_memory=True), device=device, batch=batch) for batch in (None, 2)
+    )
     plan_from(single, sweeps, position)
     batch.reserve_sweeps(len(sweeps), sum(map(len, sweeps)))
     for row, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
