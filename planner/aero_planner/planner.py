@@ -131,8 +131,13 @@ class Planner:
         """Plan from this cloud from now on."""
         if cloud is not self._scanned:
             self._scanned = cloud
-            self._motion.forget()
+            self._forget_motion()
             self._replace_pipeline()
+
+    def _forget_motion(self) -> None:
+        self._motion.forget()
+        if self._memory is not None:
+            self._memory.forget_motion()
 
     def _replace_pipeline(self) -> None:
         """Record the launches again, after arrays were replaced."""
@@ -216,6 +221,8 @@ class Planner:
                 self._replace_pipeline()
                 raise
         self._write_params(configs)
+        if self._memory is not None and configs[0].partition != before.partition:
+            self._memory.forget_motion()
 
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone. The cloud is then all NaN, which means no points."""
@@ -353,8 +360,8 @@ class Planner:
             largest = max(map(len, sweeps), default=0)
             self.reserve_sweeps(max(len(sweeps), _MIN_SWEEPS), (sweeps.point_count + 2 * largest) * 5 // 4)
         assert self._memory is not None
-        self._memory.hold(sweeps)
         self._scan(self._memory.arrays)
+        self._memory.hold(sweeps)
 
     def _sampled_positions(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the Stage I rollouts [m], shape [B, M, K, N + 1, 3]; they start as the Stage II rollouts do."""

@@ -90,6 +90,7 @@ class SweepMemory:
         self._ordered: list[_Entry] = []  # sweeps whose order the table does not mention yet
         self._held: Sweeps | None = None
         self._is_changed = False  # the table on the host, since it was copied
+        self._is_motion_known = False  # that at the newest sweep
         self._host_points: Any = None  # the same places on the host, to copy from
         self._staging: Any = None  # `_host_points` as NumPy array
         self._copied: Any = None
@@ -120,11 +121,15 @@ class SweepMemory:
         if self._is_changed:
             self._table.upload()
             self._is_changed = False
-        if sweeps is not self._held:
+        if sweeps is not self._held or not self._is_motion_known:
             self._estimate_motion(first_new, whole=max(len(sweeps) - sweeps.thinned, 1))
-            self._held = sweeps
+            self._held, self._is_motion_known = sweeps, True
         for entry in aged:
             self._thin_points(entry.row, len(entry.points))
+
+    def forget_motion(self) -> None:
+        """Estimate the motion at the newest sweep again: something else was planned from, or parameters have changed."""
+        self._is_motion_known = False
 
     def _estimate_motion(self, first_new: int, *, whole: int) -> None:
         """Estimate the motion at the sweeps from number `first_new` on, each from the `whole` newest of its time."""
@@ -133,8 +138,9 @@ class SweepMemory:
             self._motion.forget()
             return
         for i, entry in enumerate(entries):
+            is_newest, is_new = entry is entries[-1], entry.number >= first_new
             # Without all `RECENT` sweeps before it, only the newest one's motion matters.
-            if entry.number >= first_new and (i >= int(RECENT) - 1 or entry is entries[-1]):
+            if (is_new and (is_newest or i >= int(RECENT) - 1)) or (is_newest and not self._is_motion_known):
                 recent = _recent(entries[max(i + 1 - whole, 0) : i + 1])
                 points = max(len(other.points) for other in recent)
                 self._motion.estimate(self.arrays, [other.row for other in recent], entries[0].number, points)

@@ -7,9 +7,9 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner import Planner, Sweeps
+from aero_planner import Planner, Sweeps, VehicleState
 from tests.planner.cases import assert_same, config_of
-from tests.planner.pillars import RADIUS, movers_of, plan_from, sweeps_of
+from tests.planner.pillars import GOAL, RADIUS, movers_of, plan_from, sweeps_of
 
 
 @pytest.mark.parametrize("own", [(0.0, 0.0, 0.0), (4.0, 0.0, 0.5)])
@@ -158,3 +158,21 @@ def test_stored_sweeps_show_the_same_motion(device: str):
         for name in ("occupied", "fine_range"):
             ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
             np.testing.assert_array_equal(ours[b], expected[0])
+
+
+@pytest.mark.parametrize("changes", [{"partition__predict": False}, {"partition__predict_speed": 1.5}, None])
+def test_the_same_sweeps_show_the_motion_again(device: str, changes: dict[str, Any] | None):
+    """A paused flight is planned with other parameters and back, and a planner may get a joined cloud meanwhile."""
+    planner = Planner(config_of(), device=device)
+    sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
+    first = movers_of(plan_from(planner, sweeps, position))
+    assert len(first[0]) == 1
+    if changes is None:
+        state = VehicleState(position, np.zeros(3), (1.0, 0.0, 0.0, 0.0), time=1.7)
+        assert len(movers_of(planner.plan(state, GOAL, sweeps.points))[0]) == 0
+    else:
+        planner.configure(config_of(**changes))
+        assert len(movers_of(plan_from(planner, sweeps, position))[0]) == 0
+        planner.configure(config_of())
+    for found, expected in zip(movers_of(plan_from(planner, sweeps, position)), first, strict=True):
+        np.testing.assert_array_equal(found, expected)
