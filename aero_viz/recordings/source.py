@@ -13,7 +13,7 @@ from aero_planner.quaternions import rotate, rotation_matrix
 from aero_planner.sweeps import as_constant
 from aero_viz.errors import UserError
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
-from aero_viz.recordings.recording import Recording
+from aero_viz.recordings.recording import PointSweep, Recording
 from aero_viz.session.source import Observation, SourceInfo
 
 MAX_POINTS = 200_000
@@ -208,9 +208,9 @@ class RecordingSource:
     def _window(self, time: float) -> tuple[int, int]:
         """Return the first sweep of the planner's cloud at `time` [s] and the last one + 1. It is never empty."""
         last = max(int(np.searchsorted(self.recording.sweep_times, time, side="right")), 1)
-        first, total = last - 1, len(self._world_sweep(last - 1))
+        first, total = last - 1, len(self._world_sweep(last - 1)[0])
         while first > 0 and last - first < self.sweeps:
-            total += len(self._world_sweep(first - 1))
+            total += len(self._world_sweep(first - 1)[0])
             if total > MAX_POINTS:
                 break
             first -= 1
@@ -218,17 +218,23 @@ class RecordingSource:
 
     def _collect_sweeps(self, first: int, last: int) -> Sweeps:
         """Return sweeps first .. last - 1 in the world frame [m]."""
-        times = self.recording.sweep_times[first:last].tolist()
-        arrivals = (Arrival(time, tuple(self._pose(time).position.tolist())) for time in times)
-        return Sweeps((self._world_sweep(i) for i in range(first, last)), arrivals=arrivals)
+        sweeps, arrivals = zip(*map(self._world_sweep, range(first, last)), strict=True)
+        return Sweeps(sweeps, arrivals=arrivals)
 
-    def _compute_world_sweep(self, index: int) -> NDArray[np.float32]:
-        """Return a sweep in the world frame [n, 3] [m], read-only."""
-        return as_constant(self._place_sweep(index))
+    def _compute_world_sweep(self, index: int) -> tuple[NDArray[np.float32], Arrival]:
+        """Return a sweep in the world frame [n, 3] [m], read-only, and when and where it was complete.
 
-    def _place_sweep(self, index: int) -> NDArray[np.float32]:
-        """Return a sweep in the world frame [P, 3] [m]."""
+        The stamp of a sweep may be that of its first point.
+        """
         sweep, poses = self.recording.sweep(index), self.recording.poses
+        times = sweep.point_times
+        end = sweep.time if times is None or not len(times) else sweep.time + float(times.max())
+        x, y, z = (0.0, 0.0, 0.0) if poses is None else poses.track.interpolate(end)[0].tolist()
+        return as_constant(self._place(sweep)), Arrival(end, (x, y, z))
+
+    def _place(self, sweep: PointSweep) -> NDArray[np.float32]:
+        """Return a sweep in the world frame [P, 3] [m]."""
+        poses = self.recording.poses
         if poses is None or not len(sweep.points):
             return sweep.points
         if sweep.point_times is not None:

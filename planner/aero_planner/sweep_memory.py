@@ -128,7 +128,7 @@ class SweepMemory:
             self._thin_points(entry.row, len(entry.points))
 
     def forget_motion(self) -> None:
-        """Estimate the motion at the newest sweep again: something else was planned from, or parameters have changed."""
+        """Estimate the motion at the newest sweep again, because of another cloud or other parameters since."""
         self._is_motion_known = False
 
     def _estimate_motion(self, first_new: int, *, whole: int) -> None:

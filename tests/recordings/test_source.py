@@ -4,9 +4,11 @@ import bags
 import numpy as np
 import pytest
 
+from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.recordings import RecordingSource, open_recording
 from aero_viz.recordings.source import MAX_POINTS
+from tests.planner.pillars import movers_of, pillar_points
 
 
 @pytest.fixture
@@ -95,6 +97,25 @@ def test_sparse_poses_move_a_sweep_as_a_whole(source_of):
     points = source_of(fast_turn(0.45)).observe().points
     np.testing.assert_allclose(points[0, :2], [4, 1], atol=1e-5)
     assert np.abs(points[-1, :2] - [4, 1]).max() > 0.2
+
+
+@pytest.mark.parametrize("has_point_times", [True, False])
+def test_what_moves_is_predicted_from_when_it_was_measured(source_of, has_point_times):
+    """A sweep has the stamp of its first point, and is planned from before its last one, or that of its last point."""
+    seconds, velocity, items = np.linspace(0.0, 0.1, 1500), np.array([0.0, 1.5, 0.0]), []
+    for k in range(12):
+        middle = np.array([5.0, -1.0]) + (0.1 * k + 0.05) * velocity[:2]
+        seen = bags.xyz(pillar_points(middle, np.zeros(3), seed=k) + np.outer(seconds - 0.05, velocity))
+        times = {"t": (seconds * 1e9).astype("u4")} if has_point_times else {}
+        items.append(bags.cloud(0.1 * k + (0.0 if has_point_times else 0.1), seen | times))
+    source = source_of([*items, *(bags.pose_stamped(0.02 * k, [0, 0, 0]) for k in range(70))])
+    source.seek(1.0)
+    o = source.observe()
+    planner = Planner(PlannerConfig.preset("fast-cpu"), device="cpu")
+    positions, velocities, _ = movers_of(planner.plan(o.state, o.goal, o.sweeps))
+    now = o.time + (0.0 if has_point_times else 0.1)
+    np.testing.assert_allclose(positions, [np.array([5.0, -1.0]) + now * velocity[:2]], atol=0.1)
+    np.testing.assert_allclose(velocities, [velocity[:2]], atol=0.15)
 
 
 def test_goal_moves_along_the_recorded_path(source_of):

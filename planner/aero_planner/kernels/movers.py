@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False})
 MOVERS = wp.constant(32)
 """Largest number of moving obstacles of a drone."""
 _AGE_MAX = wp.constant(wp.float64(0.5))
-"""Age of the newest sweep up to which its tracks are used [s]."""
+"""Age of the newest sweep up to which its tracks are used [s]; negative while a recorded sweep is not complete."""
 
 
 @wp.struct
@@ -45,7 +45,7 @@ def place_movers(
         return
     age = time[b] - cloud.time[b, row]
     # False without a stamp.
-    if age > wp.float64(-1.0e-3) and age < _AGE_MAX:
+    if wp.abs(age) < _AGE_MAX:
         elapsed = float(age) + params[b].delay
         count = cloud.track_count[b, row]
         for i in range(count):
