@@ -55,6 +55,7 @@ RECORDED_PLAN: Rgb = (206, 160, 250)
 SAMPLE: Rgb = (190, 204, 224)
 SELECTED: Rgb = (255, 70, 255)
 MOVING: Rgb = (255, 128, 72)
+UNSEEN: Rgb = (196, 120, 92)
 
 GOOD: Rgb = (52, 211, 123)
 WARNING: Rgb = (250, 176, 5)

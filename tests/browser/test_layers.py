@@ -44,6 +44,7 @@ SWITCHED = [
     ("anchors", palette.ANCHOR, 60),
     ("cloud", None, 5000),
     ("fine_cells", None, 20_000),
+    ("unseen_cells", None, 5000),
     ("coarse_cells", None, 5000),
     ("drone", None, 150),
     ("trail", palette.TRAIL, 100),

@@ -15,7 +15,7 @@ from aero_planner.quaternions import rotation_matrix
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import LAYERS, apply
 from aero_viz.dashboard.layers.base import Lines, polylines
-from aero_viz.dashboard.layers.cells import FineCellLayer, anchor_cells, mean_ranges
+from aero_viz.dashboard.layers.cells import FineCellLayer, UnseenCellLayer, anchor_cells, mean_ranges
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.motion import MotionLayer
 from aero_viz.dashboard.layers.rollouts import cost_scale
@@ -112,6 +112,23 @@ def test_fine_cells_lie_where_the_filtered_points_are(server, frame):
     state = frame.observation.state
     nearest = np.linalg.norm(frame.plan.filtered_points - np.asarray(state.position), axis=1)
     np.testing.assert_allclose(np.sort(reach), np.sort(nearest), atol=1e-3)
+
+
+def test_unseen_cells_are_the_empty_ones_outside_the_field_of_view(server, frame):
+    def elevations_shown(view_min: float, view_max: float) -> NDArray[np.float64]:
+        config = frame.config.replace({"partition.view_min": view_min, "partition.view_max": view_max})
+        seen = dataclasses.replace(frame, config=config)
+        layer = UnseenCellLayer(server)
+        changes = {name: value for _, name, value in layer.update(seen)}
+        shown = changes["batched_scales"].max(axis=1) > 0.0
+        assert not (shown & (frame.plan.fine_range.ravel() < config.farthest_range - 1e-4)).any()
+        assert bool(layer.legend(seen)) == bool(shown.any())
+        return np.degrees(np.arcsin(changes["batched_positions"][shown, 2] / 2.0))
+
+    elevations = elevations_shown(-7.0, 52.0)
+    assert elevations.max() > 80.0 and not ((elevations > -7.0) & (elevations < 52.0)).any()
+    assert len(elevations_shown(-90.0, 52.0)) == (elevations > 0.0).sum()
+    assert len(elevations_shown(-90.0, 90.0)) == 0
 
 
 @pytest.mark.parametrize("by", ["rank", "log cost"])

@@ -74,6 +74,7 @@ LEGENDS = [
     ("anchors", ["initial endpoints", "refined anchors"]),
     ("cloud", ["cloud: height"]),
     ("fine_cells", ["occupied cells"]),
+    ("unseen_cells", ["unseen cells"]),
     ("coarse_cells", ["coarse cells", "safe directions"]),
     ("drone", ["drone"]),
     ("trail", ["flown trail"]),

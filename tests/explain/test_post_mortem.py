@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aero_planner import PlanStatus, Sweeps
+from aero_planner import PlannerConfig, PlanStatus, Sweeps
 from aero_viz.errors import UserError
 from aero_viz.explain.picture import draw_map
 from aero_viz.explain.post_mortem import PostMortem, explain_flight
@@ -26,9 +26,9 @@ def world_of(goal: list[float], box: list[float]) -> World:
     return World.from_dict({"name": "test", "start": [0, 0, 2], "goal": goal, "boxes": [GROUND, box]})
 
 
-def flown(world: World, **options: Any) -> Any:
+def flown(world: World, *, config: PlannerConfig = OPEN_ABOVE, **options: Any) -> Any:
     trace = FlightTrace()
-    result = fly(world, config=OPEN_ABOVE, recorder=recorder(trace), **options)
+    result = fly(world, config=config, recorder=recorder(trace), **options)
     return result, trace, *explain_flight(trace)
 
 
@@ -78,7 +78,7 @@ def test_the_picture_shows_the_candidates_and_the_end(trap):
 
 
 def test_the_obstacle_of_a_collision_among_cylinders_is_named():
-    result, trace, report, _ = flown(scene("verticals", count=1000, seed=0))
+    result, trace, report, _ = flown(scene("verticals", count=1000, seed=0), config=PlannerConfig.preset("paper"))
     assert result.reason == report.outcome == "collision"
     assert report.obstacle in re.findall(r"cylinder \d+", result.explanation)
     assert report.seen is not None and report.cause.startswith("seen")

@@ -15,7 +15,7 @@ from aero_viz.dashboard.layers.base import (
     apply,
     legend_entries,
 )
-from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer
+from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer, UnseenCellLayer
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.drone import DroneLayer, GhostLayer, TrailLayer
 from aero_viz.dashboard.layers.goal import GoalLayer
@@ -47,6 +47,7 @@ LAYERS: tuple[type[Layer], ...] = (
     AnchorLayer,
     CloudLayer,
     FineCellLayer,
+    UnseenCellLayer,
     CoarseCellLayer,
     MotionLayer,
     DroneLayer,

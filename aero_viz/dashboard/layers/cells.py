@@ -1,6 +1,9 @@
-"""The spherical partition: occupied fine cells, and coarse cells with their safe directions."""
+"""The spherical partition: occupied and unseen fine cells, and coarse cells with their safe directions."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import viser
@@ -15,10 +18,50 @@ from aero_viz.session.frame import Frame
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
 _BORDER = palette.unmapped(palette.GRID_SECTION)
 _ANCHOR = palette.unmapped(palette.ANCHOR)
+_UNSEEN = palette.unmapped(palette.UNSEEN)
 _FREE = palette.unmapped(palette.VIRIDIS)
 _RANGE = palette.lit(palette.NEAR_TO_FAR)
 _SPHERE = 2.0
-"""Radius at which the coarse cells are drawn [m]."""
+"""Radius at which coarse and unseen cells are drawn [m]."""
+
+
+class CellPatches:
+    """A patch for every fine cell, which faces the drone and has the width of the cell.
+
+    Args:
+        scene: scene of the page.
+        name: path of the node; its parent is the frame of the body.
+        opacity: opacity of the patches.
+    """
+
+    def __init__(self, scene: viser.SceneApi, name: str, *, opacity: float) -> None:
+        self._pose = scene.add_frame(f"{name}/body", show_axes=False)
+        self._shape: tuple[int, ...] = ()
+        self.node = scene.add_batched_meshes_simple(
+            f"{name}/body/patches", _SQUARE, np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+            np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), batched_scales=np.zeros((1, 3), np.float32),
+            batched_colors=np.zeros((1, 3), np.uint8), side="double", lod="off", opacity=opacity, flat_shading=True,
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def show(self, frame: Frame, ranges: NDArray[np.floating[Any]], shown: NDArray[np.bool_]) -> list[Change]:
+        """Return the changes that show some cells at their ranges [m]; both are of shape [rows * columns, 1]."""
+        shape = frame.plan.fine_range.shape
+        changes = _pose(self._pose, frame)
+        if shape != self._shape:
+            self._shape = shape
+            azimuth, elevation = _centers(shape)
+            self._direction = _direction(azimuth, elevation)
+            step = np.radians(180.0 / shape[0])
+            self._size = 1.84 * np.tan(0.5 * step) * np.stack(
+                (np.ones_like(azimuth), np.cos(elevation), np.ones_like(azimuth)), axis=1
+            )  # fmt: skip
+            changes.append((self.node, "batched_wxyzs", _facing(azimuth, elevation)))
+        return [
+            *changes,
+            (self.node, "batched_positions", (self._direction * ranges).astype(np.float32)),
+            (self.node, "batched_scales", np.where(shown, self._size * ranges, 0.0).astype(np.float32)),
+        ]
 
 
 class FineCellLayer(Layer):
@@ -30,40 +73,39 @@ class FineCellLayer(Layer):
     name, title, on_by_default = "fine_cells", "Occupied cells", False
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._pose = scene.add_frame("/fine_cells/body", show_axes=False)
-        self._shape: tuple[int, ...] = ()
-        self._node = scene.add_batched_meshes_simple(
-            "/fine_cells/body/patches", _SQUARE, np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
-            np.array([[1.0, 0.0, 0.0, 0.0]]), np.zeros((1, 3)), batched_scales=np.zeros((1, 3), np.float32),
-            batched_colors=np.zeros((1, 3), np.uint8), side="double", lod="off", opacity=0.85, flat_shading=True,
-            cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+        self._patches = CellPatches(scene, "/fine_cells", opacity=0.85)
 
     def update(self, frame: Frame) -> list[Change]:
-        ranges = frame.plan.fine_range
-        changes = _pose(self._pose, frame)
-        if ranges.shape != self._shape:
-            self._shape = ranges.shape
-            azimuth, elevation = _centers(ranges.shape)
-            self._direction = _direction(azimuth, elevation)
-            step = np.radians(180.0 / ranges.shape[0])
-            self._size = 1.84 * np.tan(0.5 * step) * np.stack(
-                (np.ones_like(azimuth), np.cos(elevation), np.ones_like(azimuth)), axis=1
-            )  # fmt: skip
-            changes.append((self._node, "batched_wxyzs", _facing(azimuth, elevation)))
-        reach = frame.config.farthest_range
-        flat = ranges.reshape(-1, 1)
-        occupied = flat < reach - 1e-4
+        ranges, reach = frame.plan.fine_range.reshape(-1, 1), frame.config.farthest_range
         return [
-            *changes,
-            (self._node, "batched_positions", (self._direction * flat).astype(np.float32)),
-            (self._node, "batched_scales", np.where(occupied, self._size * flat, 0.0).astype(np.float32)),
-            (self._node, "batched_colors", palette.colorize(flat[:, 0], 0.0, reach, _RANGE)),
+            *self._patches.show(frame, ranges, is_occupied(frame)),
+            (self._patches.node, "batched_colors", palette.colorize(ranges[:, 0], 0.0, reach, _RANGE)),
         ]
 
     def legend(self, frame: Frame) -> list[ColorScale]:
         reach = f"{frame.config.farthest_range:g} m"
         return [ColorScale("occupied cells, with continued surfaces: range", "0 m", reach, palette.NEAR_TO_FAR)]
+
+
+class UnseenCellLayer(Layer):
+    """Fine cells outside the field of view into which no surface is continued, on a sphere of 2 m.
+
+    The sensor does not see them now. Older sweeps may have; where they show nothing, the planner takes them for free.
+    """
+
+    name, title, on_by_default = "unseen_cells", "Unseen cells", False
+    keys = (ColorKey("unseen cells, taken for free", palette.UNSEEN),)
+
+    def create(self, scene: viser.SceneApi) -> None:
+        self._patches = CellPatches(scene, "/unseen_cells", opacity=0.35)
+
+    def update(self, frame: Frame) -> list[Change]:
+        unseen = ~is_in_view(frame) & ~is_occupied(frame)
+        changes = self._patches.show(frame, np.full(unseen.shape, _SPHERE), unseen)
+        return [*changes, (self._patches.node, "batched_colors", np.full((len(unseen), 3), _UNSEEN, np.uint8))]
+
+    def legend(self, frame: Frame) -> Sequence[ColorKey]:
+        return () if is_in_view(frame).all() else self.keys
 
 
 class CoarseCellLayer(Layer):
@@ -121,6 +163,18 @@ def anchor_cells(frame: Frame) -> NDArray[np.int64]:
     column = (np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * columns
     row, column = np.clip(row.astype(int), 0, rows - 1), column.astype(int) % columns
     return np.unique(row * columns + column)
+
+
+def is_occupied(frame: Frame) -> NDArray[np.bool_]:
+    """Return True for fine cells with a point or a continued surface, row by row, shape [rows * columns, 1]."""
+    return frame.plan.fine_range.reshape(-1, 1) < frame.config.farthest_range - 1e-4
+
+
+def is_in_view(frame: Frame) -> NDArray[np.bool_]:
+    """Return True for fine cells whose centre the sensor can see now, row by row, shape [rows * columns, 1]."""
+    _, elevation = _centers(frame.plan.fine_range.shape)
+    part = frame.config.partition
+    return ((elevation >= np.radians(part.view_min)) & (elevation <= np.radians(part.view_max)))[:, None]
 
 
 def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:

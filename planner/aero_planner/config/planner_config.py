@@ -121,8 +121,13 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Predict motion",
     )  # fmt: skip
     predict_memory: bool = switch(
-        False, "Follow moving obstacles for a second behind others, and forget the points of where they were.",
+        True, "Follow moving obstacles for a second behind others, unless that space is seen to be free.",
         label="Remember motion",
+    )  # fmt: skip
+    predict_wake_speed: float = live(
+        2.5, "m/s", 0.0, 50.0, "Speed limit below which points of older sweeps are left out where an obstacle has moved "
+        "on since: they are a wall to a slow drone, and keep a fast one away from what may turn back. 0: never.",
+        label="Speed limit for forgetting wakes",
     )  # fmt: skip
     predict_range: float = live(
         10.0, "m", 1.0, 100.0, "Obstacles farther away than this are taken for standing ones.",
@@ -406,7 +411,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Blocked path weight", group="Cost-to-go", basic=True,
     )  # fmt: skip
     waypoint_distance: float = live(
-        3.0, "m", 0.0, 30.0,
+        6.0, "m", 0.0, 30.0,
         "Distance from the drone up to which that path follows the direction of the anchor, before it turns to the "
         "goal. Guides that end sooner, such as slow ones, do not lead around an obstacle by themselves. 0 turns to the "
         "goal immediately.",
@@ -438,7 +443,7 @@ class EscapeConfig(ParameterSection, section="escape"):
         label="Rise factor near a place",
     )  # fmt: skip
     patience: float = live(
-        0.3, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
+        0.15, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
     )
     progress: float = live(
         0.3, "m", 0.01, 10.0, "Decrease of the distance to the goal that counts as progress; at most a third of what "

@@ -16,7 +16,7 @@ from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.shells import SHELLS, last_shell
-from aero_planner.kernels.wakes import is_in_wake
+from aero_planner.kernels.wakes import forgets_wakes, is_in_wake
 from aero_planner.kernels.warp_ops import add_count
 
 wp.set_module_options({"enable_backward": False})
@@ -102,7 +102,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
         range_min = params[b].range_min
         range_max = farthest(params[b])
-        wake_count = wp.where(params[b].predict_memory != 0, cloud.wake_count[b, sweep], 0)
+        wake_count = wp.where(forgets_wakes(params[b]), cloud.wake_count[b, sweep], 0)
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
             last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])

@@ -28,6 +28,12 @@ _SAME = wp.constant(0.08)
 
 
 @wp.func
+def forgets_wakes(params: Params) -> bool:
+    """Return True if the points in wakes are left out."""
+    return params.predict != 0 and params.speed_limit < params.predict_wake_speed
+
+
+@wp.func
 def add_wakes(b: int, sweep: int, row: int, before: int, cloud: CloudSweeps):
     """Lay the confirmed tracks that a later sweep shows on a sweep: one that is hidden may be where it was."""
     elapsed = float(cloud.time[b, row] - cloud.time[b, sweep])
@@ -65,7 +71,7 @@ def find_wakes(
     b, sweep = wp.tid()
     cloud.wake_count[b, sweep] = 0
     number = cloud.number[sweep]
-    if number < oldest or number >= newest or params[b].predict_memory == 0:
+    if number < oldest or number >= newest or not forgets_wakes(params[b]):
         return
     is_first = bool(True)
     for later in range(oldest, newest + 1):

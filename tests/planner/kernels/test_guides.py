@@ -174,7 +174,7 @@ def test_waypoints_lie_on_the_line_to_the_anchor(device: str, speed: float, wayp
 
 
 def test_the_previous_plan_keeps_its_waypoint_until_it_is_near(device: str):
-    config, case = config_of(), random_case(0, nearest=4.0, speed=0.3)
+    config, case = config_of(costs__waypoint_distance=3.0), random_case(0, nearest=4.0, speed=0.3)
     planner = Planner(config, device=device)
     first = planner.plan(_at(case, 50.0), Goal(case.goal), case.points)
     waypoint, history = planner.workspace.waypoints.numpy()[0, first.best].copy(), planner.history()

@@ -19,7 +19,7 @@ AXIS = np.array([5.0, 1.0])
 
 def config_without_surfaces(**changes: Any):
     off = {"partition__continue_below": 0.0, "partition__continue_above": 0.0}
-    return config_of(**{"partition__predict_memory": True, **off, **changes})
+    return config_of(**{"partition__predict_wake_speed": 50.0, **off, **changes})
 
 
 def distances(points: Array, axis: Array) -> Array:
@@ -36,7 +36,7 @@ def test_what_a_pillar_has_left_is_free(device: str, count: int):
         kept_points(plan_from(Planner(config_without_surfaces(), device=device), sweeps, position)), middle
     )
     assert len(kept) > 20 and np.abs(kept).max() < 0.06
-    planner = Planner(config_without_surfaces(partition__predict_memory=False), device=device)
+    planner = Planner(config_without_surfaces(partition__predict_wake_speed=0.0), device=device)
     assert distances(kept_points(plan_from(planner, sweeps, position)), middle).max() > 0.4
 
 
@@ -51,7 +51,7 @@ def test_pillars_that_stand_keep_the_points_of_all_sweeps(device: str):
     )
     with_wakes, without = (
         kept_points(plan_from(Planner(config_without_surfaces(**changes), device=device), seen_first, position))
-        for changes in ({}, {"partition__predict_memory": False})
+        for changes in ({}, {"partition__predict_wake_speed": 0.0})
     )
     shown, hidden = (points[np.abs(distances(points, beside)) < 0.06] for points in (with_wakes, without))
     assert len(shown) > 10 and len(hidden) == 0  # by what the moving one has left
@@ -127,7 +127,7 @@ def test_wakes_are_the_tracks_of_the_sweeps_that_follow(device: str):
         wake_velocity=wp.zeros(shape, dtype=wp.vec2, device=device),
         wake_radius=wp.zeros(shape, dtype=float, device=device),
     )
-    params = wp.array(np.array([pack(config_of(partition__predict_memory=True))]), dtype=Params, device=device)
+    params = wp.array(np.array([pack(config_of(partition__predict_wake_speed=50.0))]), dtype=Params, device=device)
     wp.launch(find_wakes, (1, S), inputs=[oldest, S - 1, params], outputs=[cloud], device=device)
     for k in range(S):
         expected = reference_wakes(k, times, tracked_from, tracks, oldest) if oldest <= k < S - 1 else []

@@ -50,5 +50,6 @@ def records(small_planner: Planner) -> list[PlanRecord]:
 
 @pytest.fixture
 def flight(small_planner: Planner) -> Simulation:
-    """A simulation in full flight, with short time limits."""
-    return in_flight(small_planner, changes={"limits.hold_time": 1.0, "limits.brake_time": 3.0})
+    """A simulation in full flight, with short time limits and a low floor, below which braking does not end."""
+    changes = {"limits.hold_time": 1.0, "limits.brake_time": 3.0, "limits.fence_height_min": 0.5}
+    return in_flight(small_planner, changes=changes)
