@@ -216,6 +216,7 @@ def open_desk(
     layers: Sequence[str] | None = None,
     opener: Opener = open_source,
     opened: str = "",
+    seed: int = 0,
     study: StoredStudy | None = None,
 ) -> Iterator[Desk]:
     """Open the page of a paused session.
@@ -229,6 +230,7 @@ def open_desk(
         layers: names of the visible layers; None shows those that are on by default.
         opener: opens other sources.
         opened: name of the source for the opener; by default that of the forest.
+        seed: seed of the source, as the page shows it.
         study: study to show.
     """
     session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
@@ -241,6 +243,7 @@ def open_desk(
         port=0,
         open_source=opener,
         opened=opened,
+        seed=seed,
         choices=choices,
         folders=["/"],
         conditions=Conditions(),

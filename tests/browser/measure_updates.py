@@ -6,19 +6,26 @@ time per tick and per update.
 
 import argparse
 import functools
+import multiprocessing
 import threading
 import time
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
-from playwright.sync_api import ViewportSize
+from playwright.sync_api import Page, ViewportSize
 
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.snapshot import launch_chromium
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Session
+from tests.dashboard.page_client import CAMERA, join, send
 
 _ENGINE = ("aero-viz-session", "aero-planner")
 
@@ -28,35 +35,26 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--size", type=int, nargs=2, default=(1600, 1000), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--onlookers", type=int, default=0, help="further pages, each in a tab of its own")
+    parser.add_argument(
+        "--remote", action="store_true", help="draw nothing, as if the browsers ran on other machines: only receive"
+    )
     arguments = parser.parse_args()
     session = Session(FlightSource(scene("forest", seed=0)))
     session.start(play=False)
     dashboard = Dashboard(session, port=0)
-    received: list[list[int]] = [[] for _ in range(1 + arguments.onlookers)]
-
+    count = 1 + arguments.onlookers
     try:
-        with launch_chromium() as browser:
-            size: ViewportSize = {"width": arguments.size[0], "height": arguments.size[1]}
-            pages = [browser.new_page(viewport=size) for _ in received]
-            for page, sizes in zip(pages, received, strict=True):
-                count = functools.partial(lambda sizes, message: sizes.append(len(message)), sizes)
-                page.on("websocket", lambda socket, count=count: socket.on("framereceived", count))
-                page.goto(dashboard.url)
-            page = pages[0]
-            loaded = 0
-            while loaded < (loaded := sum(map(len, received))) or not all(received):
-                page.wait_for_timeout(3000)  # until the pages have loaded
+        with _receivers(dashboard.url, count) if arguments.remote else _pages(dashboard.url, count, arguments) as pages:
             session.play()
-            page.wait_for_timeout(500)
-            page.evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
+            pages.wait(0.5)
             dashboard.update_ms.clear()
-            for sizes in received:
-                sizes.clear()
+            pages.clear()
             started, frame, before = time.perf_counter(), session.frame, _spent()
-            page.wait_for_timeout(int(1e3 * arguments.seconds))
+            pages.wait(arguments.seconds)
+            received = pages.received()
             took, last, updates = time.perf_counter() - started, session.frame, list(dashboard.update_ms)
             spent = {who: used - before[who] for who, used in _spent().items()}
-            drawn = page.evaluate("window.n")
+            drawn = pages.drawn()
     finally:
         dashboard.close()
         session.close()
@@ -74,6 +72,77 @@ def main() -> None:
         print(f"page received      {len(sizes) / took:6.1f} messages/s, {kilobytes:.0f} kB an update")
     print(f"pictures drawn     {drawn / took:6.1f} /s, {spent['browser'] / took:.2f} cores for the browser")
     print(f"others             {others / took:6.2f} cores of {psutil.cpu_count()}")
+
+
+@contextmanager
+def _pages(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]:
+    """Open pages in a Chromium."""
+    sizes: list[list[int]] = [[] for _ in range(count)]
+    with launch_chromium() as browser:
+        size: ViewportSize = {"width": arguments.size[0], "height": arguments.size[1]}
+        pages: list[Page] = [browser.new_page(viewport=size) for _ in range(count)]
+        for page, own in zip(pages, sizes, strict=True):
+            note = functools.partial(lambda own, message: own.append(len(message)), own)
+            page.on("websocket", lambda socket, note=note: socket.on("framereceived", note))
+            page.goto(url)
+        loaded = 0
+        while loaded < (loaded := sum(map(len, sizes))) or not all(sizes):
+            pages[0].wait_for_timeout(3000)  # until the pages have loaded
+        pages[0].evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
+
+        def clear() -> None:
+            pages[0].evaluate("window.n = 0")
+            for own in sizes:
+                own.clear()
+
+        yield SimpleNamespace(
+            wait=lambda seconds: pages[0].wait_for_timeout(int(1e3 * seconds)), clear=clear,
+            received=lambda: [list(own) for own in sizes], drawn=lambda: pages[0].evaluate("window.n"),
+        )  # fmt: skip
+
+
+@contextmanager
+def _receivers(url: str, count: int) -> Iterator[Any]:
+    """Connect clients that receive what a page receives, in a process of their own."""
+    here, there = multiprocessing.Pipe()
+    process = multiprocessing.get_context("spawn").Process(target=_receive, args=(url, count, there), daemon=True)
+    process.start()
+    assert here.recv() == "loaded"
+
+    def ask(question: str) -> Any:
+        here.send(question)
+        return here.recv()
+
+    yield SimpleNamespace(
+        wait=time.sleep, clear=lambda: ask("clear"), received=lambda: ask("received"), drawn=lambda: 0
+    )
+    process.terminate()
+    process.join()
+
+
+def _receive(url: str, count: int, parent: Connection) -> None:
+    server: Any = SimpleNamespace(url=url)
+    sizes: list[list[int]] = [[] for _ in range(count)]
+
+    def read(client: Any, own: list[int]) -> None:
+        for message in client:
+            own.append(len(message))
+
+    for own in sizes:
+        client = join(server)
+        send(client, **CAMERA)
+        threading.Thread(target=read, args=(client, own), daemon=True).start()
+    loaded = 0
+    while loaded < (loaded := sum(map(len, sizes))) or not all(sizes):
+        time.sleep(3.0)
+    parent.send("loaded")
+    while True:
+        if parent.recv() == "clear":
+            for own in sizes:
+                own.clear()
+            parent.send(None)
+        else:
+            parent.send([list(own) for own in sizes])
 
 
 def _spent() -> dict[str, float]:

@@ -42,7 +42,7 @@ def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_i
         desk.wait_for(lambda: desk.session.frame is not None and desk.session.frame.index == 0, "the start")
         assert fly(desk) == "arrived"
 
-        for seed in (3, 5):
+        for seed in (2, 3):
             desk.open_tab("Fly")
             number = desk.control("Seed").locator("input")
             desk.enter(number, seed)

@@ -16,7 +16,8 @@ from aero_viz.dashboard.snapshot import launch_chromium
 from tests.browser.desk import Desk, open_desk
 
 ROOT = Path(__file__).resolve().parents[2]
-README = ROOT / "static" / "dashboard.webp"
+STATIC = {"dashboard": 1120, "failure": 960, "arrived": 960, "share": 960}
+"""Views that the README and the docs show, from static/, with their widths there [pixels]."""
 RECORDING = ROOT / "datasets" / "forest_mid360.mcap"
 
 
@@ -31,6 +32,7 @@ class View:
     Attributes:
         caption: what it shows.
         source: scene or recording.
+        seed: seed of the scene.
         seconds: time in it [s].
         act: what a user does before the picture is taken.
         size: width and height of the page [pixels].
@@ -45,6 +47,7 @@ class View:
     size: tuple[int, int] = (1600, 900)
     layers: Sequence[str] | None = None
     config: PlannerConfig | None = None
+    seed: int = 0
 
 
 def _tab(name: str) -> Callable[[Desk], None]:
@@ -82,11 +85,30 @@ def _curves(desk: Desk) -> None:
 def _end(desk: Desk) -> None:
     """Fly on to the end of the flight, and show its report."""
     desk.open_tab("Why")
-    while desk.session.frame is None or desk.session.frame.outcome is None:
-        desk.session.step(25).result()
+    _fly(desk)
     desk.page.locator(".aero-report").wait_for()
 
 
+def _arrive(desk: Desk) -> None:
+    """Fly on to the end of the flight, and show the configuration."""
+    desk.open_tab("Tune")
+    _fly(desk)
+
+
+def _share(desk: Desk) -> None:
+    """Fly on to the end of the flight, and show how to hand it on."""
+    _fly(desk)
+    desk.open_tab("Fly")
+    desk.open_folder("Share", "Log")
+    desk.page.get_by_role("button", name="Log", exact=True).scroll_into_view_if_needed()
+
+
+def _fly(desk: Desk) -> None:
+    while desk.session.frame is None or desk.session.frame.outcome is None:
+        desk.session.step(25).result()
+
+
+_NO_CLOUD = ["rollouts", "guides", "anchors", "drone", "trail", "goal", "obstacles", "ground"]
 VIEWS = {
     "dashboard": View("The dashboard during a flight through the forest", seconds=2.0),
     "top": View("The same from above", act=_top),
@@ -100,7 +122,11 @@ VIEWS = {
     "inclines": View("Leaning trunks", "inclines", 2.0),
     "verticals": View("A dense field of trunks", "verticals", 2.0),
     "room": View("A room with a trap, opened for the camera", "double_wall_trap", 1.0),
-    "failure": View("Why a flight failed", "double_wall_trap", 0.2, _end, config=PlannerConfig.preset("paper")),
+    "failure": View("Why a flight failed", "double_wall_trap", 0.2, _end, size=(1280, 800),
+                    layers=_NO_CLOUD, config=PlannerConfig.preset("paper"), seed=1),
+    "arrived": View("The same with the default configuration", "double_wall_trap", 0.2, _arrive, size=(1280, 800),
+                    layers=_NO_CLOUD, seed=1),
+    "share": View("What can be handed on", "double_wall_trap", 0.2, _share, size=(1280, 800), layers=_NO_CLOUD, seed=1),
     "recording": View("A recorded flight", str(RECORDING), 2.0),
     "small": View("A window of 1280 x 720", size=(1280, 720)),
     "portrait": View("A window of 800 x 1200", size=(800, 1200)),
@@ -113,7 +139,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="gallery", description=__doc__)
     parser.add_argument("views", nargs="*", help=f"names of views: {', '.join(VIEWS)}; all by default")
     parser.add_argument("--folder", type=Path, default=Path("build/gallery"), help="where the pictures are written")
-    parser.add_argument("--readme", action="store_true", help="use the first view as the picture of the README")
+    parser.add_argument(
+        "--static", action="store_true", help=f"renew the pictures of README and docs: {', '.join(STATIC)}"
+    )
     options = parser.parse_args()
     if unknown := sorted(set(options.views) - set(VIEWS)):
         parser.error(f"there is no view {', '.join(unknown)}; there are {', '.join(VIEWS)}")
@@ -123,19 +151,21 @@ def main() -> int:
         take(VIEWS[name], options.folder / f"{name}.png")
         print(options.folder / f"{name}.png", flush=True)
     write_page(options.folder, [name for name in VIEWS if (options.folder / f"{name}.png").exists()])
-    if options.readme:
-        picture = Image.open(options.folder / f"{names[0]}.png").convert("RGB")
-        picture.resize((1120, 1120 * picture.height // picture.width)).save(README, quality=40, method=6)
+    for name in set(names) & set(STATIC) if options.static else ():
+        picture, width = Image.open(options.folder / f"{name}.png").convert("RGB"), STATIC[name]
+        size = (width, width * picture.height // picture.width)
+        picture.resize(size).save(ROOT / "static" / f"{name}.webp", quality=40, method=6)
     return 0
 
 
 def take(view: View, path: Path) -> None:
     """Write the picture of a view as PNG."""
-    source = open_source(view.source, seed=0)
+    source = open_source(view.source, seed=view.seed)
     options: dict[str, Any] = {
         "ticks": round(view.seconds / source.info.period),
         "config": view.config,
         "opened": view.source,
+        "seed": view.seed,
     }
     with (
         launch_chromium() as browser,

@@ -14,7 +14,7 @@ def gallery(*arguments: object) -> subprocess.CompletedProcess[str]:
 def test_a_view_becomes_a_picture_and_joins_the_page(browser, tmp_path):
     done = gallery("failure", "--folder", tmp_path)
     assert done.returncode == 0, done.stderr
-    assert Image.open(tmp_path / "failure.png").size == (1600, 900)
+    assert Image.open(tmp_path / "failure.png").size == (1280, 800)
     page = (tmp_path / "index.html").read_text()
     assert "failure.png" in page and "Why a flight failed" in page and "dashboard.png" not in page
 
