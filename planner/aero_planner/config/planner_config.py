@@ -125,8 +125,8 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Remember motion",
     )  # fmt: skip
     predict_wake_speed: float = live(
-        2.5, "m/s", 0.0, 50.0, "Speed limit below which points of older sweeps are left out where an obstacle has moved "
-        "on since: they are a wall to a slow drone, and keep a fast one away from what may turn back. 0: never.",
+        2.5, "m/s", 0.0, 50.0, "Speed limit below which points of older sweeps are left out where an obstacle has "
+        "moved on since: they are a wall to a slow drone, and keep a fast one away from what may turn back. 0: never.",
         label="Speed limit for forgetting wakes",
     )  # fmt: skip
     predict_range: float = live(
