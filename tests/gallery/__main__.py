@@ -16,7 +16,7 @@ from aero_viz.dashboard.snapshot import launch_chromium
 from tests.browser.desk import Desk, open_desk
 
 ROOT = Path(__file__).resolve().parents[2]
-STATIC = {"dashboard": 1120, "failure": 960, "arrived": 960, "share": 960}
+STATIC = {"dashboard": 1120, "failure": 880, "arrived": 880}
 """Views that the README and the docs show, from static/, with their widths there [pixels]."""
 RECORDING = ROOT / "datasets" / "forest_mid360.mcap"
 
@@ -154,7 +154,7 @@ def main() -> int:
     for name in set(names) & set(STATIC) if options.static else ():
         picture, width = Image.open(options.folder / f"{name}.png").convert("RGB"), STATIC[name]
         size = (width, width * picture.height // picture.width)
-        picture.resize(size).save(ROOT / "static" / f"{name}.webp", quality=40, method=6)
+        picture.resize(size).save(ROOT / "static" / f"{name}.webp", quality=33, method=6)
     return 0
 
 
