@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 _INSTANCE_ANGLE, _POINT_ANGLE = 0.02, 0.01
 """Largest angles between the click and what it means [rad]."""
+_LEFT_OUT = 0.02
+"""Difference in range from which a point is nearer than the nearest one of its cell [m]."""
 _FINER = 4
 """Pieces into which the steps of a rollout are divided."""
 
@@ -84,6 +86,7 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
     shape = np.array(plan.fine_range.shape)
     turns = np.array((np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5, np.arctan2(y, x) / (2.0 * np.pi) + 0.5))
     row, column = np.minimum((turns * shape).astype(int), shape - 1)
+    into_cell = turns * shape - (row, column)
     pool = frame.config.partition.fine_cells
     facts = [
         ("range", f"{distance:.2f} m"),
@@ -101,8 +104,20 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
             facts.append(("age", f"{seen.time - seen.sweep_times[number]:.2f} s since the end of that sweep"))
         else:
             facts.append(("age", "unknown: the source has no times of sweeps"))
+        # At the border of a cell, rounding decides which one holds the point. The plan may start a little later.
+        is_inside = bool(np.abs(into_cell - 0.5).max() < 0.45)
+        moved = frame.config.vehicle.delay * float(np.linalg.norm(state.velocity))
+        if is_inside and distance < plan.fine_range[row, column] - _LEFT_OUT - moved:
+            facts.append(("partition", _reason_left_out(distance, frame)))
     return [
         *facts,
         ("fine cell", f"row {row}, column {column}: nearest {plan.fine_range[row, column]:.2f} m"),
         ("coarse cell", f"largest range {plan.safe_range[row // pool, column // pool]:.2f} m"),
     ]
+
+
+def _reason_left_out(distance: float, frame: Frame) -> str:
+    """Return why the partition leaves out a point that is nearer than all others of its cell."""
+    if distance < frame.config.partition.range_min:
+        return "left out: nearer than partition.range_min"
+    return "left out: an obstacle has moved on from here (partition.predict_wake_speed)"
