@@ -138,8 +138,10 @@ def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: A
     end = x.positions[..., -1, :]
     at_end = np.zeros((2, *x.positions.shape[:-1]))
     at_end[0, ..., -1] = _blocked_cost(end, waypoint, problem)
-    depth = problem.config.escape.radius - np.linalg.norm(end[..., None, :] - problem.places, axis=-1)
-    at_end[1, ..., -1] = problem.config.escape.q_escape * np.maximum(depth, 0.0).sum(axis=-1)
+    escape = problem.config.escape
+    depth = np.maximum(escape.radius - np.linalg.norm(end[..., None, :] - problem.places, axis=-1), 0.0)
+    share = np.minimum(2.0 * np.linalg.norm(end - p_goal, axis=-1) / escape.radius, 1.0)
+    at_end[1, ..., -1] = escape.q_escape * share * depth.sum(axis=-1)
     return np.stack(
         (
             c.q_position * np.linalg.norm(x.positions - p_goal, axis=-1),

@@ -436,7 +436,10 @@ class EscapeConfig(ParameterSection, section="escape"):
         "0 as in the paper.",
         label="Escape weight", basic=True,
     )  # fmt: skip
-    radius: float = live(4.0, "m", 0.1, 20.0, "Radius of the neighbourhood of a remembered place.")
+    radius: float = live(
+        4.0, "m", 0.1, 20.0, "Radius of the neighbourhood of a remembered place. The goal has one of half this radius, "
+        "in which the weight of all places fades out.",
+    )  # fmt: skip
     rise: float = live(
         4.0, "", 1.0, 5.0, "Factor on the spacing of the rows of anchors, instead of anchors.slow_rise, for a slow "
         "drone near a remembered place: the way out may lead upward.",

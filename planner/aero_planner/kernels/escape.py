@@ -25,11 +25,15 @@ class Escape:
 
 @wp.func
 def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
-    """Return q_escape times the sum of the depths of p in the neighbourhoods of the remembered places."""
+    """Return q_escape times the sum of the depths of p in the neighbourhoods of the remembered places.
+
+    It fades out within half a radius of the goal: a drone that has passed its goal must be able to come back.
+    """
     depth = float(0.0)
     if params.q_escape > 0.0:
         for k in range(wp.min(escape.count[b], PLACES)):
             depth += wp.max(0.0, params.radius - wp.length(p - escape.places[b, k]))
+        depth *= wp.min(1.0, 2.0 * wp.length(p - escape.goal[b]) / params.radius)
     return params.q_escape * depth
 
 

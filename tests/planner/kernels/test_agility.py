@@ -91,6 +91,23 @@ def test_a_drone_without_progress_remembers_where_it_was(device: str):
     assert planner.history().place_count[0] == 0
 
 
+@pytest.mark.parametrize("aside", [0.0, 1.0])
+def test_a_drone_that_has_passed_its_goal_comes_back(device: str, aside: float):
+    """It makes no progress meanwhile, and must not keep away from the places of its way back."""
+    config = config_of(vehicle__speed_limit=5.0, sampling__samples=64, sampling__steps=25)
+    planner, goal, dt = Planner(config, device=device, seed=1), np.array([1.5, 0.0, 3.0]), config.sampling.dt
+    position, velocity, attitude = np.array([0.0, aside, 3.0]), np.array([5.0, 0.0, 0.0]), np.array([1.0, 0, 0, 0])
+    distances = []
+    for k in range(150):
+        plan = planner.plan(
+            VehicleState(position, velocity, attitude, time=k * dt), Goal(goal), np.full((64, 3), 40.0, np.float32)
+        )
+        x = reference.roll_out(position, attitude, velocity, plan.command[:1].astype(np.float64), config)
+        position, velocity, attitude = x.p[-1], x.v[-1], x.q[-1]
+        distances.append(np.linalg.norm(position - goal))
+    assert max(distances) > 1.0 and max(distances[-20:]) < 0.3
+
+
 def test_plans_start_from_the_state_after_the_delay(device: str):
     case, planner = random_case(3, count=0), Planner(config_of(vehicle__delay=0.1), device=device)
     plan = case.plan(planner)  # without a previous plan the drone hovers until then
