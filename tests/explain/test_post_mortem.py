@@ -86,7 +86,7 @@ def test_the_obstacle_of_a_collision_among_cylinders_is_named():
 
 
 def test_a_moving_obstacle_is_named_with_its_speed_and_not_followed_back():
-    pillar, motion = [[6.0, 0, 0, 0, 0, 1, 0.5, 8]], [[-6.0, 0.0, 40.0]]
+    pillar, motion = [[4.0, 0, 0, 0, 0, 1, 0.5, 8]], [[-6.0, 0.0, 40.0]]
     content = {"name": "test", "start": [0, 0, 2], "goal": [0, 0.5, 2], "cylinders": pillar, "motion": motion}
     world = World.from_dict({**content, "boxes": [GROUND, [0, 2, 2, 4, 1, 4, 0], [0, -2, 2, 4, 1, 4, 0]]})
     rules = FlightRules(arrival_radius=0.01)
