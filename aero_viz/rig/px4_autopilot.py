@@ -38,6 +38,7 @@ _STREAMS = {
 _STREAM_TIME = 1.0  # [s] that setpoints must have been arriving before the pilot switches to OFFBOARD
 _STREAM_GAP = 0.5  # [s] without a setpoint that ends a stream
 _PILOT_PERIOD = 0.5  # [s] between two attempts of the pilot
+_STICK_PERIOD = 0.1  # [s] between two messages with the positions of the pilot's sticks
 _PAUSE_LIMIT = 20.0  # [s] for PX4 to simulate one step
 _ODOMETRY, _ATTITUDE_QUATERNION, _LOCAL_POSITION = 331, 31, 32
 _STATES = (_ODOMETRY, _ATTITUDE_QUATERNION, _LOCAL_POSITION)
@@ -99,7 +100,7 @@ class Px4Autopilot:
         self._is_armed = self._in_air = False
         self._companion_heard_at = math.inf
         self._stream_start = self._last_setpoint_time = -math.inf
-        self._next_attempt = self._next_heartbeat = -math.inf
+        self._next_attempt = self._next_heartbeat = self._next_sticks = -math.inf
         self._handlers = {
             "HEARTBEAT": self._handle_heartbeat,
             "SYSTEM_TIME": self._tracker.add_time,
@@ -307,6 +308,9 @@ class Px4Autopilot:
         if self._now >= self._next_heartbeat:
             self._next_heartbeat = self._now + 1.0
             self._send_heartbeat()
+        if self._now >= self._next_sticks:
+            self._next_sticks = self._now + _STICK_PERIOD
+            self._send_sticks()
         if self.armed and not self._in_air and not self._is_armed and self._may_try():
             self._set_mode(_AUTO, _TAKEOFF)
             self._command(self._dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
@@ -320,6 +324,11 @@ class Px4Autopilot:
     def _send_heartbeat(self) -> None:
         d = self._dialect
         self._send(d.MAVLink_heartbeat_message(d.MAV_TYPE_GCS, d.MAV_AUTOPILOT_INVALID, 0, 0, d.MAV_STATE_ACTIVE, 3))
+
+    def _send_sticks(self) -> None:
+        """Send centred sticks: without any, PX4's altitude mode lands."""
+        half = 500  # of the thrust axis, from 0 to 1000: neither climb nor sink
+        self._send(self._dialect.MAVLink_manual_control_message(self._px4.system, 0, 0, half, 0, 0))
 
     def _set_mode(self, main: int, sub: int = 0) -> None:
         custom = self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
