@@ -107,8 +107,9 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
         # At the border of a cell, rounding decides which one holds the point. The plan may start a little later.
         is_inside = bool(np.abs(into_cell - 0.5).max() < 0.45)
         moved = frame.config.vehicle.delay * float(np.linalg.norm(state.velocity))
-        if is_inside and distance < plan.fine_range[row, column] - _LEFT_OUT - moved:
-            facts.append(("partition", _reason_left_out(distance, frame)))
+        is_left_out = is_inside and distance < plan.fine_range[row, column] - _LEFT_OUT - moved
+        if is_left_out and (reason := _reason_left_out(distance, frame)):
+            facts.append(("partition", f"left out: {reason}"))
     return [
         *facts,
         ("fine cell", f"row {row}, column {column}: nearest {plan.fine_range[row, column]:.2f} m"),
@@ -116,8 +117,11 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
     ]
 
 
-def _reason_left_out(distance: float, frame: Frame) -> str:
-    """Return why the partition leaves out a point that is nearer than all others of its cell."""
-    if distance < frame.config.partition.range_min:
-        return "left out: nearer than partition.range_min"
-    return "left out: an obstacle has moved on from here (partition.predict_wake_speed)"
+def _reason_left_out(distance: float, frame: Frame) -> str | None:
+    """Return why the partition leaves out a point that is nearer than all others of its cell; None if it is unknown."""
+    config = frame.config
+    if distance < config.partition.range_min:
+        return "nearer than partition.range_min"
+    if config.partition.predict and config.vehicle.speed_limit < config.partition.predict_wake_speed:
+        return "an obstacle has moved on from here (partition.predict_wake_speed)"
+    return None
