@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlanStatus
 from aero_planner.quaternions import rotate
@@ -17,6 +17,7 @@ from aero_viz.explain.trace import FlightTrace
 from aero_viz.explain.verdict import closest
 from aero_viz.explain.visibility import Seen, find_seen
 from aero_viz.scenes import World
+from aero_viz.scenes.motion import displacements
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]
@@ -25,6 +26,10 @@ FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 _STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
 """Reason for which the planner stops the drone, by the status of the plan."""
 _MOVING = "hit a moving obstacle"
+_RADIUS = 6
+"""Column of `World.cylinders` with the radius."""
+_SAME_OBSTACLE = 0.5
+"""Distance from the surface of an obstacle up to which what the planner follows is the same one [m]."""
 
 
 @dataclass(frozen=True)
@@ -101,14 +106,17 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
     place, obstacle = _contact(last, world, end)
-    if speed := _speed(last.moving_world, obstacle):
-        text = f"It hit {obstacle}, which moves at {speed:.1f} m/s, at {_point(end)}."
-        missing = [*trace.missing, "Since when a moving obstacle was seen, and when braking would have worked."]
-        report = PostMortem(**facts, cause=_MOVING, obstacle=obstacle, sentences=[text], missing=missing)
-        return report, replan(frames[-1])
+    moving = _moving_cylinder(last.moving_world, obstacle)
+    if moving is not None:
+        place = place + moving.displacements([frame.time for frame in frames], since=last.time)
+        obstacle_text = f"{obstacle}, which moves at {moving.speed:.1f} m/s,"
+    else:
+        obstacle_text = obstacle
     seen = find_seen(frames, place)
-    sentences = [f"It hit {obstacle} at {_point(end)}." if world else f"It collided at {_point(end)}."]
-    frame = _last_braking(frames, world, trace.rules.radius)
+    sentences = [f"It hit {obstacle_text} at {_point(end)}." if world else f"It collided at {_point(end)}."]
+    if moving is not None:
+        sentences += _followed_sentence(frames, moving)
+    frame = _last_braking(frames, last.moving_world, trace.rules.radius)
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
     sentences.append(_seen_sentence(seen, braking))
@@ -128,17 +136,58 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
         since = next((f.time for f in reversed(frames) if _status(f) != status), frames[0].time)
         sentences.append(f"It was stopping when it hit: {_STOPPING[status]} after {since:.2f} s.")
     cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
+    if moving is not None:
+        cause = f"{_MOVING}: {cause}"
     report = PostMortem(
         **facts, cause=cause, obstacle=obstacle, seen=seen, braking=braking, sentences=sentences, missing=trace.missing
     )
     return report, evidence or replan(frames[-1])
 
 
-def _speed(world: World | None, obstacle: str) -> float:
-    """Return the speed of an obstacle with a name of `World.nearest` [m/s]."""
+@dataclass(frozen=True, eq=False)
+class _MovingCylinder:
+    """An obstacle that moves."""
+
+    foot: Array
+    """Where its axis begins at time 0 [m], shape [2]."""
+    radius: float
+    motion: Array
+    """Its row of `World.motion`, shape [1, 3]."""
+
+    @property
+    def speed(self) -> float:
+        return float(np.linalg.norm(self.motion[0, :2]))
+
+    def displacements(self, times: ArrayLike, *, since: float) -> Array:
+        """Return how far it is from its place at a time at other times [m], shape [n, 3]."""
+        ways = displacements(self.motion, times) - displacements(self.motion, since)
+        return np.pad(ways[:, 0], ((0, 0), (0, 1)))
+
+
+def _moving_cylinder(world: World | None, obstacle: str) -> _MovingCylinder | None:
+    """Return the obstacle with a name of `World.nearest` if it moves."""
     kind, _, row = obstacle.partition(" ")
-    is_moving = world is not None and len(world.motion) and kind == "cylinder"
-    return float(np.linalg.norm(world.motion[int(row), :2])) if is_moving else 0.0  # type: ignore[union-attr]
+    if world is None or not len(world.motion) or kind != "cylinder":
+        return None
+    cylinder = world.cylinders[int(row)]
+    found = _MovingCylinder(cylinder[:2], float(cylinder[_RADIUS]), world.motion[[int(row)]])
+    return found if found.speed > 0.0 else None
+
+
+def _followed_sentence(frames: list[Frame], obstacle: _MovingCylinder) -> list[str]:
+    """Say since when the planner has followed an obstacle, without a gap up to the end; nothing if it is unknown."""
+    since: float | None = None
+    for frame in reversed(frames):
+        moving = frame.plan.moving
+        if moving is None:
+            return []
+        axis = obstacle.foot + obstacle.displacements([frame.time], since=0.0)[0, :2]
+        if not (np.linalg.norm(moving.positions - axis, axis=1) < obstacle.radius + _SAME_OBSTACLE).any():
+            break
+        since = frame.time
+    if since is None:
+        return ["The planner did not take it for moving at the end."]
+    return [f"The planner followed its motion since {since:.2f} s{' or longer' if since == frames[0].time else ''}."]
 
 
 def _cause(seen: Seen, braking: BrakingTick | None, was_braking: bool, *, is_start: bool) -> str:
@@ -182,7 +231,9 @@ def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Fr
         paths = frame.plan.braking.positions.astype(np.float64)
         places = np.concatenate((paths, 0.5 * (paths[:, 1:] + paths[:, :-1])), axis=1)
         if world is not None:
-            distance = world.distance(places.reshape(-1, 3))
+            steps = frame.config.sampling.dt * np.arange(paths.shape[1])
+            times = frame.time + np.concatenate((steps, 0.5 * (steps[1:] + steps[:-1])))
+            distance = world.distance(places.reshape(-1, 3), np.tile(times, len(paths)))
         else:
             from scipy.spatial import KDTree
 

@@ -45,46 +45,55 @@ class Seen:
 
 
 def find_seen(frames: Sequence[Frame], place: Array) -> Seen:
-    """Return since when a place on a surface [m], shape [3], was in the cloud of the planner.
+    """Return since when a place on a surface was in the cloud of the planner.
 
     Args:
         frames: frames up to the end, in the order of time.
-        place: where the drone hit, or would have.
+        place: where the drone hit, or would have [m], shape [3]. Of an obstacle that moves, where that was in each
+            frame, shape [frames, 3]: then the newest sweep counts alone.
     """
-    holds: dict[int, bool] = {}
+    moves = np.ndim(place) == 2
+    places = np.broadcast_to(place, (len(frames), 3))
+    holds: dict[tuple[int, float, float], bool] = {}
     present = []
-    for frame in frames:
-        sweeps = list(frame.observation.sweeps)
-        for sweep in sweeps:
-            if id(sweep) not in holds:  # the frames keep the sweeps alive
-                holds[id(sweep)] = bool((np.linalg.norm(sweep - place, axis=1) < _NEAR).any())
-        present.append(any(holds[id(sweep)] for sweep in sweeps))
+    for frame, (x, y, z) in zip(frames, places, strict=True):
+        keys = [(id(sweep), x, y) for sweep in frame.observation.sweeps]  # the frames keep the sweeps alive
+        for sweep, key in list(zip(frame.observation.sweeps, keys, strict=True))[-1 if moves else 0 :]:
+            if key not in holds:
+                holds[key] = bool((np.linalg.norm(sweep - (x, y, z), axis=1) < _NEAR).any())
+        present.append(any(holds.get(key, False) for key in keys))
     absent = [i for i, is_there in enumerate(present) if not is_there]
     if not absent:
         return Seen(frames[0].time, True, None, None, "")
     since = frames[absent[-1] + 1].time if absent[-1] + 1 < len(frames) else None
     earlier = [frame.time for frame, is_there in zip(frames, present, strict=True) if is_there]
     forgotten = earlier[-1] if since is None and earlier else None
-    unseen = [frames[i] for i in absent][-100:]
-    reason, detail = _reason(unseen, place, len(unseen))
-    if forgotten is not None:
+    absent = absent[-100:]
+    reason, detail = _reason([frames[i] for i in absent], places[absent], len(absent))
+    if forgotten is not None and moves:
+        detail = f"last in a sweep at {forgotten:.2f} s; since then {detail}"
+    elif forgotten is not None:
         reason, detail = "forgotten", f"last in the cloud at {forgotten:.2f} s; since then {detail}"
     return Seen(since, False, forgotten, reason, detail)
 
 
-def _reason(frames: Sequence[Frame], place: Array, total: int) -> tuple[str, str]:
-    """Return the most frequent reason for which the sensor did not see a place, and a part of a sentence."""
+def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, str]:
+    """Return the most frequent reason for which the sensor did not see a place, and a part of a sentence.
+
+    `places` are where it was in each frame [m], shape [frames, 3].
+    """
     model = _lidar(frames[0])
     states = [frame.observation.actual_state for frame in frames]
     q = np.stack([np.asarray(state.quaternion, dtype=np.float64) for state in states])
     p = np.stack([np.asarray(state.position, dtype=np.float64) for state in states])
     eyes = p + rotate(q, np.asarray(model.mount_position))
-    offset = place - eyes
+    offset = places - eyes
     distance = np.linalg.norm(offset, axis=1)
     body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
     elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
     reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
-    hidden = _occluders(frames[-1].world, eyes, offset / distance[:, None], distance)
+    worlds = [frame.world for frame in frames]
+    hidden = _occluders(worlds, eyes, offset / distance[:, None], distance)
     reasons, names = [], Counter[str]()
     for i in range(len(frames)):
         if distance[i] > reach:
@@ -115,14 +124,16 @@ def _lidar(frame: Frame) -> LidarModel:
     return LidarModel(**values) if isinstance(values, dict) else LIDARS["mid360"]
 
 
-def _occluders(world: World | None, eyes: Array, directions: Array, distance: Array) -> list[str]:
-    """Return the name of what hides a place from each eye, empty if nothing does."""
-    if world is None:
+def _occluders(worlds: list[World | None], eyes: Array, directions: Array, distance: Array) -> list[str]:
+    """Return the name of what hides a place from each eye, each in its world; empty if nothing does."""
+    known = [world for world in worlds if world is not None]
+    if len(known) < len(worlds):
         return [""] * len(eyes)
-    worlds = DeviceWorlds([world] * len(eyes))
+    packed = DeviceWorlds(known)
     with wp.ScopedDevice("cpu"):
         origins, rays = wp.array(eyes, dtype=wp.vec3), wp.array(directions[:, None], dtype=wp.vec3)
-        ranges = np.asarray(cast(worlds, origins, rays).numpy())[:, 0]
+        ranges = np.asarray(cast(packed, origins, rays).numpy())[:, 0]
     is_hidden = ranges < distance - _NEAR
     hits = eyes + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * directions
-    return [world.nearest(hit)[1] if hides else "" for hit, hides in zip(hits, is_hidden, strict=True)]
+    found = zip(known, hits, is_hidden, strict=True)
+    return [world.nearest(hit)[1] if hides else "" for world, hit, hides in found]

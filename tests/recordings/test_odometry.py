@@ -54,7 +54,7 @@ def error(estimated: Recording, flight: Path) -> float:
 @pytest.mark.parametrize("method", ["rko-lio", "kiss-icp"])
 def test_the_estimate_follows_the_true_motion_and_is_cached(blind: Path, flight: Path, method: str):
     done: list[int] = []
-    limit = 0.05 if method == "rko-lio" else 0.1  # without an IMU, the motion during a sweep is not corrected
+    limit = 0.05 if method == "rko-lio" else 0.2  # without an IMU, the motion during a sweep is not corrected
     with open_recording(blind, odometry=method, progress=lambda i, _: done.append(i)) as recording:  # type: ignore[arg-type]
         assert recording.pose_topic == f"odometry by {method}"
         assert error(recording, flight) < limit

@@ -291,7 +291,7 @@ def _moving() -> Benchmark:
         "moving",
         "Moving obstacles",
         "Pillars, 0.4 to 1.1 m wide, move back and forth over 5 to 15 m at 0.5 to 2 m/s, between and beside start and "
-        "goal. They keep their ways, so that one may hit a drone that stands still. The planner does not predict their "
+        "goal. They keep their ways, so that one may hit a drone that stands still. The planner estimates their "
         "motion, and knows the height of the ground.",
         tuple(rows),
         x_label="velocity limit [m/s]",
