@@ -79,8 +79,14 @@ def place_of(desk, kind: str) -> np.ndarray:
     # For a cell, a ray that passes its point farther than a click on the point may.
     targets = points if kind == "point" else points + 0.025 * distances * (0.0, 0.0, 1.0)
     for target in targets[np.argsort(-((targets - eye) / distances) @ toward)]:
-        picked = pick(frame, eye, (target - eye) / np.linalg.norm(target - eye), cells=True)
-        if picked is not None and picked.kind == kind:
+        x, y = desk.place_on_page(target)
+        # A window of the page may lie over the place, and the mouse is only as exact as a pixel.
+        is_free = desk.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", [x, y])
+        near = target + 0.003 * np.linalg.norm(target - eye) * np.array(
+            ((0, 0, 0), (0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0))
+        )
+        picked = [pick(frame, eye, (place - eye) / np.linalg.norm(place - eye), cells=True) for place in near]
+        if is_free and all(found is not None and found.kind == kind for found in picked):
             return target
     raise AssertionError(f"no {kind} can be clicked")
 
