@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from aero_planner import PlanStatus
 from aero_planner.quaternions import rotate
@@ -17,7 +17,6 @@ from aero_viz.explain.trace import FlightTrace
 from aero_viz.explain.verdict import closest
 from aero_viz.explain.visibility import Seen, find_seen
 from aero_viz.scenes import World
-from aero_viz.scenes.motion import displacements
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]
@@ -106,16 +105,15 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
     place, obstacle = _contact(last, world, end)
-    moving = _moving_cylinder(last.moving_world, obstacle)
-    if moving is not None:
-        place = place + moving.displacements([frame.time for frame in frames], since=last.time)
-        obstacle_text = f"{obstacle}, which moves at {moving.speed:.1f} m/s,"
-    else:
-        obstacle_text = obstacle
+    sentences = [f"It hit {obstacle} at {_point(end)}." if world else f"It collided at {_point(end)}."]
+    moving_row = _moving_row(last.moving_world, obstacle)
+    if world is not None and last.moving_world is not None and moving_row is not None:
+        speed = float(np.linalg.norm(last.moving_world.motion[moving_row, :2]))
+        cylinders = np.stack([last.moving_world.at(frame.time).cylinders[moving_row] for frame in frames])
+        place = place + cylinders[:, :3] - world.cylinders[moving_row, :3]
+        sentences = [f"It hit {obstacle}, which moves at {speed:.1f} m/s, at {_point(end)}."]
+        sentences += _followed_sentence(frames, cylinders)
     seen = find_seen(frames, place)
-    sentences = [f"It hit {obstacle_text} at {_point(end)}." if world else f"It collided at {_point(end)}."]
-    if moving is not None:
-        sentences += _followed_sentence(frames, moving)
     frame = _last_braking(frames, last.moving_world, trace.rules.radius)
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
@@ -136,7 +134,7 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
         since = next((f.time for f in reversed(frames) if _status(f) != status), frames[0].time)
         sentences.append(f"It was stopping when it hit: {_STOPPING[status]} after {since:.2f} s.")
     cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
-    if moving is not None:
+    if moving_row is not None:
         cause = f"{_MOVING}: {cause}"
     report = PostMortem(
         **facts, cause=cause, obstacle=obstacle, seen=seen, braking=braking, sentences=sentences, missing=trace.missing
@@ -144,45 +142,26 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     return report, evidence or replan(frames[-1])
 
 
-@dataclass(frozen=True, eq=False)
-class _MovingCylinder:
-    """An obstacle that moves."""
-
-    foot: Array
-    """Where its axis begins at time 0 [m], shape [2]."""
-    radius: float
-    motion: Array
-    """Its row of `World.motion`, shape [1, 3]."""
-
-    @property
-    def speed(self) -> float:
-        return float(np.linalg.norm(self.motion[0, :2]))
-
-    def displacements(self, times: ArrayLike, *, since: float) -> Array:
-        """Return how far it is from its place at a time at other times [m], shape [n, 3]."""
-        ways = displacements(self.motion, times) - displacements(self.motion, since)
-        return np.pad(ways[:, 0], ((0, 0), (0, 1)))
-
-
-def _moving_cylinder(world: World | None, obstacle: str) -> _MovingCylinder | None:
-    """Return the obstacle with a name of `World.nearest` if it moves."""
+def _moving_row(world: World | None, obstacle: str) -> int | None:
+    """Return the row of the cylinder with a name of `World.nearest` if it moves."""
     kind, _, row = obstacle.partition(" ")
     if world is None or not len(world.motion) or kind != "cylinder":
         return None
-    cylinder = world.cylinders[int(row)]
-    found = _MovingCylinder(cylinder[:2], float(cylinder[_RADIUS]), world.motion[[int(row)]])
-    return found if found.speed > 0.0 else None
+    return int(row) if np.any(world.motion[int(row), :2]) else None
 
 
-def _followed_sentence(frames: list[Frame], obstacle: _MovingCylinder) -> list[str]:
-    """Say since when the planner has followed an obstacle, without a gap up to the end; nothing if it is unknown."""
+def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
+    """Say since when the planner has followed an obstacle, without a gap up to the end; nothing if it is unknown.
+
+    `cylinders` are its rows of `World.cylinders` at the times of the frames, shape [frames, 8].
+    """
     since: float | None = None
-    for frame in reversed(frames):
+    for frame, cylinder in zip(reversed(frames), reversed(cylinders), strict=True):
         moving = frame.plan.moving
         if moving is None:
             return []
-        axis = obstacle.foot + obstacle.displacements([frame.time], since=0.0)[0, :2]
-        if not (np.linalg.norm(moving.positions - axis, axis=1) < obstacle.radius + _SAME_OBSTACLE).any():
+        distances = np.linalg.norm(moving.positions - cylinder[:2], axis=1)
+        if not (distances < cylinder[_RADIUS] + _SAME_OBSTACLE).any():
             break
         since = frame.time
     if since is None:

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
+from tests.dashboard.page_client import wait_for
 
 
 def processes_with(tag: str) -> list[Path]:
@@ -53,8 +53,5 @@ def test_sigterm_leaves_nothing_behind(program, arguments, line, code, short_pol
     telemetry.close()
     assert process.returncode == code and "Traceback" not in error, error
     # The node's failsafe process outlives it for a moment: it makes sure that the node has ended.
-    deadline = time.monotonic() + 30.0
-    while (left := processes_with(tag)) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert left == []
+    wait_for(lambda: processes_with(tag) == [], "all processes to end", timeout=30.0)
     assert os.listdir(tmp_path) == []
