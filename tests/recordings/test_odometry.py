@@ -8,6 +8,7 @@ import pytest
 from command_line import run, run_json, run_refused
 from rosbags.typesys import Stores, get_typestore
 
+from aero_planner import PlannerConfig
 from aero_viz.flight import FlightRules
 from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
 from aero_viz.recordings import NO_POSES, Recording, open_recording
@@ -25,7 +26,9 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     options = SensorLogOptions(every=3, imu=True, plan_period=None, hover=0.5, duration=2.0)
     rules = FlightRules(period=0.005, ticks_per_plan=4)
-    write_sensor_log(scene("forest", seed=3), path, seed=3, speed=3.0, rules=rules, options=options)
+    # Errors differ from flight to flight: what the planner prefers by default must not decide about the limits below.
+    config = PlannerConfig().replace({"costs.waypoint_distance": 3.0, "escape.patience": 0.3})
+    write_sensor_log(scene("forest", seed=3), path, seed=3, speed=3.0, config=config, rules=rules, options=options)
     return path
 
 
@@ -54,7 +57,7 @@ def error(estimated: Recording, flight: Path) -> float:
 @pytest.mark.parametrize("method", ["rko-lio", "kiss-icp"])
 def test_the_estimate_follows_the_true_motion_and_is_cached(blind: Path, flight: Path, method: str):
     done: list[int] = []
-    limit = 0.05 if method == "rko-lio" else 0.2  # without an IMU, the motion during a sweep is not corrected
+    limit = 0.05 if method == "rko-lio" else 0.1  # without an IMU, the motion during a sweep is not corrected
     with open_recording(blind, odometry=method, progress=lambda i, _: done.append(i)) as recording:  # type: ignore[arg-type]
         assert recording.pose_topic == f"odometry by {method}"
         assert error(recording, flight) < limit
