@@ -78,15 +78,20 @@ def place_of(desk, kind: str) -> np.ndarray:
     toward, distances = np.asarray(desk.camera.look_at) - eye, np.linalg.norm(points - eye, axis=1, keepdims=True)
     # For a cell, a ray that passes its point farther than a click on the point may.
     targets = points if kind == "point" else points + 0.025 * distances * (0.0, 0.0, 1.0)
-    for target in targets[np.argsort(-((targets - eye) / distances) @ toward)]:
-        x, y = desk.place_on_page(target)
-        # A window of the page may lie over the place, and the mouse is only as exact as a pixel.
-        is_free = desk.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", [x, y])
+
+    def is_free(place: np.ndarray) -> bool:
+        on_page = list(desk.place_on_page(place))
+        return desk.page.evaluate("([x, y]) => document.elementFromPoint(x, y)?.tagName === 'CANVAS'", on_page)
+
+    # A ray cast takes 2 ms, and neighbours have the same result.
+    for target in targets[np.argsort(-((targets - eye) / distances) @ toward)][::8]:
+        # The mouse is only as exact as a pixel.
         near = target + 0.003 * np.linalg.norm(target - eye) * np.array(
             ((0, 0, 0), (0, 0, 1), (0, 0, -1), (0, 1, 0), (0, -1, 0))
         )
-        picked = [pick(frame, eye, (place - eye) / np.linalg.norm(place - eye), cells=True) for place in near]
-        if is_free and all(found is not None and found.kind == kind for found in picked):
+        picked = (pick(frame, eye, (place - eye) / np.linalg.norm(place - eye), cells=True) for place in near)
+        # A window of the page may lie over the place.
+        if all(found is not None and found.kind == kind for found in picked) and is_free(target):
             return target
     raise AssertionError(f"no {kind} can be clicked")
 
