@@ -154,6 +154,7 @@ class Workspace:
     goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal, completed.")
     goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, completed, w x y z.")
     lookahead_length: wp.array = array(wp.float32, "B", "m", "l.")
+    clip_guides: wp.array = array(wp.int32, "B", "", "1 where guides end before what their cells measured.")
     initial_directions: wp.array = array(wp.vec3, "B A", "", "Directions of the initial endpoints, body frame.")
     fine_directions: wp.array = array(wp.vec3, "F0 F1", "", "Table of the centre directions of the fine cells.")
 

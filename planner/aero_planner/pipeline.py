@@ -121,7 +121,8 @@ class Pipeline(LaunchSequence):
                 w.tick, r.escape, r.previous,
             ],
             outputs=[
-                w.command, w.control, r.goal, w.lookahead_length, w.initial_directions, o.initial_endpoints,
+                w.command, w.control, r.goal, w.lookahead_length, w.clip_guides, w.initial_directions,
+                o.initial_endpoints,
             ],
         )  # fmt: skip
         return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), self._place_movers(), place]
@@ -250,7 +251,7 @@ class Pipeline(LaunchSequence):
             inputs=[
                 r.drone, i.time, r.goal, self._params, sizes.M, sizes.A, self._previous_index,
                 part.fine_cells, part.coarse_rows, part.coarse_columns, o.fine_range, w.fine_directions,
-                w.lookahead_length, w.initial_directions, r.previous,
+                w.lookahead_length, w.clip_guides, w.initial_directions, r.previous,
             ],
             outputs=[r.guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready],
             block_dim=32,

@@ -107,6 +107,11 @@ def anchor_directions(position: Array, velocity: Array, goal: Array, config: Pla
     return np.array([[np.cos(e) * np.cos(h), np.cos(e) * np.sin(h), np.sin(e)] for e in elevation for h in azimuth])
 
 
+def clipped_length(length: float, free: float, config: PlannerConfig) -> float:
+    """Return the length of a guide of a slow drone that is stuck, from l and the range of its fine cell."""
+    return min(length, max(free - config.escape.guide_margin, config.escape.guide_min))
+
+
 # 5. Guides.
 
 

@@ -445,6 +445,18 @@ class EscapeConfig(ParameterSection, section="escape"):
         "drone near a remembered place: the way out may lead upward.",
         label="Rise factor near a place",
     )  # fmt: skip
+    guide_depth: float = live(
+        20.0, "m", 0.0, 400.0, "Sum of the depths in the neighbourhoods of remembered places above which a slow drone "
+        "is stuck: its guides end before what is seen, since a guide through a wall does not lead out. 400 m switches "
+        "this off.",
+        label="Depth of short guides",
+    )  # fmt: skip
+    guide_margin: float = live(
+        0.2, "m", 0.0, 5.0, "Distance from the end of such a guide to what its fine cell measured.",
+    )  # fmt: skip
+    guide_min: float = live(
+        0.6, "m", 0.0, 30.0, "Least length of such a guide.", label="Shortest guide",
+    )  # fmt: skip
     patience: float = live(
         0.15, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."
     )

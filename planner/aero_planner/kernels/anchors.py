@@ -12,7 +12,7 @@ from aero_planner.kernels.dynamics import (
     quat_inverse_rotate,
     quat_rotate,
 )
-from aero_planner.kernels.escape import Escape, escape_cost
+from aero_planner.kernels.escape import Escape, escape_depth
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cell_of_direction, safest_fine_cell
 from aero_planner.kernels.records import DroneState, GoalState, PreviousPlan
@@ -82,13 +82,15 @@ def place_anchors(
     control: wp.array(dtype=wp.vec4),
     full_goal: GoalState,
     lookahead_length: wp.array(dtype=float),
+    clip_guides: wp.array(dtype=int),
     initial_directions: wp.array2d(dtype=wp.vec3),
     initial_endpoints: wp.array2d(dtype=wp.vec3),
 ):
     """Place the initial endpoints p0 + l d, with d spaced around the azimuth and elevation of the goal in the world.
 
-    `initial_directions` are d in the body frame. The thread of the first anchor also finds the controls in effect and
-    derives the velocity and attitude that the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
+    `initial_directions` are d in the body frame. A slow drone near remembered places gets other rows of anchors and
+    shorter guides; see `EscapeConfig`. The thread of the first anchor also finds the controls in effect and derives the
+    velocity and attitude that the goal leaves open; see `Goal`. Launched over [B, M_h M_v].
     """
     b, m = wp.tid()
     p = drone.position[b]
@@ -97,8 +99,11 @@ def place_anchors(
     distance = wp.length(to_goal)
     speed = wp.length(drone.velocity[b])
     length = lookahead(speed, distance, float(steps) * params[b].dt, params[b])
+    is_slow = speed < params[b].slow_speed
+    depth = wp.where(is_slow, escape_depth(p, b, escape, params[b]), 0.0)
     if m == 0:
         lookahead_length[b] = length
+        clip_guides[b] = wp.where(depth > params[b].guide_depth, 1, 0)
         commanded, in_effect = flown_controls(b, time_since_plan(b, time[b], previous, params[b]), previous, params[b])
         command[b] = commanded
         control[b] = in_effect
@@ -117,9 +122,9 @@ def place_anchors(
         to_goal = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
     spacing = wp.radians(params[b].spacing)
     rise = spacing
-    if speed < params[b].slow_speed:
+    if is_slow:
         share = float(tick[b] % params[b].slow_cycle + 1) / float(params[b].slow_cycle)
-        factor = wp.where(escape_cost(p, b, escape, params[b]) > 0.0, params[b].rise, params[b].slow_rise)
+        factor = wp.where(depth > 0.0, params[b].rise, params[b].slow_rise)
         rise = spacing * (1.0 + (factor - 1.0) * share)
         spacing = spacing * (1.0 + (params[b].slow_spread - 1.0) * share)
     azimuth = wp.atan2(to_goal[1], to_goal[0]) + (float(m % columns) - 0.5 * float(columns - 1)) * spacing
@@ -137,18 +142,26 @@ def safe_anchor(
     m: int,
     position: wp.vec3,
     quaternion: wp.vec4,
-    refine: int,
+    params: Params,
     fine_cells: int,
     coarse_rows: int,
     coarse_columns: int,
     fine_range: wp.array2d(dtype=float),
     directions: wp.array2d(dtype=wp.vec3),
     length: float,
+    clip: int,
     initial_directions: wp.array2d(dtype=wp.vec3),
 ) -> wp.vec3:
-    """Return the refined endpoint p0 + l d, with d the safe direction of the coarse cell [m], world frame."""
+    """Return the refined endpoint p0 + l d, with d the safe direction of the coarse cell [m], world frame.
+
+    With `clip`, it is `guide_margin` nearer than what its fine cell measured, but no nearer than `guide_min`.
+    """
     d = initial_directions[b, m]
-    if refine != 0:
+    fine_row, fine_column = cell_of_direction(d, directions.shape[0], directions.shape[1])
+    free = fine_range[b, fine_row * directions.shape[1] + fine_column]
+    if params.refine != 0:
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
-        _r, d = safest_fine_cell(fine_range, directions, b, row, column, fine_cells, initial_directions[b, m])
+        free, d = safest_fine_cell(fine_range, directions, b, row, column, fine_cells, initial_directions[b, m])
+    if clip != 0:
+        length = wp.min(length, wp.max(free - params.guide_margin, params.guide_min))
     return position + length * quat_rotate(quaternion, d)

@@ -24,8 +24,8 @@ class Escape:
 
 
 @wp.func
-def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
-    """Return q_escape times the sum of the depths of p in the neighbourhoods of the remembered places.
+def escape_depth(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
+    """Return the sum of the depths of p in the neighbourhoods of the remembered places [m]; 0 if these have no weight.
 
     It fades out within half a radius of the goal: a drone that has passed its goal must be able to come back.
     """
@@ -34,7 +34,13 @@ def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
         for k in range(wp.min(escape.count[b], PLACES)):
             depth += wp.max(0.0, params.radius - wp.length(p - escape.places[b, k]))
         depth *= wp.min(1.0, 2.0 * wp.length(p - escape.goal[b]) / params.radius)
-    return params.q_escape * depth
+    return depth
+
+
+@wp.func
+def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
+    """Return the cost of a rollout that ends at p: q_escape times its depth."""
+    return params.q_escape * escape_depth(p, b, escape, params)
 
 
 @wp.func

@@ -225,6 +225,7 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         fine_range: wp.array2d(dtype=float),
         directions: wp.array2d(dtype=wp.vec3),
         lookahead_length: wp.array(dtype=float),
+        clip_guides: wp.array(dtype=int),
         initial_directions: wp.array2d(dtype=wp.vec3),
         previous: PreviousPlan,
         # out
@@ -260,8 +261,8 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         is_stop = m == instances + BRAKING_CANDIDATES - 1
         if m < anchor_count:
             p1 = safe_anchor(
-                b, m, p0, q0, c.refine, fine_cells, coarse_rows, coarse_columns, fine_range, directions,
-                lookahead, initial_directions,
+                b, m, p0, q0, c, fine_cells, coarse_rows, coarse_columns, fine_range, directions,
+                lookahead, clip_guides[b], initial_directions,
             )  # fmt: skip
             v1 = c.arrival_speed * wp.normalize(p1 - p0)
             if lookahead >= goal_distance:

@@ -3,9 +3,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aero_planner import Planner
+from aero_planner import Goal, Planner, VehicleState
 from tests.planner import reference
-from tests.planner.cases import config_of, exact, random_case
+from tests.planner.cases import config_of, exact, random_case, shell
 
 SEEDS = range(4)
 
@@ -89,6 +89,45 @@ def test_slow_drones_use_a_wider_spacing(device: str):
 
     assert width(2.9) == pytest.approx(36.0, abs=0.01)
     assert width(3.1) == pytest.approx(18.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("changes", "gets_stuck"),
+    [
+        ({}, True),
+        ({"escape__guide_margin": 0.3, "escape__guide_min": 0.8}, True),
+        ({"escape__guide_depth": 9.0, "escape__radius": 2.0, "anchors__refine": False}, True),
+        ({"escape__guide_depth": 400.0}, False),
+        ({"escape__q_escape": 0.0}, False),
+        ({"anchors__slow_speed": 0.0}, False),
+    ],
+)
+def test_guides_of_a_slow_drone_that_is_stuck_end_before_what_is_seen(
+    device: str, changes: dict[str, Any], gets_stuck: bool
+):
+    config, case = config_of(**changes), random_case(2, speed=0.0, count=0, tilt=0.0)
+    planner, directions = Planner(config, device=device), shell(np.zeros(3), 1.0, count=60000)
+    # Nothing in one quarter around the drone, walls in the others.
+    quarters = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) * 2 / np.pi).astype(int)
+    radii = np.array((30.0, 0.7, 1.3, 2.0))[quarters]
+    points = (case.position + radii[:, None] * directions).astype(np.float32)
+    full = reference.lookahead(0.0, float(np.linalg.norm(case.goal - case.position)), config)
+    were_stuck, lengths = [], np.zeros(15)
+    for k in range(14):
+        # All remembered places are where the drone is.
+        depth = config.escape.radius * planner.history().place_count[0] if k > 0 else 0.0
+        were_stuck.append(depth > config.escape.guide_depth and gets_stuck)
+        state = VehicleState(case.position, case.velocity, case.quaternion, time=0.1 * k)
+        plan = planner.plan(state, Goal(case.goal), points)
+        offsets = plan.anchors[:15].astype(np.float64) - case.position
+        in_body = offsets @ reference.rotation(reference.unit(case.quaternion))
+        rows, columns, border = reference.cell_indices(in_body, *plan.fine_range.shape)
+        free = plan.fine_range[rows, columns]
+        expected = [reference.clipped_length(full, r, config) if were_stuck[-1] else full for r in free]
+        lengths = np.linalg.norm(offsets, axis=1)
+        np.testing.assert_allclose(lengths[border > 1e-4], np.asarray(expected)[border > 1e-4], atol=2e-5)
+    assert not were_stuck[0] and were_stuck[-1] == gets_stuck
+    assert not gets_stuck or len(set(np.round(lengths, 3))) > 2  # the shortest, at a wall, and of full length
 
 
 def test_a_goal_at_the_drone_holds_its_position(device: str):
