@@ -35,7 +35,8 @@ _STREAM_TIME = 1.0  # [s] that setpoints must have been arriving before OFFBOARD
 _DEFAULT_STATE_RATE = 50.0  # [Hz]
 _MAX_STATE_RATE = 250.0  # [Hz]
 _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram arrived
-_ODOMETRY, _EXTENDED_SYS_STATE = 331, 245
+_ODOMETRY, _EXTENDED_SYS_STATE, _GPS_RAW_INT = 331, 245, 24
+_FIX_RATE = 8.0  # [Hz]
 _START_RADIUS = 0.2  # [m] from the start at which the take-off ends
 _ARMING_TIME = 1.5  # [s] after which a companion has received a heartbeat of a disarmed vehicle
 _HOLD_ACCELERATION = 2.0  # [m/s^2], the largest that HOLD asks for; PX4 limits the jerk as well
@@ -124,6 +125,7 @@ class SimulatedAutopilot:
         self._state_period = 1.0 / _DEFAULT_STATE_RATE
         self._next_state = self._next_heartbeat = 0.0
         self._landed_period, self._next_landed = math.inf, math.inf  # not sent before it is requested
+        self._fix_period, self._next_fix = 1.0 / _FIX_RATE, 0.0
         self._on_ground = ground is not None
         self._takeoff_time, self._height_offset = takeoff_time, height_offset
         self._armed_at = self._companion_heard_at = self._lost_at = math.inf
@@ -191,7 +193,7 @@ class SimulatedAutopilot:
         return True
 
     def lose_position(self, lost: bool = True) -> None:
-        """Let the estimated position drift and grow uncertain from now on, or find it again."""
+        """Lose the GNSS fix, with which the estimated position drifts and grows uncertain, or find it again."""
         self._lost_at = self._now if lost else math.inf
 
     def hold(self) -> None:
@@ -317,6 +319,8 @@ class SimulatedAutopilot:
             self._state_period = period
         elif is_supported and number == _EXTENDED_SYS_STATE:
             self._landed_period, self._next_landed = period, self._now
+        elif is_supported and number == _GPS_RAW_INT:
+            self._fix_period = period
         else:
             is_supported = False
         result = d.MAV_RESULT_ACCEPTED if is_supported else d.MAV_RESULT_UNSUPPORTED
@@ -344,12 +348,22 @@ class SimulatedAutopilot:
         if self._now >= self._next_landed:
             self._next_landed = max(self._next_landed + self._landed_period, self._now)
             self._send(d.MAVLink_extended_sys_state_message(d.MAV_VTOL_STATE_UNDEFINED, self._landed_state()))
+        if self._now >= self._next_fix:
+            self._next_fix = max(self._next_fix + self._fix_period, self._now)
+            self._send(self._fix_message())
         if self._now >= self._next_state:
             self._next_state = max(self._next_state + self._state_period, self._now)
             if not (self.frozen and self._frozen_message):
                 self._frozen_message = self._state_messages()
             for message in self._frozen_message:
                 self._send(message)
+
+    def _fix_message(self) -> Any:
+        d = self._dialect
+        kind = d.GPS_FIX_TYPE_3D_FIX if self._now < self._lost_at else d.GPS_FIX_TYPE_NO_GPS
+        unknown = 2**16 - 1
+        # The place on Earth is not simulated.
+        return d.MAVLink_gps_raw_int_message(int(1e6 * (_BOOT_TIME + self._now)), kind, 0, 0, 0, *[unknown] * 4, 255)
 
     def _landed_state(self) -> int:
         d, start = self._dialect, self._hold_position

@@ -331,16 +331,19 @@ def test_a_lost_position_drifts_and_grows_uncertain(make):
     c = make(height_offset=0.48)
     c.run(0.5)
     _, known = c.got("ODOMETRY")[-1]
+    assert c.got("GPS_RAW_INT")[-1][1].fix_type == mavlink.GPS_FIX_TYPE_3D_FIX
     assert known.z == pytest.approx(-3.48) and known.pose_covariance[0] == pytest.approx(0.04)
     c.autopilot.lose_position()
     c.run(13.0)
     _, lost = c.got("ODOMETRY")[-1]
+    assert c.got("GPS_RAW_INT")[-1][1].fix_type == mavlink.GPS_FIX_TYPE_NO_GPS
     assert np.hypot(lost.x - known.x, lost.y - known.y) == pytest.approx(6.0, abs=0.1)
     assert lost.pose_covariance[6] == pytest.approx(31.0, rel=0.05)
     assert lost.velocity_covariance[11] ** 0.5 == pytest.approx(0.9, abs=0.01)
     c.autopilot.lose_position(False)
-    c.run(0.1)
+    c.run(0.2)
     _, found = c.got("ODOMETRY")[-1]
+    assert c.got("GPS_RAW_INT")[-1][1].fix_type == mavlink.GPS_FIX_TYPE_3D_FIX
     assert found.x == pytest.approx(known.x) and found.velocity_covariance[0] ** 0.5 == pytest.approx(0.05)
 
 

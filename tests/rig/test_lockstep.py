@@ -96,6 +96,34 @@ def test_a_blind_drone_is_handed_back_at_rest_and_level(
         assert not rig.collided
 
 
+def brake_without_fix(rig: LockstepRig) -> None:
+    """Take the GNSS fix away at full speed, and run until the drone brakes."""
+    at_full_speed(rig)
+    rig.autopilot.lose_position()
+    lost = rig.now
+    while rig.node.state is not State.BRAKING:
+        rig.run(0.02)
+        assert rig.now - lost < 1.0
+
+
+def test_a_drone_that_loses_its_gnss_fix_brakes_within_a_second_and_is_handed_back(planner: Planner):
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1) as rig:
+        brake_without_fix(rig)
+        rig.run(2.0)
+        assert rig.speed < 0.5 and not rig.collided
+        rig.run(LIMITS.brake_time - 2.0 + 0.6)
+        assert rig.autopilot.mode is Mode.HOLD and math.degrees(rig.tilt) < 1.0 and not rig.collided
+
+
+def test_a_drone_that_has_its_gnss_fix_again_flies_on(planner: Planner):
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1) as rig:
+        brake_without_fix(rig)
+        rig.run(1.0)
+        rig.autopilot.lose_position(False)
+        rig.run(0.5)
+        assert rig.node.state is State.FLYING and rig.autopilot.mode is Mode.OFFBOARD and not rig.collided
+
+
 def test_a_paused_node_finds_a_slower_drone_and_flies_on(planner: Planner):
     with LockstepRig(planner, avenue((12.0, 0.6)), seed=2) as rig:
         at_full_speed(rig)

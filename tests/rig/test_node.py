@@ -80,9 +80,18 @@ def test_without_states_the_node_brakes_by_dead_reckoning_and_hands_back(world):
     assert not obeyed_after(result, 1.5 + limits.state_age + limits.blind_time + 0.5)
 
 
-def test_a_lost_position_is_noticed_and_the_drone_handed_back(world):
+def test_a_drone_that_loses_its_gnss_fix_brakes_within_a_second_and_is_handed_back(world):
+    result = fly(world, Fault("lose-position", 1.5), onboard=ONBOARD.replace({"limits.brake_time": 3.0}))
+    assert result.reason == "held", (result, result.log)
+    assert any("BRAKING: the autopilot's GNSS receiver has lost its fix" in line for line in result.log), result.log
+    # It is at rest before its estimator would have reported the loss.
+    assert speed_at(result, 1.4) > 1.5 and speed_at(result, 3.5) < 0.4
+
+
+def test_without_gnss_a_lost_position_is_noticed_by_its_uncertainty(world):
     lost = Fault("lose-position", 1.0)
-    result = fly(world, lost, onboard=ONBOARD.replace({"limits.velocity_std": 0.1, "limits.brake_time": 3.0}))
+    limits = {"limits.fix_age": 1e4, "limits.velocity_std": 0.1, "limits.brake_time": 3.0}
+    result = fly(world, lost, onboard=ONBOARD.replace(limits))
     assert result.reason == "held", (result, result.log)
     assert any("position or velocity is too uncertain" in line for line in result.log)
 

@@ -86,6 +86,8 @@ class Inputs:
     """Standard deviation of the position as estimated by the autopilot [m]; NaN if unknown."""
     velocity_std: float
     """The same for the velocity [m/s]."""
+    fix_age: float
+    """Age of the newest fix of the autopilot's GNSS receiver [s]; NaN if there never was one."""
     drift_angle: float
     """Error of the attitude that the LiDAR has measured in the last seconds [rad]; NaN if it has not."""
     drift_speed: float
@@ -123,6 +125,7 @@ class Cause(enum.Enum):
     LINK_LOST = "no heartbeat from the autopilot"
     STATE_STALE = "no vehicle state from the autopilot"
     STATE_NOT_FINITE = "the vehicle state contains NaN or infinity"
+    FIX_LOST = "the autopilot's GNSS receiver has lost its fix"
     ESTIMATE_POOR = "the autopilot's position or velocity is too uncertain"
     OUTSIDE_FENCE = "outside the geofence"
     LOOP_STALLED = "the control loop stalled"
@@ -147,8 +150,9 @@ class Cause(enum.Enum):
 
 
 FAULTS = (
-    Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.ESTIMATE_POOR, Cause.OUTSIDE_FENCE,
-    Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
+    Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.FIX_LOST, Cause.ESTIMATE_POOR,
+    Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE,
+    Cause.PLAN_UNSAFE,
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
@@ -166,7 +170,7 @@ REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
 BLINDING = (Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE)
 """Faults that leave only dead reckoning."""
 
-UNLOCATED = (*BLINDING, Cause.ESTIMATE_POOR)
+UNLOCATED = (*BLINDING, Cause.FIX_LOST, Cause.ESTIMATE_POOR)
 """Faults without a position to hold: the drone is braked, but it does not count as at rest."""
 
 HARMLESS_AT_REST = (Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE)
@@ -176,6 +180,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.LINK_LOST: ("limits.heartbeat_age",),
     Cause.STATE_STALE: ("limits.state_age",),
     Cause.STATE_NOT_FINITE: ("limits.state_age",),  # at the latest: a link that drops such states lets the state age
+    Cause.FIX_LOST: ("limits.fix_age",),
     Cause.ESTIMATE_POOR: (),
     Cause.OUTSIDE_FENCE: (),
     Cause.LOOP_STALLED: ("limits.deadline",),
@@ -225,6 +230,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.LINK_LOST: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age),
     Cause.STATE_STALE: lambda i, lim: _exceeds(i.state_age, lim.state_age),
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
+    Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,
     Cause.ESTIMATE_POOR: _estimate_is_poor,
     Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence,
     Cause.LOOP_STALLED: lambda i, lim: _exceeds(i.loop_age, lim.deadline),

@@ -113,6 +113,7 @@ def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboar
         ),
         _check_landed_state(sample),
         *_check_uncertainty(sample, onboard),
+        _check_fix(sample, now, onboard),
     ]
 
 
@@ -138,6 +139,18 @@ def _check_uncertainty(sample: VehicleSample, onboard: OnboardConfig) -> Iterato
         else:
             advice = f"The node flies with at most {limit:g} {unit}: wait for a better estimate, and check its sources."
             yield Check(name, f"{std:.2f} {unit} (standard deviation)", ok=std <= limit, advice=advice)
+
+
+def _check_fix(sample: VehicleSample, now: float, onboard: OnboardConfig) -> Check:
+    if math.isnan(sample.fix_time):
+        advice = (
+            "If the drone depends on GNSS, wait for a fix, and let the autopilot send GPS_RAW_INT: without it, a lost "
+            "position is noticed seconds late, by the uncertainty alone."
+        )
+        return Check("GNSS fix", "not reported", ok=False, required=False, advice=advice)
+    age, limit = now - sample.fix_time, onboard.limits.fix_age
+    advice = f"The node flies while a fix is at most {limit:g} s old: wait for one, and check antenna and sky."
+    return Check("GNSS fix", f"{age:.1f} s ago", ok=age <= limit, advice=advice)
 
 
 def _check_dropped(link: VehicleLink) -> Iterator[Check]:

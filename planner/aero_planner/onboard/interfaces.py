@@ -85,6 +85,8 @@ class VehicleSample:
     autopilot does not report it."""
     velocity_std: float = math.nan
     """The same for the velocity [m/s]."""
+    fix_time: float = math.nan
+    """Time at which the autopilot's GNSS receiver last reported a fix, host time [s]; NaN if it never did."""
     ground_height: float = math.nan
     """Height of the ground below the vehicle as its distance sensor measures it, world frame [m]; NaN without a recent
     measurement."""

@@ -35,6 +35,7 @@ _log = logging.getLogger(__name__)
 _REQUEST_PERIOD = 2.0  # [s] between two requests for messages
 _LANDED_RATE = 5.0  # [Hz] of EXTENDED_SYS_STATE
 _RANGE_RATE = 10.0  # [Hz] of DISTANCE_SENSOR
+_FIX_RATE = 5.0  # [Hz] of GPS_RAW_INT
 _DATAGRAMS_PER_POLL = 128  # twenty times as many as arrive in a control period
 _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
 _GOAL = "SET_POSITION_TARGET_LOCAL_NED"
@@ -198,6 +199,7 @@ class MavlinkLink(MavlinkSender):
             "ODOMETRY": (d.MAVLINK_MSG_ID_ODOMETRY, self._state_rate),
             "EXTENDED_SYS_STATE": (d.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, _LANDED_RATE),
             "DISTANCE_SENSOR": (d.MAVLINK_MSG_ID_DISTANCE_SENSOR, _RANGE_RATE),
+            "GPS_RAW_INT": (d.MAVLINK_MSG_ID_GPS_RAW_INT, _FIX_RATE),
         }
         for name, (number, rate) in wanted.items():
             if self._arrived.get(name, 0) < 0.7 * rate * elapsed:

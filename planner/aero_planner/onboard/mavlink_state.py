@@ -5,8 +5,8 @@ counts as reset when the reset counter of ODOMETRY changes, when LOCAL_POSITION_
 flight does (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message. The
 covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
 
-HEARTBEAT tells whether the vehicle is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the air. A
-DISTANCE_SENSOR that looks down measures the height of the ground.
+HEARTBEAT tells whether the vehicle is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the air, GPS_RAW_INT
+whether GNSS has a fix. A DISTANCE_SENSOR that looks down measures the height of the ground.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ class StateReceiver:
 
     MESSAGES = (
         "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
+        "GPS_RAW_INT",
     )  # fmt: skip
     """Names of the messages that `process` takes."""
 
@@ -69,6 +70,7 @@ class StateReceiver:
             "LOCAL_POSITION_NED": self._process_position,
             "EXTENDED_SYS_STATE": self._process_landed_state,
             "DISTANCE_SENSOR": self._process_distance,
+            "GPS_RAW_INT": self._process_fix,
         }
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
@@ -76,6 +78,7 @@ class StateReceiver:
         self._landed_state, self._landed_time = 0, -np.inf
         self._position_std = self._velocity_std = math.nan
         self._ground_height, self._range_time = math.nan, -np.inf
+        self._fix_time = math.nan
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
         self._estimate: EstimatorState | None = None
         self._origin: tuple[Any, ...] | None = None
@@ -111,6 +114,12 @@ class StateReceiver:
         if upright > math.cos(_RANGE_MAX_TILT):
             height = float(np.asarray(self.sample.state.position)[2])
             self._ground_height, self._range_time = height - 1e-2 * message.current_distance * upright, now
+            self._update_flags()
+        return True
+
+    def _process_fix(self, message: Any) -> bool:
+        if message.fix_type >= self._dialect.GPS_FIX_TYPE_3D_FIX:
+            self._fix_time = self._time()
             self._update_flags()
         return True
 
@@ -199,7 +208,7 @@ class StateReceiver:
             in_air = self._landed_state == self._dialect.MAV_LANDED_STATE_IN_AIR
         return VehicleSample(
             time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
-            self._position_std, self._velocity_std,
+            self._position_std, self._velocity_std, self._fix_time,
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
         )  # fmt: skip
 

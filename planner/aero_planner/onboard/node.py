@@ -308,6 +308,7 @@ class Node:
             in_air=None if latest is None else latest.in_air,
             position_std=math.nan if latest is None else latest.position_std,
             velocity_std=math.nan if latest is None else latest.velocity_std,
+            fix_age=math.nan if latest is None else now - latest.fix_time,
             drift_angle=self._drift.angle,
             drift_speed=self._drift.speed,
             inside_fence=is_inside_fence(position, self.config.limits, ground=self.ground.height),

@@ -163,6 +163,11 @@ class LimitSettings(ParameterSection, section="limits"):
         0.5, "m/s", 0.05, 20.0, "Standard deviation of the velocity, as the autopilot reports it, above which the "
         "drone brakes.", label="Maximum velocity uncertainty",
     )  # fmt: skip
+    fix_age: float = live(
+        0.7, "s", 0.2, 1e4, "Time without a fix of the autopilot's GNSS receiver after which the drone brakes, if it "
+        "ever had one. The estimator reports the loss only seconds later. At 1e4 s it never brakes, as a drone whose "
+        "estimator has another source needs.", label="Maximum age of the GNSS fix",
+    )  # fmt: skip
     drift_angle: float = live(
         1.5, "deg", 0.1, 45.0, "Error of the attitude, as measured by the LiDAR in half a second of hover, above "
         "which the node is not ready.", label="Maximum drift of the attitude",

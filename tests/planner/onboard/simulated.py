@@ -61,6 +61,7 @@ class SimulatedLink:
         self.armed = self.offboard = False
         self.in_air: bool | None = True
         self.position_std, self.velocity_std = 0.2, 0.05
+        self.fix_age = 0.1
         self.ground_height = math.nan
         self.alive = True
         """False if nothing arrives from the vehicle."""
@@ -84,7 +85,7 @@ class SimulatedLink:
         time = before.time if before is not None and self.frozen else motion.time - simulation.state_delay
         self.state = VehicleSample(
             time, state, self.armed, self.offboard, self._heartbeat, self.resets, self.in_air,
-            self.position_std, self.velocity_std, self.ground_height,
+            self.position_std, self.velocity_std, now - self.fix_age, self.ground_height,
         )  # fmt: skip
 
     def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:

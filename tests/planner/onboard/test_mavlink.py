@@ -292,6 +292,23 @@ def test_the_pair_of_messages_has_no_uncertainty(link, autopilot, clock):
     assert math.isnan(link.state.position_std) and math.isnan(link.state.velocity_std)
 
 
+def gnss(fix_type):
+    return mavlink.MAVLink_gps_raw_int_message(0, fix_type, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+def test_the_time_of_the_newest_gnss_fix(link, autopilot, clock):
+    state_after(link, autopilot, gnss(mavlink.GPS_FIX_TYPE_2D_FIX), odometry())
+    assert math.isnan(link.state.fix_time)
+    for kind in (mavlink.GPS_FIX_TYPE_3D_FIX, mavlink.GPS_FIX_TYPE_RTK_FIXED):
+        clock.now += 1.0
+        state_after(link, autopilot, gnss(kind))
+        assert link.state.fix_time == clock.now
+    fixed = clock.now
+    clock.now += 1.0
+    state_after(link, autopilot, gnss(mavlink.GPS_FIX_TYPE_NO_FIX), odometry(time=6.0))
+    assert link.state.fix_time == fixed
+
+
 def distance(centimetres, *, orientation=25, quality=0):
     return mavlink.MAVLink_distance_sensor_message(
         0, 20, 1000, centimetres, 0, 0, orientation, 0, 0.0, 0.0, [0.0] * 4, quality
@@ -400,11 +417,11 @@ def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
     autopilot.heartbeat()
     link.poll()
     requests = {request.param1: request.param2 for request in autopilot.received("COMMAND_LONG")}
-    wanted = {"ODOMETRY": 1e4, "EXTENDED_SYS_STATE": 2e5, "DISTANCE_SENSOR": 1e5}
+    wanted = {"ODOMETRY": 1e4, "EXTENDED_SYS_STATE": 2e5, "DISTANCE_SENSOR": 1e5, "GPS_RAW_INT": 2e5}
     assert requests == {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): period for name, period in wanted.items()}
     for k in range(250):
         clock.now += 0.01
-        autopilot.send(odometry(time=5.0 + 0.01 * k), *([landed_state(2)] if k % 20 == 0 else []))
+        autopilot.send(odometry(time=5.0 + 0.01 * k), *([landed_state(2), gnss(3)] if k % 20 == 0 else []))
         link.poll()
     autopilot.heartbeat()
     link.poll()

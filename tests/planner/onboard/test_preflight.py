@@ -38,7 +38,7 @@ def test_a_drone_in_order_passes(drone: Simulation):
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
         "vehicle state", "heartbeat", "vehicle mode", "landed state", "position uncertainty", "velocity uncertainty",
-        "LiDAR", "cloud", "packets", "deskewing", "cloud against itself", "ground", "position", "goal",
+        "GNSS fix", "LiDAR", "cloud", "packets", "deskewing", "cloud against itself", "ground", "position", "goal",
     }  # fmt: skip
     assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded
@@ -76,6 +76,18 @@ def test_a_poor_estimate_fails_and_an_unknown_one_is_a_warning(drone: Simulation
     checks = run_checks(drone)
     for name in ("position uncertainty", "velocity uncertainty"):
         assert checks[name].finding == "not reported" and not checks[name].ok and not checks[name].required
+
+
+@pytest.mark.parametrize(
+    ("age", "finding", "is_ok", "is_required"),
+    [(0.1, "0.1 s ago", True, True), (0.9, "0.9 s ago", False, True), (math.nan, "not reported", False, False)],
+)
+def test_a_lost_gnss_fix_fails_and_one_that_never_was_is_a_warning(
+    drone: Simulation, age: float, finding: str, is_ok: bool, is_required: bool
+):
+    drone.link.fix_age = age
+    check = run_checks(drone)["GNSS fix"]
+    assert (check.finding, check.ok, check.required) == (finding, is_ok, is_required)
 
 
 @pytest.mark.parametrize(("in_air", "passes"), [(True, True), (False, True), (None, False)])

@@ -50,6 +50,7 @@ WELL = Inputs(
     in_air=True,
     position_std=0.2,
     velocity_std=0.05,
+    fix_age=0.1,
     drift_angle=math.nan,
     drift_speed=0.1,
     inside_fence=True,
@@ -66,6 +67,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "state gone": {"state_age": LIMITS.state_age + LIMITS.blind_time + 0.01},
     "state age unknown": {"state_age": math.nan},
     "state not finite": {"state_finite": False, "speed": math.nan, "goal_distance": math.nan},
+    "fix lost": {"fix_age": LIMITS.fix_age + 0.01},
     "position uncertain": {"position_std": LIMITS.position_std + 0.01},
     "velocity uncertain": {"velocity_std": math.inf},
     "uncertainty still too large": {"velocity_std": 0.9 * LIMITS.velocity_std, "estimate_was_poor": True},
@@ -120,7 +122,8 @@ def is_well(inputs: Inputs) -> bool:
     right = inputs.state_finite and inputs.plan_finite and inputs.inside_fence and inputs.plan_status is PlanStatus.OK
     scale = 0.7 if inputs.estimate_was_poor else 1.0
     poor = inputs.position_std > scale * LIMITS.position_std or inputs.velocity_std > scale * LIMITS.velocity_std
-    return fresh and right and not poor and not inputs.stopping
+    is_fixed = math.isnan(inputs.fix_age) or inputs.fix_age <= LIMITS.fix_age
+    return fresh and right and is_fixed and not poor and not inputs.stopping
 
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
