@@ -124,8 +124,9 @@ struct aero_planner {
         if (const char* mistake = find_mistake(state, goal, cloud_age, ground_height))
             throw std::runtime_error(mistake);
         if (count < 0 || count > sizes.points)
-            throw std::runtime_error("the number of points is negative or exceeds the graph's capacity; pass fewer "
-                                     "points, or raise lidar.points_max and export again");
+            throw std::runtime_error("the number of points is " + std::to_string(count) + ", but the graph takes 0 to " +
+                                     std::to_string(sizes.points) + "; pass fewer points, or raise lidar.points_max, "
+                                     "which with lidar.older_sweeps sets this number, and export again");
         put("time", state.time);
         put("position", state.position);
         put("velocity", state.velocity);
