@@ -6,7 +6,7 @@ MAX_RATE = 30.0
 """Updates per second while the engine is on time [Hz]."""
 MIN_RATE = 20.0
 """Updates per second while the engine is late, if it produces that many frames [Hz]."""
-_ON_TIME = 0.97
+_ON_TIME = 0.94
 """Share of the nominal tick rate from which the engine counts as on time."""
 _BACK_OFF, _RETURN = 1.1, 0.98
 """Factors on the time between two updates: it grows quickly and shrinks slowly."""
