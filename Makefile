@@ -1,8 +1,9 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-lowest check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-lowest test-lowest-files test-lowest-alone check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
-# Tests that drive a browser or watch the clock run alone, the others two files at a time.
+# Tests that drive a browser or watch the clock run alone, the others two files at a time. What is beside them, at low
+# priority, uses the processor time that they leave.
 ALONE := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py tests/session/test_node_client.py \
 	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
 # A busy machine can delay a browser or a clock beyond what a test waits for: at most three of them get a second attempt.
@@ -21,14 +22,18 @@ setup-dev:       ## install the product, the test tools and a Chromium
 demo: setup      ## fly through the forest in the browser
 	@.venv/bin/aero-viz demo $(ARGS)
 
-test: setup-dev check  ## run all checks and tests
-	$(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES))
-	$(if $(ARGS),,$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(ALONE))
-	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest)
+test: setup-dev  ## run all checks and tests
+	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES))
+	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files $(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(ALONE))
+	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest-alone)
 
-test-lowest: setup-dev  ## run the planner's tests with the lowest versions that its wheel allows
+test-lowest: test-lowest-files $(if $(ARGS),,test-lowest-alone)  ## run the planner's tests with the lowest versions that its wheel allows
+
+test-lowest-files: setup-dev
 	@$(PYTHON_BIN) scripts/lowest.py $(or $(ARGS),$(TWO_FILES))
-	$(if $(ARGS),,@$(PYTHON_BIN) scripts/lowest.py $(filter tests/planner/%,$(ALONE)))
+
+test-lowest-alone: setup-dev
+	@$(PYTHON_BIN) scripts/lowest.py $(filter tests/planner/%,$(ALONE))
 
 check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .

@@ -78,7 +78,7 @@ def install() -> None:
         others = re.findall(r"^[\w.-]+==[^\s;\\]+", CONSTRAINTS.read_text(), re.MULTILINE)
         others = [line for line in others if canonicalize_name(line.split("==")[0]) not in bounded]
         PINS.write_text("\n".join([*pins, *others, ""]))
-        pip("install", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]")
+        pip("install", "--no-compile", "-c", PINS, f"{wheel}[{','.join(EXTRAS)}]")
         print(f"The planner's wheel is tested with {', '.join(pins)}.", file=sys.stderr)
         (HOME / "environment").write_text(environment)
     else:
@@ -116,7 +116,7 @@ def install_lowest(requirement: Requirement) -> str:
     for version in sorted(requirement.specifier.filter(map(Version, listed[1].split(", ")))):
         pin = f"{requirement.name}=={version}"
         try:
-            pip("install", "--no-deps", "--only-binary", ":all:", pin)
+            pip("install", "--no-compile", "--no-deps", "--only-binary", ":all:", pin)
         except UnreachableError:
             raise
         except InstallError:

@@ -1,0 +1,57 @@
+"""A target of the Makefile beside a command."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "beside.py"
+MAKEFILE = """
+slow:
+\t@echo begin; sleep 0.3; nice; echo end
+wrong:
+\t@echo broken; false
+endless:
+\t@touch started; sleep 60; touch ended
+"""
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    """The script in a project of its own, whose Makefile has quick targets."""
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "Makefile").write_text(MAKEFILE)
+    (tmp_path / "scripts" / "beside.py").write_text(SCRIPT.read_text())
+    return tmp_path / "scripts" / "beside.py"
+
+
+def run(script: Path, target: str, command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, script, target, "sh", "-c", command], capture_output=True, text=True)
+
+
+def test_the_target_runs_at_low_priority_and_its_output_stays_together(script: Path):
+    done = run(script, "slow", "echo command >&2; sleep 0.1")
+    assert done.returncode == 0
+    assert done.stdout == "begin\n19\nend\n" and done.stderr == "command\n"
+
+
+def test_the_exit_code_is_that_of_the_command_or_of_the_target(script: Path):
+    assert run(script, "slow", "exit 3").returncode == 3
+    failed = run(script, "wrong", "true")
+    assert failed.returncode == 2 and "broken" in failed.stdout
+    assert run(script, "wrong", "exit 3").returncode == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_both_end_with_an_interruption(script: Path, number: int):
+    with subprocess.Popen([sys.executable, script, "endless", "sleep", "60"], stderr=subprocess.DEVNULL) as process:
+        deadline = time.monotonic() + 30.0
+        while not (script.parents[1] / "started").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(number)
+        assert process.wait(30.0) != 0
+    assert not (script.parents[1] / "ended").exists()
