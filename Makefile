@@ -1,11 +1,13 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-lowest test-lowest-files test-lowest-alone check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-lowest test-beside test-lowest-files test-lowest-alone check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
-# Tests that drive a browser or watch the clock run alone, the others two files at a time. What is beside them, at low
+# Tests that drive a browser or watch the clock run alone, most others two files at a time. What runs beside them, at low
 # priority, uses the processor time that they leave.
 ALONE := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py tests/session/test_node_client.py \
 	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
+# Tests that compile most of the time, and watch no clock.
+COMPILING := tests/planner/deploy tests/planner/kernels tests/planner/test_cpp_host.py
 # A busy machine can delay a browser or a clock beyond what a test waits for: at most three of them get a second attempt.
 SECOND_ATTEMPT := --reruns 1 --max-suite-reruns 3 --rerun-show-tracebacks
 TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder $(addprefix --ignore=,$(ALONE))
@@ -23,9 +25,12 @@ demo: setup      ## fly through the forest in the browser
 	@.venv/bin/aero-viz demo $(ARGS)
 
 test: setup-dev  ## run all checks and tests
-	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES))
-	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files $(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(ALONE))
+	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES) $(addprefix --ignore=,$(COMPILING)))
+	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-beside $(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(ALONE))
 	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest-alone)
+
+test-beside: test-lowest-files
+	$(PYTHON_BIN) -m pytest $(COMPILING)
 
 test-lowest: test-lowest-files $(if $(ARGS),,test-lowest-alone)  ## run the planner's tests with the lowest versions that its wheel allows
 
