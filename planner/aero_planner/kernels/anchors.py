@@ -100,7 +100,9 @@ def place_anchors(
     speed = wp.length(drone.velocity[b])
     length = lookahead(speed, distance, float(steps) * params[b].dt, params[b])
     is_slow = speed < params[b].slow_speed
-    depth = wp.where(is_slow, escape_depth(p, b, escape, params[b]), 0.0)
+    depth = float(0.0)
+    if is_slow:
+        depth = escape_depth(p, b, escape, params[b])
     if m == 0:
         lookahead_length[b] = length
         clip_guides[b] = wp.where(depth > params[b].guide_depth, 1, 0)
@@ -157,11 +159,13 @@ def safe_anchor(
     With `clip`, it is `guide_margin` nearer than what its fine cell measured, but no nearer than `guide_min`.
     """
     d = initial_directions[b, m]
-    fine_row, fine_column = cell_of_direction(d, directions.shape[0], directions.shape[1])
-    free = fine_range[b, fine_row * directions.shape[1] + fine_column]
+    free = float(0.0)
     if params.refine != 0:
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
         free, d = safest_fine_cell(fine_range, directions, b, row, column, fine_cells, initial_directions[b, m])
+    elif clip != 0:
+        fine_row, fine_column = cell_of_direction(d, directions.shape[0], directions.shape[1])
+        free = fine_range[b, fine_row * directions.shape[1] + fine_column]
     if clip != 0:
         length = wp.min(length, wp.max(free - params.guide_margin, params.guide_min))
     return position + length * quat_rotate(quaternion, d)

@@ -230,7 +230,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.LINK_LOST: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age),
     Cause.STATE_STALE: lambda i, lim: _exceeds(i.state_age, lim.state_age),
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
-    Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,
+    Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,  # no fault without a fix before, where the age is NaN
     Cause.ESTIMATE_POOR: _estimate_is_poor,
     Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence,
     Cause.LOOP_STALLED: lambda i, lim: _exceeds(i.loop_age, lim.deadline),
