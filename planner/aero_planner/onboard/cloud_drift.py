@@ -31,8 +31,13 @@ class Drift(NamedTuple):
 
     angle: float
     """[rad]"""
-    shift: float
-    """At the drone [m]."""
+    displacement: Array
+    """At the drone [m], shape [3], world frame."""
+
+    @property
+    def shift(self) -> float:
+        """Norm of the displacement [m]."""
+        return float(np.linalg.norm(self.displacement))
 
 
 def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: Array) -> Drift | None:
@@ -67,7 +72,7 @@ def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: 
         jacobian = np.concatenate([np.cross(points, normal), normal], axis=1)
         total = information + (jacobian * weight[:, None]).T @ jacobian
         motion = motion + np.linalg.solve(total, -(jacobian * weight[:, None]).T @ error - information @ motion)
-    return Drift(float(np.linalg.norm(motion[:3])), float(np.linalg.norm(motion[3:])))
+    return Drift(float(np.linalg.norm(motion[:3])), -motion[3:])  # the motion brings the newer points back
 
 
 def _near(points: NDArray[np.float32], position: Array) -> Array:

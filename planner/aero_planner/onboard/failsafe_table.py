@@ -170,7 +170,10 @@ REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
 BLINDING = (Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE)
 """Faults that leave only dead reckoning."""
 
-UNLOCATED = (*BLINDING, Cause.FIX_LOST, Cause.ESTIMATE_POOR)
+LOST = (Cause.FIX_LOST, Cause.ESTIMATE_POOR)
+"""Faults with which position and velocity drift."""
+
+UNLOCATED = (*BLINDING, *LOST)
 """Faults without a position to hold: the drone is braked, but it does not count as at rest."""
 
 HARMLESS_AT_REST = (Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE)
@@ -281,6 +284,11 @@ def _is_clear(inputs: Inputs, limits: LimitSettings) -> bool:
 
 def _has_any(causes: tuple[Cause, ...], inputs: Inputs, limits: LimitSettings) -> bool:
     return any(cause_applies(cause, inputs, limits) for cause in causes)
+
+
+def is_lost(inputs: Inputs, limits: LimitSettings) -> bool:
+    """Return True if a fault is present with which position and velocity drift."""
+    return _has_any(LOST, inputs, limits)
 
 
 def blind_time_left(inputs: Inputs, limits: LimitSettings) -> float:

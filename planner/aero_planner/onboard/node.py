@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.command_choice import Command, CommandChoice
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
+from aero_planner.onboard.drift_correction import DriftCorrection
 from aero_planner.onboard.drift_monitor import DriftMonitor
 from aero_planner.onboard.failsafe_process import Failsafe
 from aero_planner.onboard.failsafe_table import (
@@ -32,6 +33,7 @@ from aero_planner.onboard.failsafe_table import (
     State,
     cause_applies,
     is_inside_fence,
+    is_lost,
 )
 from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.ground_tracker import GroundTracker
@@ -115,6 +117,7 @@ class Node:
         self._commands = CommandChoice(self._vehicle, config, self.schedule, self._stop_controller)
         self._thrust = ThrustEstimate(self._vehicle, config.thrust)
         self._drift = DriftMonitor()
+        self._drift_correction = DriftCorrection()
         self._watchdog = Watchdog(
             link,
             self._stop_controller,
@@ -198,7 +201,10 @@ class Node:
         previous_state = self.state
         reaction = self.safety.step(now, inputs)
         is_obeyed = inputs.armed and inputs.offboard
-        command = self._commands.choose(now, reaction, self.state, inputs, motion)
+        corrected = motion
+        if motion is not None:
+            corrected = self._drift_correction.apply(motion, lost=is_lost(inputs, self.config.limits))
+        command = self._commands.choose(now, reaction, self.state, inputs, corrected)
         if command is not None:
             self._send(command)
         elif (
@@ -259,6 +265,7 @@ class Node:
                 if previous is not None and sample.resets != previous.resets:
                     self._commands.forget_places(sample.time)
                     self.ground.clear()
+                    self._drift_correction.clear()
                 if self._sample is not None:
                     self._thrust.update(self._sample, self._reckoning.at(sample.time), sample)
                     self._link.thrust_gain = self._thrust.gain
@@ -291,6 +298,7 @@ class Node:
         latest, sample, goal = self._link.state, self._sample, self.goal
         if (measured := self._replanner.take_drift()) is not None:
             self._drift.add(now, *measured)
+            self._drift_correction.add(now, *measured)
         self._drift.update(now)
         plan = self.schedule.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
