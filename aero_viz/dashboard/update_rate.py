@@ -28,7 +28,8 @@ class UpdateRateLimiter:
     def delay(self, now: float) -> float:
         """Return how long to wait before the next update [s], given that the last one ended at `now`.
 
-        The period counts from when that update was due, not from its start. A late update thus delays no others.
+        The period counts from when that update was due, not from its start. A late update thus delays no others, and
+        the next ones make up for up to one period.
         """
-        self._due = max(self._due + self.period, now)
-        return self._due - now
+        self._due = max(self._due + self.period, now - self.period)
+        return max(self._due - now, 0.0)

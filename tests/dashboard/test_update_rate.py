@@ -38,11 +38,22 @@ def test_up_to_three_missing_ticks_per_second_count_as_on_time():
     assert rates(UpdateRateLimiter(), 47.0, 1) == [pytest.approx(MAX_RATE)]
 
 
-def test_a_late_update_does_not_delay_those_after_it():
+@pytest.fixture
+def on_time() -> UpdateRateLimiter:
+    """A limiter with an update that ended when it was due, at 100 s."""
     limiter = UpdateRateLimiter()
+    assert [limiter.delay(100.0) for _ in range(2)] == [0.0, 0.0], "nothing is due before the first update"
+    return limiter
+
+
+def test_a_late_update_does_not_delay_those_after_it(on_time: UpdateRateLimiter):
     period = 1.0 / MAX_RATE
-    assert limiter.delay(100.0) == 0.0, "nothing is due before the first update"
-    assert limiter.delay(100.0 + 0.2 * period) == pytest.approx(0.8 * period)
-    assert limiter.delay(100.0 + 1.5 * period) == pytest.approx(0.5 * period), "half a period late, then on time again"
-    assert limiter.delay(100.0 + 9.0 * period) == 0.0, "a long pause is not caught up"
-    assert limiter.delay(100.0 + 9.1 * period) == pytest.approx(0.9 * period)
+    assert on_time.delay(100.0 + 0.2 * period) == pytest.approx(0.8 * period)
+    assert on_time.delay(100.0 + 1.5 * period) == pytest.approx(0.5 * period), "half a period late, then on time again"
+    assert on_time.delay(100.0 + 3.7 * period) == 0.0, "0.7 periods late"
+    assert on_time.delay(100.0 + 3.8 * period) == pytest.approx(0.2 * period)
+
+
+def test_of_a_long_pause_one_update_is_made_up_for(on_time: UpdateRateLimiter):
+    now, period = 109.0, 1.0 / MAX_RATE
+    assert [on_time.delay(now) for _ in range(3)] == pytest.approx([0.0, 0.0, period])
