@@ -32,6 +32,8 @@ from aero_viz.sensors.lidar import lidar_model
 
 ROWS = ("forest:100", "inclines:400", "verticals:300", "inclines:800", "verticals:600", "verticals:1000")
 LAGS = {"thrust_lag": 0.04, "rate_lag": 0.03, "drag": 0.25, "gust_speed": 1.5, "latency": 0.02}
+SOFT_CONTACT = 0.5
+"""Speed up to which a collision counts as soft [m/s]."""
 NOISE = StateNoise(position=0.03, velocity=0.05, attitude=0.5)
 TICKS_PER_PLAN = {"ideal": 1, "real": 5}
 
@@ -92,6 +94,7 @@ def fly_rows(
             "mean_speed": statistics.fmean(result.mean_speed for result in arrived) if arrived else None,
             "smoothness": statistics.fmean(result.smoothness for result in arrived) if arrived else None,
             "reasons": dict(Counter(result.reason for result in flown if not result.arrived)),
+            "hard": sum(result.reason == "collision" and result.end_speed > SOFT_CONTACT for result in flown),
             "lost": [result.scene for result in flown if not result.arrived],
             "plan_ms": flown[0].plan_ms_median if flown else None, "wall_s": wall,
         }  # fmt: skip
@@ -102,6 +105,7 @@ def format_line(line: dict[str, Any]) -> str:
     low, high = wilson_interval(line["arrived"], line["flights"])
     speed = line["mean_speed"] or math.nan
     reasons = ", ".join(f"{count} {reason}" for reason, count in line["reasons"].items())
+    reasons += f" ({line['hard']} above {SOFT_CONTACT} m/s)" if "collision" in line["reasons"] else ""
     return (
         f"{line['variant']:28} {line['mode']:5} {line['limit']:4g} {line['row']:15} "
         f"{line['arrived']:4}/{line['flights']:<4} {100 * line['arrived'] / max(line['flights'], 1):5.1f} % "

@@ -31,6 +31,8 @@ class FlightResult:
     mean_speed: float
     """Length over time [m/s]."""
     max_speed: float
+    end_speed: float
+    """Speed at the end, in a collision that of the contact [m/s]."""
     smoothness: float
     """Integral of |da/dt|^2 dt [m^2/s^5]; smaller is smoother."""
     length_m: float
@@ -93,6 +95,7 @@ def flight_results(
             flight_time_s=time,
             mean_speed=length / time if time > 0.0 else 0.0,
             max_speed=float(record["speed_max"]),
+            end_speed=float(np.linalg.norm(record["velocity"])),
             smoothness=float(record["smoothness"]),
             length_m=length,
             mean_clearance=_finite(record["clearance_sum"] / record["clearance_count"]),

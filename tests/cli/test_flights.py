@@ -14,8 +14,8 @@ from mcap.reader import make_reader
 from aero_viz.recordings import inspect as inspect_recording
 
 FLIGHT_FIELDS = {
-    "arrived", "reason", "flight_time_s", "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance",
-    "min_clearance", "plan_ms_median", "seed", "scene", "config", "explanation",
+    "arrived", "reason", "flight_time_s", "mean_speed", "max_speed", "end_speed", "smoothness", "length_m",
+    "mean_clearance", "min_clearance", "plan_ms_median", "seed", "scene", "config", "explanation",
 }  # fmt: skip
 
 DISTURBED = [

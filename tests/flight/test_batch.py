@@ -50,6 +50,7 @@ def test_flight_through_a_sparse_forest_arrives_and_reports(sparse, tmp_path):
     # The metrics follow from the file: the path through its positions, the jerk from its velocities.
     assert np.linalg.norm(np.diff(p, axis=0), axis=1).sum() == pytest.approx(result.length_m, rel=1e-4)
     assert np.linalg.norm(v, axis=1).max() == pytest.approx(result.max_speed, abs=1e-4)
+    assert np.linalg.norm(v[-1]) == pytest.approx(result.end_speed, abs=1e-4)
     mean_acceleration = np.vstack([np.zeros(3), np.diff(v, axis=0) / 0.02])
     smoothness = np.sum(np.diff(mean_acceleration, axis=0) ** 2) / 0.02
     assert smoothness == pytest.approx(result.smoothness, rel=1e-2)

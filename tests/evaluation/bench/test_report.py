@@ -21,6 +21,7 @@ def result(world: str, *, arrived: bool = True, speed: float = 2.0) -> FlightRes
         flight_time_s=20.0,
         mean_speed=speed,
         max_speed=3.0,
+        end_speed=1.0,
         smoothness=50.0,
         length_m=46.0,
         mean_clearance=1.0,

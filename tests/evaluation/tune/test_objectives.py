@@ -10,8 +10,8 @@ from aero_viz.evaluation.tune.objectives import OBJECTIVES, Objective, flight_co
 from aero_viz.flight import FlightResult
 
 ARRIVED = FlightResult(
-    arrived=True, reason="arrived", flight_time_s=8.0, mean_speed=1.0, max_speed=1.0, smoothness=300.0, length_m=1.0,
-    mean_clearance=None, min_clearance=0.4, plan_ms_median=None, seed=0, scene="s", config="c",
+    arrived=True, reason="arrived", flight_time_s=8.0, mean_speed=1.0, max_speed=1.0, end_speed=1.0, smoothness=300.0,
+    length_m=1.0, mean_clearance=None, min_clearance=0.4, plan_ms_median=None, seed=0, scene="s", config="c",
 )  # fmt: skip
 COLLIDED = dataclasses.replace(ARRIVED, arrived=False, reason="collision", flight_time_s=1.0, smoothness=1.0)
 

@@ -15,8 +15,8 @@ def flight(time: float | None) -> FlightResult:
     """Return a flight that arrives after `time` [s], or collides if it is None."""
     return FlightResult(
         arrived=time is not None, reason="collision" if time is None else "arrived", flight_time_s=time or 1.0,
-        mean_speed=1.0, max_speed=1.0, smoothness=1.0, length_m=1.0, mean_clearance=None, min_clearance=None,
-        plan_ms_median=None, seed=0, scene="s", config="c",
+        mean_speed=1.0, max_speed=1.0, end_speed=1.0, smoothness=1.0, length_m=1.0, mean_clearance=None,
+        min_clearance=None, plan_ms_median=None, seed=0, scene="s", config="c",
     )  # fmt: skip
 
 
