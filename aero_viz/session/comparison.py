@@ -55,7 +55,6 @@ class Comparison:
     Args:
         engine: provides the ticks.
         device: Warp device of the planner.
-        seed: seed of the planner's noise.
         config: returns configuration B.
     """
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import queue
-import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
@@ -15,7 +13,7 @@ from numpy.typing import ArrayLike
 from aero_planner import PlannerConfig
 from aero_viz.session.base import BaseSession, SessionControls
 from aero_viz.session.clock import Clock
-from aero_viz.session.command_queue import USER_MISTAKES, CommandQueue
+from aero_viz.session.command_loop import USER_MISTAKES, CommandLoop
 from aero_viz.session.comparison import Comparison
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
@@ -57,10 +55,10 @@ class Session(BaseSession):
         """State of the comparison with a pinned configuration, A."""
         self._worlds = WorldHistory()
         self._clock = Clock()
-        self._commands = CommandQueue(self._report)
-        self._thread: threading.Thread | None = None
-        # Protects the engine until `start`; from then on only the session's thread uses the engine.
-        self._lock = threading.RLock()
+        # Only commands, ticks and `_work` use the engine, one at a time.
+        self._loop = CommandLoop(
+            report=self._report, work=self._work, idle_time=self._idle_time, has_work=self._must_compare
+        )
         self._samples = False
         """True if the frames shall include samples."""
         self._announced_epoch: int | None = None
@@ -293,25 +291,7 @@ class Session(BaseSession):
 
     def _post(self, command: Callable[[], Any], *, quiet: bool = False) -> Future[Any]:
         """Run `command` between two ticks: immediately if the session has no thread and nobody is ticking it."""
-        future = self._commands.put(command, quiet=quiet)
-        self._run_commands()
-        return future
-
-    def _run_commands(self) -> None:
-        """Run the queued commands, unless the session has a thread that does.
-
-        If another thread is ticking, that thread runs them after its tick. Waiting for the lock instead could take
-        long, since a loop of ticks hardly ever releases it.
-        """
-        while self._thread is None and not self._commands.empty() and self._lock.acquire(blocking=False):
-            try:
-                while self._thread is None and not self._commands.empty():
-                    if (command := self._commands.get()) is not None:
-                        command()
-                        while self.comparison.has_work and not self._playing and not self._commands.closed:
-                            self._compare()
-            finally:
-                self._lock.release()
+        return self._loop.put(command, quiet=quiet)
 
     def _report(self, error: Exception) -> None:
         self.notify(str(error) or type(error).__name__, level="error")
@@ -332,16 +312,8 @@ class Session(BaseSession):
         Raises:
             RuntimeError: the session was started, so that its own thread ticks, or it is closed.
         """
-        try:
-            with self._lock:
-                if self._commands.closed:
-                    raise RuntimeError("the session is closed; create another one.")
-                if self._thread is not None:
-                    raise RuntimeError("the session was started and ticks by itself; use step(), play() and pause().")
-                self._run_commands()
-                return self._tick()
-        finally:
-            self._run_commands()
+        with self._loop.exclusive():
+            return self._tick()
 
     def _tick(self) -> Frame:
         frame = self._engine.tick()
@@ -360,38 +332,29 @@ class Session(BaseSession):
         Raises:
             RuntimeError: the session was started before, or it is closed.
         """
-        with self._lock:
-            if self._thread is not None or self._commands.closed:
-                raise RuntimeError(f"the session {'is closed' if self._commands.closed else 'was already started'}.")
-            self._thread = threading.Thread(target=self._run, args=(play,), name="aero-viz-session", daemon=True)
-            self._thread.start()
 
-    def _run(self, play: bool) -> None:
-        if self._try_tick() and play and self._engine.source.outcome is None:
-            self._set_playing(True)
-            self._clock.restart(self._engine.next_time)
-        while True:
-            try:
-                command = self._commands.get(timeout=self._idle_time())
-            except queue.Empty:
-                if self._playing:
-                    self._keep_up()
-                    self._try_tick()
-                else:
-                    self._compare()
-                continue
-            if command is None:
-                return
-            command()
+        def first() -> None:
+            if self._try_tick() and play and self._engine.source.outcome is None:
+                self._set_playing(True)
+                self._clock.restart(self._engine.next_time)
+
+        self._loop.start(first, name="aero-viz-session")
 
     def _idle_time(self) -> float | None:
         """Return the time until there is work besides commands [s]; None for ever."""
         if self._playing:
             return self._clock.delay_until(self._engine.next_time)
-        return 0.0 if self.comparison.has_work else None
+        return 0.0 if self._must_compare() else None
 
-    def _compare(self) -> None:
-        """Work on the comparison. If it fails, it ends."""
+    def _must_compare(self) -> bool:
+        return self.comparison.has_work and not self._playing
+
+    def _work(self) -> None:
+        """Tick if time advances; otherwise work on the comparison, which ends if it fails."""
+        if self._playing:
+            self._keep_up()
+            self._try_tick()
+            return
         try:
             self.comparison.work()
         except Exception as error:
@@ -417,13 +380,8 @@ class Session(BaseSession):
 
     def close(self) -> None:
         """Stop the thread and close the sinks, the source and the planner."""
-        with self._lock:
-            self._commands.closed = True
-        self._run_commands()
-        if self._thread is not None:
-            self._commands.stop()
-            self._thread.join(timeout=10.0)
+        has_ended = self._loop.close()
         self.close_sinks()
-        if self._thread is None or not self._thread.is_alive():
+        if has_ended:  # never while a thread still plans with it
             self.comparison.close()
-            self._engine.close()  # never while a thread still plans with it
+            self._engine.close()
