@@ -53,16 +53,16 @@ def cell_direction(row: int, column: int, rows: int, columns: int) -> wp.vec3:
 
 NEAR_EDGE = wp.constant(-1)
 OUT_OF_RANGE = wp.constant(-2)
-NOT_FINITE = wp.constant(-3)
 """Markers that `scatter_points` stores instead of a cell number."""
 
 
 @functools.cache
 def scatter_points(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that finds r_ij. Each thread handles `tuning.points_per_thread` points."""
+    """Return the kernel that finds r_ij. Each thread handles `tuning.points_per_thread` points at once."""
     WIDTH = wp.constant(tuning.points_per_thread)
-    Reals = wp.types.vector(length=tuning.points_per_thread, dtype=wp.float32)
-    Integers = wp.types.vector(length=tuning.points_per_thread, dtype=wp.int32)
+    # Those that are left of one group, and the next group.
+    Reals = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.float32)
+    Integers = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.int32)
 
     @wp.kernel(module="unique", enable_backward=False)
     def scatter_points(
@@ -84,7 +84,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         """Find r_ij as a minimum over packed keys.
 
         The upper half of a key is the range, the lower half the place of the point in the cloud, so that the first of
-        several points at the same range is kept. Of an ordered sweep only the shells within reach are read. Points in
+        several points at the same range is kept. Of an ordered sweep only the shells within reach are read. Of others
+        most points are out of range; they are skipped before the cells of WIDTH points are computed at once. Points in
         the wakes of a sweep are left out. Launched over [B, sweeps, threads per sweep]. A thread handles every
         `stride`-th group of WIDTH points of its sweep. Workers run at the same time, each on its own keys.
         """
@@ -109,60 +110,75 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
             count = cloud.shell_ends[counters, last]
             if worker + thread == 0:
                 wp.atomic_add(worker_dropped, worker, b, cloud.shell_ends[counters, SHELLS])
+        nearly_square = 1.0001 * range_max * range_max
         dx = Reals()
         dy = Reals()
         dz = Reals()
         indices = Integers()
         range_bits = Integers()
         cell_of = Integers()
-        for group in range(worker + thread, (count + WIDTH - 1) // WIDTH, stride):
+        waiting = int(0)
+        groups = (count + WIDTH - 1) // WIDTH
+        for group in range(worker + thread, groups, stride):
+            if wp.static(tuning.is_cuda):
+                waiting = 0  # as it is: a constant index keeps the point in registers
             start = group * WIDTH
-            present = wp.min(WIDTH, count - start)
-            for j in range(present):
+            not_finite = int(0)
+            for j in range(wp.min(WIDTH, count - start)):
                 index = first + start + j
                 if ordered:
                     index = cloud.order[b, index]
                 d = cloud.points[b, index] - origin
-                indices[j] = index
-                dx[j] = d[0]
-                dy[j] = d[1]
-                dz[j] = d[2]
-            for j in range(WIDTH):
-                d = wp.vec3(dx[j], dy[j], dz[j])
-                x = wp.dot(forward, d)
-                y = wp.dot(left, d)
-                z = wp.dot(up, d)
-                r = wp.sqrt(wp.dot(d, d))
-                row = (near_atan2(z, wp.sqrt(x * x + y * y)) / wp.PI + 0.5) * float(rows)
-                column = (near_atan2(y, x) / (2.0 * wp.PI) + 0.5) * float(columns)
-                off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
-                cell = int(wp.floor(row)) * columns + int(wp.floor(column))
-                cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
-                cell = wp.where(r >= range_min, wp.where(r <= range_max, cell, OUT_OF_RANGE), OUT_OF_RANGE)
-                # d - d is NaN for a component that is not finite; the squared range may overflow for finite points.
-                cell_of[j] = wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, cell, NOT_FINITE)
-                range_bits[j] = wp.cast(r, wp.int32)
-            not_finite = int(0)
-            for j in range(present):
-                cell = cell_of[j]
-                if cell >= NEAR_EDGE:
-                    if cell == NEAR_EDGE:
-                        d = wp.vec3(dx[j], dy[j], dz[j])
-                        body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
-                        row_of, column_of = cell_of_direction(body, rows, columns)
-                        cell = row_of * columns + column_of
-                    place = indices[j] - oldest
-                    if place < 0:
-                        place += cloud.points.shape[1]
-                    # The bits of non-negative floats have the order of the floats.
-                    key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place)
-                    if key < cell_keys[worker, b, cell]:
-                        point = origin + wp.vec3(dx[j], dy[j], dz[j])
-                        if not is_in_wake(point, b, sweep, wake_count, cloud):
-                            wp.atomic_min(cell_keys, worker, b, cell, key)
-                elif cell == NOT_FINITE:
-                    not_finite += 1
+                indices[waiting] = index
+                dx[waiting] = d[0]
+                dy[waiting] = d[1]
+                dz[waiting] = d[2]
+                if ordered:
+                    waiting += 1
+                else:
+                    waiting += wp.where(wp.dot(d, d) <= nearly_square, 1, 0)
+                    # d - d is NaN for a component that is not finite; the squared range may overflow for finite points.
+                    not_finite += wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, 0, 1)
             add_count(worker_dropped, worker, b, not_finite)
+            least = wp.where(group + stride < groups, WIDTH, 1)
+            while waiting >= least:
+                present = wp.min(WIDTH, waiting)
+                for j in range(WIDTH):
+                    d = wp.vec3(dx[j], dy[j], dz[j])
+                    x = wp.dot(forward, d)
+                    y = wp.dot(left, d)
+                    z = wp.dot(up, d)
+                    r = wp.sqrt(wp.dot(d, d))
+                    row = (near_atan2(z, wp.sqrt(x * x + y * y)) / wp.PI + 0.5) * float(rows)
+                    column = (near_atan2(y, x) / (2.0 * wp.PI) + 0.5) * float(columns)
+                    off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
+                    cell = int(wp.floor(row)) * columns + int(wp.floor(column))
+                    cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
+                    cell_of[j] = wp.where(r >= range_min, wp.where(r <= range_max, cell, OUT_OF_RANGE), OUT_OF_RANGE)
+                    range_bits[j] = wp.cast(r, wp.int32)
+                for j in range(present):
+                    cell = cell_of[j]
+                    if cell >= NEAR_EDGE:
+                        d = wp.vec3(dx[j], dy[j], dz[j])
+                        if cell == NEAR_EDGE:
+                            body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
+                            row_of, column_of = cell_of_direction(body, rows, columns)
+                            cell = row_of * columns + column_of
+                        place = indices[j] - oldest
+                        if place < 0:
+                            place += cloud.points.shape[1]
+                        # The bits of non-negative floats have the order of the floats.
+                        key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place)
+                        is_nearest = key < cell_keys[worker, b, cell]
+                        if is_nearest and not is_in_wake(origin + d, b, sweep, wake_count, cloud):
+                            wp.atomic_min(cell_keys, worker, b, cell, key)
+                waiting -= present
+                if wp.static(not tuning.is_cuda):
+                    for j in range(waiting):
+                        indices[j] = indices[present + j]
+                        dx[j] = dx[present + j]
+                        dy[j] = dy[present + j]
+                        dz[j] = dz[present + j]
 
     return scatter_points
 
