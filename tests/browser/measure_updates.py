@@ -10,7 +10,7 @@ import multiprocessing
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from types import SimpleNamespace
@@ -85,9 +85,7 @@ def _pages(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]
             note = functools.partial(lambda own, message: own.append(len(message)), own)
             page.on("websocket", lambda socket, note=note: socket.on("framereceived", note))
             page.goto(url)
-        loaded = 0
-        while loaded < (loaded := sum(map(len, sizes))) or not all(sizes):
-            pages[0].wait_for_timeout(3000)  # until the pages have loaded
+        _wait_until_loaded(sizes, lambda seconds: pages[0].wait_for_timeout(1e3 * seconds))
         pages[0].evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
 
         def clear() -> None:
@@ -132,9 +130,7 @@ def _receive(url: str, count: int, parent: Connection) -> None:
         client = join(server)
         send(client, **CAMERA)
         threading.Thread(target=read, args=(client, own), daemon=True).start()
-    loaded = 0
-    while loaded < (loaded := sum(map(len, sizes))) or not all(sizes):
-        time.sleep(3.0)
+    _wait_until_loaded(sizes, time.sleep)
     parent.send("loaded")
     while True:
         if parent.recv() == "clear":
@@ -143,6 +139,13 @@ def _receive(url: str, count: int, parent: Connection) -> None:
             parent.send(None)
         else:
             parent.send([list(own) for own in sizes])
+
+
+def _wait_until_loaded(sizes: Sequence[list[int]], wait: Callable[[float], object]) -> None:
+    """Wait until every page has received messages, and none receives more for three seconds."""
+    loaded = 0
+    while loaded < (loaded := sum(map(len, sizes))) or not all(sizes):
+        wait(3.0)
 
 
 def _spent() -> dict[str, float]:
