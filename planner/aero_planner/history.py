@@ -62,6 +62,17 @@ class History:
             array.assign(getattr(self, field.name))
 
 
+def forget_history(work: Workspace) -> None:
+    """Make the next plan the first one: without a previous plan, a proven stop or places without progress."""
+    work.tick.zero_()
+    work.previous_controls.zero_()
+    work.previous_time.fill_(np.nan)
+    work.proven_stop.zero_()
+    work.proven_stop_age.fill_(np.inf)
+    work.place_count.zero_()
+    work.place_goal.fill_(wp.vec3(np.inf))
+
+
 def _arrays(work: Workspace) -> list[wp.array]:
     """Return the arrays of a `History`, in the order of its fields."""
     return [

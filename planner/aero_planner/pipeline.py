@@ -13,12 +13,12 @@ from typing import Any
 import warp as wp
 
 from aero_planner.array_memory import as_scalars, as_vectors
-from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
+from aero_planner.arrays import Sizes
+from aero_planner.cloud_stages import CloudStages
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels import (
     anchors,
     clearance,
-    continuation,
     guides,
     movers,
     mppi,
@@ -30,7 +30,7 @@ from aero_planner.kernels import (
 )
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.launch_sequence import Chunk, LaunchSequence
-from aero_planner.pipeline_records import PipelineRecords
+from aero_planner.pipeline_records import PipelineArrays, PipelineRecords
 
 
 def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
@@ -61,10 +61,7 @@ class Pipeline(LaunchSequence):
         config: configuration, of which only the structure is used.
         sizes: sizes of the arrays.
         tuning: tuning of the device for one drone.
-        inputs, outputs, work: arrays of the planner.
-        cloud: the sweeps to plan from.
-        motion: what moves among their obstacles.
-        params: live parameters, shape [B].
+        arrays: arrays of the planner.
     """
 
     def __init__(
@@ -72,42 +69,38 @@ class Pipeline(LaunchSequence):
         config: PlannerConfig,
         sizes: Sizes,
         tuning: KernelTuning,
-        *,
-        inputs: PlannerInputs,
-        outputs: PlannerOutputs,
-        work: Workspace,
-        cloud: CloudArrays,
-        motion: MotionArrays,
-        params: wp.array,
+        arrays: PipelineArrays,
     ) -> None:
-        super().__init__(wp.get_device(str(params.device)), sizes.W)
+        super().__init__(wp.get_device(str(arrays.params.device)), sizes.W)
         self._config, self._sizes = config, sizes
         self._tuning, self._batch_tuning = tuning, tuning.for_batch(sizes.B)
-        self._inputs, self._outputs, self._work = inputs, outputs, work
-        self._cloud, self._newest, self._params = cloud, motion.newest, params
+        self._inputs, self._outputs, self._work = arrays.inputs, arrays.outputs, arrays.work
+        self._cloud, self._newest, self._params = arrays.cloud, arrays.motion.newest, arrays.params
         kinds = config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
-        self._duplicate_rows = 0 if tuning.is_cuda else 1
-        self._records = PipelineRecords(inputs, outputs, work)
+        self._cloud_stages = cloud_stages = CloudStages(self, config, sizes, tuning, arrays)
+        self._duplicate_rows = cloud_stages.duplicate_rows
+        self._records = PipelineRecords(arrays.inputs, arrays.outputs, arrays.work)
         self.stages = self._record()
 
-    # --- the stages, in the order of docs/design.md ------------------------------------------------------------------
+    # --- the stages, in order ---
 
     def _record(self) -> list[list[Chunk]]:
         """Record all launches. Fork and join only matter on CUDA, where a side branch runs beside what follows it."""
+        cloud = self._cloud_stages
         return [
             self.side_branch("anchors", *self._place_anchors()),  # beside the scan of the cloud
-            self._scan_points(),
-            self.serial("partition", self._finish_fine_cells(), self.join),
-            self._find_surfaces(),
-            self.serial("partition", self._find_nearest_surfaces()),
-            self._continue_surfaces(),
+            cloud.scan_points(),
+            self.serial("partition", cloud.finish_fine_cells(), self.join),
+            cloud.find_surfaces(),
+            self.serial("partition", cloud.find_nearest_surfaces()),
+            cloud.continue_surfaces(),
             self.serial("grid", self.fork),  # until the first clearance query
-            self._build_clearance_grid(),
+            cloud.build_clearance_grid(),
             self.serial("guides", self.end_fork, self._make_guides()),
             self._optimize(),
-            self.side_branch("partition", self._pool_coarse_cells()),  # only shown: no later stage needs it
+            self.side_branch("partition", cloud.pool_coarse_cells()),  # only shown: no later stage needs it
             self.serial("stage2", *self._evaluate_instances(), self._commit_plan(), self.join),
         ]
 
@@ -144,103 +137,6 @@ class Pipeline(LaunchSequence):
             inputs=[self._inputs.time, self._params, self._newest, self._cloud.bundle()],
             outputs=[r.movers],
         )
-
-    def _scan_points(self) -> list[Chunk]:
-        """Find the nearest point of each fine cell; every worker scans its share of every sweep."""
-        i, w, cloud = self._inputs, self._work, self._cloud
-        B, sweeps, points = self._sizes.B, cloud.start.shape[0], cloud.points.shape[1]
-        threads = self._tuning.threads_per_sweep(B * sweeps, points)
-        return [
-            self.serial("partition", self.record(
-                partition.scatter_points(self._tuning),
-                (B, sweeps, threads),
-                inputs=[
-                    worker, threads * self._sizes.W, cloud.bundle(), i.position, i.quaternion, self._params,
-                    self._sizes.F0, self._sizes.F1,
-                ],
-                outputs=[w.cell_keys, w.worker_dropped],
-            ))[0]
-            for worker in range(self._sizes.W)
-        ]  # fmt: skip
-
-    def _finish_fine_cells(self) -> Callable[[], Any]:
-        o, w = self._outputs, self._work
-        return self.record(
-            partition.finish_fine_cells,
-            (self._sizes.B, self._sizes.F),
-            inputs=[self._cloud.bundle(), self._params, w.cell_keys, w.worker_dropped],
-            outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
-        )
-
-    def _find_surfaces(self) -> list[Chunk]:
-        """Find the surfaces to continue; every worker looks at its share of the cells."""
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
-        return [
-            self.serial("partition", self.record(
-                continuation.find_edges,
-                (sizes.B, -(-sizes.F // sizes.W)),
-                inputs=[
-                    worker, sizes.W, i.position, i.velocity, i.quaternion, self._params, w.view_quaternion,
-                    w.fine_directions, o.occupied, o.filtered_points,
-                ],
-                outputs=[w.surfaces],
-            ))[0]
-            for worker in range(sizes.W)
-        ]  # fmt: skip
-
-    def _find_nearest_surfaces(self) -> Callable[[], Any]:
-        sizes = self._sizes
-        return self.record(
-            continuation.find_nearest_surfaces,
-            (sizes.B, 2, sizes.F1),
-            inputs=[self._params, sizes.F0, sizes.F1],
-            outputs=[self._work.surfaces],
-        )
-
-    def _continue_surfaces(self) -> list[Chunk]:
-        """Fill cells that the sensor does not see; every worker fills its share."""
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
-        return [
-            self.serial("partition", self.record(
-                continuation.continue_surfaces,
-                (sizes.B, -(-sizes.F // sizes.W)),
-                inputs=[worker, sizes.W, i.position, i.quaternion, self._params, w.fine_directions, w.surfaces],
-                outputs=[o.fine_range, o.occupied, o.filtered_points],
-            ))[0]
-            for worker in range(sizes.W)
-        ]  # fmt: skip
-
-    def _build_clearance_grid(self) -> list[Chunk]:
-        """Sort the filtered cloud into the grid; every worker sorts the layers that are its own."""
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
-        workers, capacity = sizes.W, sizes.worker_capacity
-        chunks: list[Chunk] = []
-        for worker in range(workers):
-            worker_rows = len(range(worker, clearance.GRID, workers)) * clearance.GRID
-            count = self.record(
-                clearance.count_points,
-                (sizes.B, sizes.F),
-                inputs=[worker, workers, i.position, self._params, self._duplicate_rows, o.occupied, o.filtered_points],
-                outputs=[w.cell_ends],
-            )
-            allocate = self.record(
-                clearance.allocate_rows,
-                (sizes.B, -(-worker_rows // 32) * 32),
-                inputs=[worker, workers, worker_rows, capacity],
-                outputs=[w.points_used, w.cell_counts],
-                block_dim=32,
-            )
-            fill = self.record(
-                clearance.fill_rows(self._tuning),
-                (sizes.B, sizes.F),
-                inputs=[
-                    worker, workers, capacity, i.position, self._params, self._duplicate_rows, o.occupied,
-                    o.filtered_points, w.points_used,
-                ],
-                outputs=[w.cell_ends, w.pack_coordinates],
-            )  # fmt: skip
-            chunks += self.serial("grid", count, allocate, fill)
-        return chunks
 
     def _make_guides(self) -> Callable[[], Any]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
@@ -325,19 +221,6 @@ class Pipeline(LaunchSequence):
             ],
             outputs=[o.stage1_cost, w.sample_weights, as_vectors(w.sample_weights, width), as_scalars(o.controls)],
             block_dim=threads,
-        )  # fmt: skip
-
-    def _pool_coarse_cells(self) -> Callable[[], Any]:
-        o, w, part = self._outputs, self._work, self._config.partition
-        return self.record(
-            partition.pool_coarse,
-            (self._sizes.B, self._sizes.C),
-            inputs=[
-                part.fine_cells, part.coarse_rows, part.coarse_columns, o.fine_range, w.fine_directions,
-                w.initial_directions,
-            ],
-            outputs=[o.safe_range, o.safe_direction],
-            block_dim=32,
         )  # fmt: skip
 
     def _evaluate_instances(self) -> list[Callable[[], Any]]:

@@ -1,11 +1,30 @@
-"""The planner's arrays in the groups that kernels take as one argument."""
+"""The planner's arrays: those of a plan, and the groups of them that kernels take as one argument."""
 
 from __future__ import annotations
 
-from aero_planner.arrays import PlannerInputs, PlannerOutputs, Workspace
+from dataclasses import dataclass
+
+import warp as wp
+
+from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs, PlannerOutputs, Workspace
 from aero_planner.kernels.escape import Escape
 from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts, bundle
+
+
+@dataclass(frozen=True, eq=False)
+class PipelineArrays:
+    """Arrays that the launches of a plan read and write, all on one device."""
+
+    inputs: PlannerInputs
+    outputs: PlannerOutputs
+    work: Workspace
+    cloud: CloudArrays
+    """The sweeps to plan from."""
+    motion: MotionArrays
+    """What moves among their obstacles."""
+    params: wp.array
+    """Live parameters, shape [B]."""
 
 
 class PipelineRecords:

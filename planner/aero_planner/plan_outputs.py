@@ -1,4 +1,4 @@
-"""The plan of the values that the device has computed."""
+"""Makes a `Plan` of the values that the device has computed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.arrays import fine_shape
+from aero_planner.arrays import Sizes, Workspace, fine_shape
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.plan import BrakingCandidates, MovingObstacles, Plan, PlanStatus
@@ -49,6 +49,21 @@ def make_plan(
         braking=arrays.braking(),
         moving=None if batched else arrays.moving(),
     )
+
+
+def sampled_positions(work: Workspace, sizes: Sizes, positions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the positions of the Stage I rollouts [m], shape [B, M, K, N + 1, 3], world frame.
+
+    Args:
+        work: workspace of the planner, which holds the positions after the start.
+        sizes: sizes of its arrays.
+        positions: positions of the Stage II rollouts [m], shape [B, R, N + 1, 3], whose first is that of Stage I, too.
+    """
+    B, M, N, K = sizes.B, sizes.M, sizes.N, sizes.K
+    array: Any = work.sample_positions.numpy()  # its declared type lacks dtype and shape
+    states = array[:, :N, :, :K].transpose(0, 3, 1, 2).reshape(B, M, K, N, 3)
+    start = np.broadcast_to(positions[:, :M, None, :1], (B, M, K, 1, 3))
+    return np.concatenate((start, states), axis=3)
 
 
 class _PlanArrays:

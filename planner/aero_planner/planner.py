@@ -6,26 +6,26 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from aero_planner.array_memory import PackedArrays, allocate, as_dict
 from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.cloud import Cloud, Points
 from aero_planner.config import PlannerConfig
-from aero_planner.history import History
+from aero_planner.history import History, forget_history
 from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
 from aero_planner.motion import Motion
 from aero_planner.pipeline import Pipeline
+from aero_planner.pipeline_records import PipelineArrays
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
-from aero_planner.plan_outputs import make_plan
+from aero_planner.plan_outputs import make_plan, sampled_positions
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import find_device
@@ -115,17 +115,10 @@ class Planner:
         self._work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
 
     def _make_pipeline(self) -> Pipeline:
-        return Pipeline(
-            self._config,
-            self._sizes,
-            self._tuning,
-            inputs=self._inputs.arrays,
-            outputs=self._outputs.arrays,
-            work=self._work,
-            cloud=self._scanned,
-            motion=self._motion.arrays,
-            params=self._params,
+        arrays = PipelineArrays(
+            self._inputs.arrays, self._outputs.arrays, self._work, self._scanned, self._motion.arrays, self._params
         )
+        return Pipeline(self._config, self._sizes, self._tuning, arrays)
 
     def _scan(self, cloud: CloudArrays) -> None:
         """Plan from this cloud from now on."""
@@ -262,13 +255,7 @@ class Planner:
         if seed is not None:
             self._seeds = [seed + b for b in range(len(self._seeds))]
             self._assign_seeds()
-        self._work.tick.zero_()
-        self._work.previous_controls.zero_()
-        self._work.previous_time.fill_(np.nan)
-        self._work.proven_stop.zero_()
-        self._work.proven_stop_age.fill_(np.inf)
-        self._work.place_count.zero_()
-        self._work.place_goal.fill_(wp.vec3(np.inf))
+        forget_history(self._work)
 
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
@@ -338,7 +325,7 @@ class Planner:
         stage_ms = {"inputs": 1e3 * (uploaded - started)}
         stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
-        sampled = self._sampled_positions(values["positions"]) if samples else None
+        sampled = sampled_positions(self._work, self._sizes, values["positions"]) if samples else None
         return make_plan(values, self._config, batched=self._batched, stage_ms=stage_ms, samples=sampled)
 
     def _write_points(self, points: Points) -> None:
@@ -362,15 +349,6 @@ class Planner:
         assert self._memory is not None
         self._scan(self._memory.arrays)
         self._memory.hold(sweeps)
-
-    def _sampled_positions(self, positions: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the Stage I rollouts [m], shape [B, M, K, N + 1, 3]; they start as the Stage II rollouts do."""
-        B, M, N, K = self._batch, self._sizes.M, self._sizes.N, self._sizes.K
-        positions = positions[:, :M]
-        states = _to_numpy(self._work.sample_positions)[:, :N, :, :K]
-        states = states.transpose(0, 3, 1, 2).reshape(B, M, K, N, 3)
-        start = np.broadcast_to(positions[:, :, None, :1], (B, M, K, 1, 3))
-        return np.concatenate((start, states), axis=3)
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.
@@ -403,9 +381,3 @@ class Planner:
     def close(self) -> None:
         """Stop the worker threads; the planner can't be used afterwards."""
         self._pipeline.close()
-
-
-def _to_numpy(array: wp.array) -> NDArray[Any]:
-    """Return `array.numpy()`, whose declared type lacks dtype and shape."""
-    values: Any = array.numpy()
-    return values
