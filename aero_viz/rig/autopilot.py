@@ -1,6 +1,7 @@
 """A simulated PX4 autopilot: MAVLink over UDP, a vehicle at 250 Hz, and PX4's rules for offboard control.
 
-How PX4 obeys setpoints is modelled in `aero_viz.rig.offboard`; the lags are those of the vehicle's model.
+`aero_viz.rig.offboard` models how PX4 obeys setpoints, and `aero_viz.rig.hold` how it holds a position. The lags are
+those of the vehicle's model.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.frames import attitude_to_ned, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
-from aero_planner.quaternions import conjugate, rotate
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
 from aero_viz.rig.estimate_error import covariance, estimate_error
 from aero_viz.rig.faults import Channel
+from aero_viz.rig.hold import HoldControl
 from aero_viz.rig.offboard import Mode, OffboardControl, Setpoint
+from aero_viz.rig.periodic_message import PeriodicMessage
 from aero_viz.rig.setpoint_decoder import PILOT_MESSAGES, decode_setpoint
 
 PERIOD = 0.004
@@ -35,11 +37,10 @@ _STREAM_TIME = 1.0  # [s] that setpoints must have been arriving before OFFBOARD
 _DEFAULT_STATE_RATE = 50.0  # [Hz]
 _MAX_STATE_RATE = 250.0  # [Hz]
 _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram arrived
-_ODOMETRY, _EXTENDED_SYS_STATE, _GPS_RAW_INT = 331, 245, 24
+_ODOMETRY, _ATTITUDE_QUATERNION, _EXTENDED_SYS_STATE, _GPS_RAW_INT = 331, 31, 245, 24  # message ids
 _FIX_RATE = 8.0  # [Hz]
 _START_RADIUS = 0.2  # [m] from the start at which the take-off ends
 _ARMING_TIME = 1.5  # [s] after which a companion has received a heartbeat of a disarmed vehicle
-_HOLD_ACCELERATION = 2.0  # [m/s^2], the largest that HOLD asks for; PX4 limits the jerk as well
 
 
 class SimulatedAutopilot:
@@ -117,19 +118,22 @@ class SimulatedAutopilot:
         # Arrays on the CPU, which share memory with the vehicle's.
         self._p, self._v, self._q, self._u = (view.numpy().reshape(-1) for view in views)
         self._offboard = OffboardControl()
-        self._hold_position: NDArray[np.float64] | None = np.array(start, dtype=np.float64)
+        self._hold = HoldControl(model.mass, model.gravity, start)
         self._stream_start = self._last_setpoint_time = -math.inf
         self._dialect = load_dialect()
         self._protocol = self._new_protocol(0)
-        self._pair, self._loss_time = pair, loss_time
-        self._state_period = 1.0 / _DEFAULT_STATE_RATE
-        self._next_state = self._next_heartbeat = 0.0
-        self._landed_period, self._next_landed = math.inf, math.inf  # not sent before it is requested
-        self._fix_period, self._next_fix = 1.0 / _FIX_RATE, 0.0
+        self._loss_time = loss_time
+        self._next_heartbeat = 0.0
+        state, state_period = (_ATTITUDE_QUATERNION if pair else _ODOMETRY), 1.0 / _DEFAULT_STATE_RATE
+        self._periodic_messages = {
+            _EXTENDED_SYS_STATE: PeriodicMessage(self._landed_messages),
+            _GPS_RAW_INT: PeriodicMessage(self._fix_messages, 1.0 / _FIX_RATE),
+            state: PeriodicMessage(self._state_messages, state_period),
+        }
         self._on_ground = ground is not None
         self._takeoff_time, self._height_offset = takeoff_time, height_offset
         self._armed_at = self._companion_heard_at = self._lost_at = math.inf
-        self._frozen_message: list[Any] = []
+        self._last_state: list[Any] = []
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         with contextlib.suppress(OSError):  # without it, a setpoint arrives in the step that reads it
@@ -198,7 +202,8 @@ class SimulatedAutopilot:
 
     def hold(self) -> None:
         """Switch to HOLD, as the pilot or the autopilot's failsafe does."""
-        self.mode, self._hold_position = Mode.HOLD, None
+        self.mode = Mode.HOLD
+        self._hold.engage()
 
     def start(self, *, late_by: float = 0.0) -> None:
         """Make the present, or a time `late_by` seconds ago, the time 0 of the simulation, except in lockstep."""
@@ -218,34 +223,15 @@ class SimulatedAutopilot:
             self.hold()
         if self.armed:
             if self.mode is Mode.HOLD:
-                self._u[:] = self._hold_command()
+                self._u[:] = self._hold.control(self.position, self.velocity, self.quaternion)
             else:
-                self._u[:] = self._offboard.control(self._q.astype(np.float64), now)
+                self._u[:] = self._offboard.control(self.quaternion, now)
             self.vehicle.fly(self._command, finished=self._finished, tick=tick)
         self._send_due_messages()
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-
-    def _hold_command(self) -> NDArray[np.float64]:
-        """Return thrust [N] and body rates [rad/s], shape [4], that brake the vehicle and then hold its position.
-
-        A cascade of controllers: the position error gives an acceleration, that an attitude, and that the rates.
-        """
-        velocity, up = self.velocity, np.array([0.0, 0.0, 1.0])
-        if self._hold_position is None and np.linalg.norm(velocity) < 0.5:
-            self._hold_position = self.position
-        acceleration = -2.5 * velocity
-        if self._hold_position is not None:
-            acceleration = acceleration - 2.0 * (self.position - self._hold_position)
-        acceleration *= min(1.0, _HOLD_ACCELERATION / max(float(np.linalg.norm(acceleration)), 1e-9))
-        force = self._model.mass * (acceleration + self._model.gravity * up)
-        q = self._q.astype(np.float64)
-        thrust_axis = rotate(q, up)
-        attitude_error = np.cross(thrust_axis, force / np.linalg.norm(force))
-        rates = 8.0 * rotate(conjugate(q), attitude_error)
-        return np.array([force @ thrust_axis, rates[0], rates[1], 0.0])
 
     def _receive_datagrams(self) -> None:
         while True:
@@ -313,17 +299,11 @@ class SimulatedAutopilot:
         if message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.violations.append(f"COMMAND_LONG {message.command}")
             return
-        number, period = message.param1, max(1e-6 * message.param2, 1.0 / _MAX_STATE_RATE)
-        is_supported = message.param2 > 0.0
-        if is_supported and number == _ODOMETRY and not self._pair:
-            self._state_period = period
-        elif is_supported and number == _EXTENDED_SYS_STATE:
-            self._landed_period, self._next_landed = period, self._now
-        elif is_supported and number == _GPS_RAW_INT:
-            self._fix_period = period
-        else:
-            is_supported = False
-        result = d.MAV_RESULT_ACCEPTED if is_supported else d.MAV_RESULT_UNSUPPORTED
+        periodic = self._periodic_messages.get(message.param1)
+        result = d.MAV_RESULT_UNSUPPORTED
+        if periodic is not None and message.param2 > 0.0:
+            periodic.request(max(1e-6 * message.param2, 1.0 / _MAX_STATE_RATE), self._now)
+            result = d.MAV_RESULT_ACCEPTED
         self._send(d.MAVLink_command_ack_message(message.command, result))
 
     def _send_parameter(self, name: str) -> None:
@@ -345,28 +325,23 @@ class SimulatedAutopilot:
             status = d.MAV_STATE_ACTIVE if self.armed else d.MAV_STATE_STANDBY
             kind = d.MAV_TYPE_QUADROTOR
             self._send(d.MAVLink_heartbeat_message(kind, d.MAV_AUTOPILOT_PX4, base, self.mode.value, status, 3))
-        if self._now >= self._next_landed:
-            self._next_landed = max(self._next_landed + self._landed_period, self._now)
-            self._send(d.MAVLink_extended_sys_state_message(d.MAV_VTOL_STATE_UNDEFINED, self._landed_state()))
-        if self._now >= self._next_fix:
-            self._next_fix = max(self._next_fix + self._fix_period, self._now)
-            self._send(self._fix_message())
-        if self._now >= self._next_state:
-            self._next_state = max(self._next_state + self._state_period, self._now)
-            if not (self.frozen and self._frozen_message):
-                self._frozen_message = self._state_messages()
-            for message in self._frozen_message:
+        for periodic in self._periodic_messages.values():
+            for message in periodic.take_due(self._now):
                 self._send(message)
 
-    def _fix_message(self) -> Any:
+    def _fix_messages(self) -> list[Any]:
         d = self._dialect
         kind = d.GPS_FIX_TYPE_3D_FIX if self._now < self._lost_at else d.GPS_FIX_TYPE_NO_GPS
         unknown = 2**16 - 1
         # The place on Earth is not simulated.
-        return d.MAVLink_gps_raw_int_message(int(1e6 * (_BOOT_TIME + self._now)), kind, 0, 0, 0, *[unknown] * 4, 255)
+        return [d.MAVLink_gps_raw_int_message(int(1e6 * (_BOOT_TIME + self._now)), kind, 0, 0, 0, *[unknown] * 4, 255)]
+
+    def _landed_messages(self) -> list[Any]:
+        d = self._dialect
+        return [d.MAVLink_extended_sys_state_message(d.MAV_VTOL_STATE_UNDEFINED, self._landed_state())]
 
     def _landed_state(self) -> int:
-        d, start = self._dialect, self._hold_position
+        d, start = self._dialect, self._hold.position
         if not self.armed:
             return d.MAV_LANDED_STATE_ON_GROUND if self._on_ground else d.MAV_LANDED_STATE_UNDEFINED
         if self._now - self._armed_at < self._takeoff_time:
@@ -377,13 +352,18 @@ class SimulatedAutopilot:
         return d.MAV_LANDED_STATE_IN_AIR
 
     def _state_messages(self) -> list[Any]:
+        if not (self.frozen and self._last_state):
+            self._last_state = self._make_state_messages()
+        return self._last_state
+
+    def _make_state_messages(self) -> list[Any]:
         d = self._dialect
         stamp = _BOOT_TIME + self._now
         error = estimate_error(max(0.0, self._now - self._lost_at), height_offset=self._height_offset)
         p, v = ned_from_world(self.position + error.position), ned_from_world(self.velocity + error.velocity)
         q = attitude_to_ned(self._q)
         rates = frd_from_flu(self.vehicle.control.numpy()[0, 1:])  # type: ignore[index]
-        if self._pair:
+        if _ODOMETRY not in self._periodic_messages:
             boot = int(1e3 * stamp)
             return [
                 d.MAVLink_attitude_quaternion_message(boot, *q.tolist(), *rates.tolist()),
