@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-import sys
 import threading
 import time
 from collections import deque
@@ -38,7 +37,7 @@ from aero_planner.onboard.failsafe_table import (
 from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.ground_tracker import GroundTracker
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample
-from aero_planner.onboard.periodic_loop import PeriodicLoop, run_step
+from aero_planner.onboard.periodic_loop import LoopThreads, PeriodicLoop, run_step
 from aero_planner.onboard.plan_schedule import PlanSchedule
 from aero_planner.onboard.readiness_log import ReadinessLog
 from aero_planner.onboard.replanner import ControlSnapshot, Replanner
@@ -51,9 +50,6 @@ from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
 
 _log = logging.getLogger(__name__)
-
-_SWITCH_INTERVAL = 0.0005
-"""Longest time for which another thread may keep the interpreter from the control loop [s]."""
 
 
 class Node:
@@ -136,7 +132,7 @@ class Node:
         self._fell_silent = threading.Event()
         self._closing = threading.Event()
         self._loops = self._make_loops()
-        self._threads: list[threading.Thread] = []
+        self._threads = LoopThreads(self._loops, self._closing)
 
     def _make_loops(self) -> dict[str, PeriodicLoop]:
         period, replan_period = 1.0 / self.config.rates.control, 1.0 / self.config.rates.replan
@@ -363,14 +359,7 @@ class Node:
 
     def start(self) -> None:
         """Start the threads."""
-        if self._threads:
-            raise RuntimeError("the node was already started.")
-        self._switch_interval = sys.getswitchinterval()
-        sys.setswitchinterval(_SWITCH_INTERVAL)
-        for name, loop in self._loops.items():
-            thread = threading.Thread(target=loop.run, name=f"aero-planner-{name}", daemon=True)
-            self._threads.append(thread)
-            thread.start()
+        self._threads.start()
 
     def stop(self) -> None:
         """Ask the node to stop the drone, if it is in control, and fall silent. Returns at once; signal-safe."""
@@ -388,18 +377,14 @@ class Node:
         """
         if self._failsafe is not None:
             self._failsafe.close()  # first, so that it does not act on this silence
-        self._closing.set()
-        for thread in self._threads:
-            thread.join(timeout=2.0)
-        if self._threads:
-            sys.setswitchinterval(self._switch_interval)
+        has_ended = self._threads.close()
         if self._watchdog.needed:
             self._send(Command(self._stop_controller.hover, None))  # for the same reason as in `control_once`
         self._link.close()
         self._lidar.close()
         for observer in self._observers:
             run_step(observer.close, type(observer).__name__)
-        return not any(thread.is_alive() for thread in self._threads)
+        return has_ended
 
     def _run_control(self) -> None:
         # A tick that fails sends no heartbeat: if failures continue, the watchdog brakes.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ _log = logging.getLogger(__name__)
 
 _KEPT = 30_000
 """Number of ticks that the statistics cover: ten minutes at 50 Hz."""
+_SWITCH_INTERVAL = 0.0005
+"""Longest time for which a thread may keep the interpreter from a loop [s]."""
 
 
 class DeadlineStatistics:
@@ -109,6 +112,44 @@ class PeriodicLoop:
             now = self._clock()
             missed = max(0, int((now - due) / period))
             due = due + (1 + missed) * period if self._on_grid else max(due + period, now)
+
+
+class LoopThreads:
+    """Runs loops in threads of their own, and makes all threads of the process release the interpreter often.
+
+    Args:
+        loops: Loops by name.
+        stopped: The event that ends these loops.
+    """
+
+    def __init__(self, loops: Mapping[str, PeriodicLoop], stopped: threading.Event) -> None:
+        self._loops = loops
+        self._stopped = stopped
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Start the threads.
+
+        Raises:
+            RuntimeError: They were started before.
+        """
+        if self._threads:
+            raise RuntimeError("the threads were already started.")
+        self._switch_interval = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        for name, loop in self._loops.items():
+            thread = threading.Thread(target=loop.run, name=f"aero-planner-{name}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+
+    def close(self) -> bool:
+        """End the loops and wait up to 2 s for each thread; return True if every thread has ended."""
+        self._stopped.set()
+        for thread in self._threads:
+            thread.join(timeout=2.0)
+        if self._threads:
+            sys.setswitchinterval(self._switch_interval)
+        return not any(thread.is_alive() for thread in self._threads)
 
 
 def run_step(step: Callable[[], Any], name: str) -> bool:
