@@ -1,94 +1,21 @@
 """The simulated autopilot: PX4's rules for offboard control, its messages, and its vehicle."""
 
 import math
-import socket
 import struct
-from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
 
-from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
 from aero_viz.flight.vehicle import Vehicle, VehicleModel
-from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
+from aero_viz.rig.autopilot import PERIOD
 from aero_viz.rig.offboard import Mode
-from aero_viz.rig.rig import PX4_RESPONSE
-
-mavlink = load_dialect()
-HALF = math.sqrt(0.5)
-START = (1.0, 2.0, 3.0)
-LEVEL = (1.0, 0.0, 0.0, 0.0)
-PITCHED = (math.cos(0.1), 0.0, -math.sin(0.1), 0.0)
-"""Nose down by 0.2 rad, in PX4's frames."""
+from tests.rig.companion import HALF, START, mavlink
 
 
-class Companion:
-    """The companion computer at the other end of the connection, in simulated time."""
-
-    def __init__(self, **options: Any) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
-        self.socket.setblocking(False)
-        self.protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
-        options = {"heading": 0.0, "model": VehicleModel(step=PERIOD)} | options
-        self.autopilot = SimulatedAutopilot(start=START, address=self.socket.getsockname(), **options)
-        self.tick = 0
-        self.messages = []
-
-    @property
-    def now(self):
-        return self.tick * PERIOD
-
-    def send(self, message):
-        target = ("127.0.0.1", self.autopilot.port)
-        self.socket.sendto(bytes(message.pack(self.protocol)), target)
-
-    def command(self, thrust=0.5, rates=(0.0, 0.0, 0.0), *, mask=128, component=1, attitude=LEVEL):
-        self.send(mavlink.MAVLink_set_attitude_target_message(0, 1, component, mask, attitude, *rates, thrust))
-
-    def run(self, seconds, *, every=0.02, **command):
-        """Step for some seconds, with a command every `every` seconds, or without commands if it is None."""
-        for _ in range(round(seconds / PERIOD)):
-            if every is not None and self.tick % round(every / PERIOD) == 0:
-                self.command(**command)
-            self.tick += 1
-            self.autopilot.step(self.tick - 1, self.now)
-            while True:
-                try:
-                    data = self.socket.recv(2048)
-                except BlockingIOError:
-                    break
-                self.messages += [(self.now, message) for message in mavlink.MAVLink(None).parse_buffer(data)]
-
-    def got(self, name):
-        return [(time, message) for time, message in self.messages if message.get_type() == name]
-
-    def fly(self, seconds=0.0, **command):
-        """Get control of the vehicle by the rules, then send commands for some seconds."""
-        self.run(1.1)
-        self.autopilot.arm()
-        assert self.autopilot.engage()
-        self.run(seconds, **command)
-
-
-@pytest.fixture
-def make():
-    companions = []
-
-    def make(**options):
-        companions.append(Companion(**options))
-        return companions[-1]
-
-    yield make
-    for companion in companions:
-        companion.autopilot.close()
-        companion.socket.close()
-
-
-def test_offboard_needs_arming_and_a_stream(make):
-    c = make()
+def test_offboard_needs_arming_and_a_stream(make_companion):
+    c = make_companion()
     c.autopilot.arm()
     assert not c.autopilot.engage()  # nothing has come
     c.run(0.9)
@@ -96,24 +23,24 @@ def test_offboard_needs_arming_and_a_stream(make):
     c.run(0.2)
     assert c.autopilot.engage()
     assert c.autopilot.mode is Mode.OFFBOARD
-    unarmed = make()
+    unarmed = make_companion()
     unarmed.run(1.1)
     assert not unarmed.autopilot.engage()  # not armed
 
 
-def test_fewer_than_two_setpoints_per_second_are_not_a_stream(make):
-    c = make()
+def test_fewer_than_two_setpoints_per_second_are_not_a_stream(make_companion):
+    c = make_companion()
     c.autopilot.arm()
     c.run(5.0, every=0.6)
     assert not c.autopilot.engage()
-    slow = make()
+    slow = make_companion()
     slow.autopilot.arm()
     slow.run(5.0, every=0.4)
     assert slow.autopilot.engage()
 
 
-def test_offboard_ends_half_a_second_after_the_last_setpoint(make):
-    c = make()
+def test_offboard_ends_half_a_second_after_the_last_setpoint(make_companion):
+    c = make_companion()
     c.fly(1.0, rates=(0.0, -0.3, 0.0), thrust=0.52)
     assert np.linalg.norm(c.autopilot.velocity) > 0.5
     c.run(0.48, every=None)
@@ -131,8 +58,8 @@ def test_offboard_ends_half_a_second_after_the_last_setpoint(make):
     assert c.autopilot.mode is Mode.HOLD
 
 
-def test_a_late_simulation_does_not_obey_a_command_before_it_was_sent(make):
-    c = make()
+def test_a_late_simulation_does_not_obey_a_command_before_it_was_sent(make_companion):
+    c = make_companion()
     c.run(0.1, every=None)
     c.autopilot.start(late_by=5.0)  # as if five seconds had passed, of which the simulation has flown none
     c.command()
@@ -143,8 +70,8 @@ def test_a_late_simulation_does_not_obey_a_command_before_it_was_sent(make):
     assert setpoint.time > 5.0
 
 
-def test_a_late_simulation_in_lockstep_obeys_a_command_at_once(make):
-    c = make(lockstep=True)
+def test_a_late_simulation_in_lockstep_obeys_a_command_at_once(make_companion):
+    c = make_companion(lockstep=True)
     c.run(0.1, every=None)
     c.autopilot.start(late_by=5.0)
     c.command()
@@ -153,8 +80,8 @@ def test_a_late_simulation_in_lockstep_obeys_a_command_at_once(make):
     assert 0.1 < setpoint.time < 0.2
 
 
-def test_commands_have_no_effect_before_offboard(make):
-    c = make()
+def test_commands_have_no_effect_before_offboard(make_companion):
+    c = make_companion()
     c.run(2.0, thrust=0.9, rates=(1.0, 1.0, 1.0))
     np.testing.assert_allclose(c.autopilot.position, START)
     c.autopilot.arm()
@@ -163,40 +90,40 @@ def test_commands_have_no_effect_before_offboard(make):
     assert {setpoint.mode for setpoint in c.autopilot.setpoints} == {Mode.HOLD}
 
 
-def test_commands_have_the_expected_effects(make):
+def test_commands_have_the_expected_effects(make_companion):
     # Nose down (FRD pitch -0.5 rad/s) for 0.4 s: it goes north; a roll to the right: it goes east, -y.
-    north = make()
+    north = make_companion()
     north.fly(0.4, rates=(0.0, -0.5, 0.0))
     assert north.autopilot.velocity[0] > 0.3
-    east = make()
+    east = make_companion()
     east.fly(0.4, rates=(0.5, 0.0, 0.0))
     assert east.autopilot.velocity[1] < -0.3
-    up = make()
+    up = make_companion()
     up.fly(0.4, thrust=0.6)
     # 0.6 / 0.5 of the weight: 0.2 g.
     assert up.autopilot.velocity[2] == pytest.approx(0.2 * 9.81 * 0.4, rel=0.02)
-    square = make(curve=1.0)
+    square = make_companion(curve=1.0)
     square.fly(0.4, thrust=0.6)
     assert square.autopilot.velocity[2] == pytest.approx(0.44 * 9.81 * 0.4, rel=0.02)
 
 
 @pytest.mark.parametrize(("compensation", "curve"), [(0.6, 0.0), (0.0, 0.6)])
-def test_the_node_must_not_compensate_a_curve_that_the_autopilot_compensates(make, compensation, curve):
-    c = make(hover_thrust=0.4, curve=0.6, compensation=compensation)
+def test_the_node_must_not_compensate_a_curve_that_the_autopilot_compensates(make_companion, compensation, curve):
+    c = make_companion(hover_thrust=0.4, curve=0.6, compensation=compensation)
     for weights in (0.5, 1.0, 1.7):
         force = weights * 9.81
         c.run(0.04, thrust=ThrustModel(mass=1.0, hover_thrust=0.4, curve=curve).signal(force))
         assert c.autopilot.setpoints[-1].thrust == pytest.approx(force, rel=1e-6)
 
 
-def test_a_curve_compensated_twice_gives_the_wrong_thrust(make):
-    c = make(hover_thrust=0.4, curve=0.6, compensation=0.6)
+def test_a_curve_compensated_twice_gives_the_wrong_thrust(make_companion):
+    c = make_companion(hover_thrust=0.4, curve=0.6, compensation=0.6)
     c.run(0.04, thrust=ThrustModel(mass=1.0, hover_thrust=0.4, curve=0.6).signal(1.7 * 9.81))
     assert c.autopilot.setpoints[-1].thrust < 1.6 * 9.81
 
 
-def test_the_vehicle_behaves_as_in_a_simulated_flight(make):
-    c = make(heading=0.7)
+def test_the_vehicle_behaves_as_in_a_simulated_flight(make_companion):
+    c = make_companion(heading=0.7)
     c.fly()
     twin = Vehicle(VehicleModel(step=PERIOD), np.array([START]), [0.7], period=PERIOD, device="cpu")
     # The same initial state and the same commands.
@@ -225,8 +152,8 @@ def test_the_vehicle_behaves_as_in_a_simulated_flight(make):
         {"component": 7},
     ],
 )
-def test_invalid_setpoints_are_refused_and_do_not_count_as_a_stream(make, command):
-    c = make()
+def test_invalid_setpoints_are_refused_and_do_not_count_as_a_stream(make_companion, command):
+    c = make_companion()
     c.autopilot.arm()
     c.run(2.0, **command)
     assert c.autopilot.refused == 100
@@ -234,8 +161,8 @@ def test_invalid_setpoints_are_refused_and_do_not_count_as_a_stream(make, comman
     assert not c.autopilot.engage()
 
 
-def test_the_companion_may_not_arm_or_change_the_mode(make):
-    c = make()
+def test_the_companion_may_not_arm_or_change_the_mode(make_companion):
+    c = make_companion()
     arm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
     c.send(mavlink.MAVLink_command_long_message(1, 1, arm, 0, 1.0, *[0.0] * 6))
     c.send(mavlink.MAVLink_set_mode_message(1, 1, 6 << 16))
@@ -245,8 +172,8 @@ def test_the_companion_may_not_arm_or_change_the_mode(make):
     assert c.autopilot.violations == [f"COMMAND_LONG {arm}", "SET_MODE"]
 
 
-def test_a_heartbeat_is_sent_once_per_second(make):
-    c = make()
+def test_a_heartbeat_is_sent_once_per_second(make_companion):
+    c = make_companion()
     c.fly()
     c.run(2.5)
     heartbeats = c.got("HEARTBEAT")
@@ -257,8 +184,8 @@ def test_a_heartbeat_is_sent_once_per_second(make):
     assert (last.base_mode & 128, last.custom_mode) == (128, 6 << 16)
 
 
-def test_odometry_is_in_the_ned_frame(make):
-    c = make(heading=-0.5 * math.pi)  # nose to -y, the east
+def test_odometry_is_in_the_ned_frame(make_companion):
+    c = make_companion(heading=-0.5 * math.pi)  # nose to -y, the east
     c.run(0.1)
     _, message = c.got("ODOMETRY")[0]
     np.testing.assert_allclose([message.x, message.y, message.z], [1.0, -2.0, -3.0])
@@ -269,8 +196,8 @@ def test_odometry_is_in_the_ned_frame(make):
     assert message.vz == pytest.approx(-c.autopilot.velocity[2], abs=0.05)
 
 
-def test_the_companion_sets_the_rate_of_states(make):
-    c = make()
+def test_the_companion_sets_the_rate_of_states(make_companion):
+    c = make_companion()
     c.run(1.0)
     assert len(c.got("ODOMETRY")) == pytest.approx(50, abs=2)
     c.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 331, 10_000, *[0.0] * 5))
@@ -287,8 +214,8 @@ def request(c, number, rate):
     c.send(mavlink.MAVLink_command_long_message(1, 1, 511, 0, number, 1e6 / rate, *[0.0] * 5))
 
 
-def test_the_landed_state_is_reported_on_request(make):
-    c = make(takeoff_time=0.5, ground=2.9)
+def test_the_landed_state_is_reported_on_request(make_companion):
+    c = make_companion(takeoff_time=0.5, ground=2.9)
     c.run(1.0)
     assert c.got("EXTENDED_SYS_STATE") == []
     request(c, 245, 10)
@@ -303,8 +230,8 @@ def test_the_landed_state_is_reported_on_request(make):
     assert set(in_air[1:]) == {mavlink.MAV_LANDED_STATE_IN_AIR}
 
 
-def test_the_vehicle_takes_off_from_the_ground_to_its_start(make):
-    c = make(ground=0.1)
+def test_the_vehicle_takes_off_from_the_ground_to_its_start(make_companion):
+    c = make_companion(ground=0.1)
     request(c, 245, 10)
     c.run(1.0)
     np.testing.assert_allclose(c.autopilot.position, [1.0, 2.0, 0.1])
@@ -316,8 +243,8 @@ def test_the_vehicle_takes_off_from_the_ground_to_its_start(make):
     assert c.got("EXTENDED_SYS_STATE")[-1][1].landed_state == mavlink.MAV_LANDED_STATE_IN_AIR
 
 
-def test_the_pilot_arms_when_the_companion_must_have_seen_a_heartbeat(make):
-    c = make()
+def test_the_pilot_arms_when_the_companion_must_have_seen_a_heartbeat(make_companion):
+    c = make_companion()
     c.run(3.0, every=None)
     assert not c.autopilot.ready_to_arm
     c.send(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
@@ -327,8 +254,8 @@ def test_the_pilot_arms_when_the_companion_must_have_seen_a_heartbeat(make):
     assert c.autopilot.ready_to_arm
 
 
-def test_a_lost_position_drifts_and_grows_uncertain(make):
-    c = make(height_offset=0.48)
+def test_a_lost_position_drifts_and_grows_uncertain(make_companion):
+    c = make_companion(height_offset=0.48)
     c.run(0.5)
     _, known = c.got("ODOMETRY")[-1]
     assert c.got("GPS_RAW_INT")[-1][1].fix_type == mavlink.GPS_FIX_TYPE_3D_FIX
@@ -347,15 +274,15 @@ def test_a_lost_position_drifts_and_grows_uncertain(make):
     assert found.x == pytest.approx(known.x) and found.velocity_covariance[0] ** 0.5 == pytest.approx(0.05)
 
 
-def test_a_pair_of_messages_can_replace_odometry(make):
-    c = make(pair=True)
+def test_a_pair_of_messages_can_replace_odometry(make_companion):
+    c = make_companion(pair=True)
     c.run(0.5)
     assert c.got("ODOMETRY") == []
     assert len(c.got("LOCAL_POSITION_NED")) == len(c.got("ATTITUDE_QUATERNION")) > 20
 
 
-def test_a_frozen_state_repeats_the_same_message(make):
-    c = make()
+def test_a_frozen_state_repeats_the_same_message(make_companion):
+    c = make_companion()
     c.fly(0.5, thrust=0.6)
     c.autopilot.frozen = True
     before = len(c.got("ODOMETRY"))
@@ -368,68 +295,8 @@ def test_a_frozen_state_repeats_the_same_message(make):
     assert c.got("ODOMETRY")[-1][1].z < frozen[0][1]
 
 
-def pitch(c):
-    """Return by how much the nose is down [rad]."""
-    w, _, y, _ = c.autopilot.vehicle.quaternion.numpy()[0]
-    return 2.0 * math.atan2(y, w)
-
-
-def test_thrust_and_rates_respond_with_the_lags_of_px4(make):
-    c = make(model=VehicleModel(step=PERIOD, **PX4_RESPONSE))
-    c.fly()
-    c.run(0.072, rates=(0.0, -1.0, 0.0), thrust=0.6)
-    thrust, _, rate, _ = c.autopilot.vehicle.control.numpy()[0]
-    # After a time constant 63 % of a change have happened.
-    assert rate == pytest.approx(1.0 - math.exp(-0.072 / 0.07), abs=0.03)
-    assert thrust / 9.81 == pytest.approx(1.2 - 0.2 * math.exp(-0.072 / 0.045), abs=0.02)
-
-
-def test_an_attitude_alone_is_obeyed_late_and_the_old_rates_last_until_then(make):
-    c = make(model=VehicleModel(step=PERIOD, **PX4_RESPONSE))
-    c.fly(0.1, rates=(0.0, -1.0, 0.0))
-    before = pitch(c)
-    c.run(0.38, mask=7, attitude=LEVEL)
-    # The vehicle goes on turning at 1 rad/s although it is told to be level.
-    assert pitch(c) - before == pytest.approx(0.4, abs=0.05)
-    c.run(1.5, mask=7, attitude=LEVEL)
-    assert abs(pitch(c)) < 0.01
-
-
-def test_attitude_with_rates_follows_the_rates_until_the_attitude_is_obeyed(make):
-    c = make(model=VehicleModel(step=PERIOD, **PX4_RESPONSE))
-    c.fly(0.1, rates=(0.0, 0.0, 0.0))
-    c.run(0.38, mask=0, attitude=PITCHED, rates=(0.0, 0.5, 0.0))
-    assert pitch(c) < -0.1
-    c.run(1.5, mask=0, attitude=PITCHED, rates=(0.0, 0.5, 0.0))
-    assert pitch(c) == pytest.approx(0.2, abs=0.01)
-    # Back to rates: the attitude lasts for another 0.4 s.
-    c.run(0.38, rates=(0.0, 0.5, 0.0))
-    assert pitch(c) == pytest.approx(0.2, abs=0.01)
-    c.run(0.5, rates=(0.0, 0.5, 0.0))
-    assert pitch(c) < 0.1
-
-
-def test_a_change_that_is_taken_back_in_time_has_no_effect(make):
-    c = make(model=VehicleModel(step=PERIOD, **PX4_RESPONSE))
-    c.fly(0.1)
-    c.run(0.3, mask=0, attitude=PITCHED)
-    c.run(0.1)
-    c.run(0.3, mask=0, attitude=PITCHED)
-    assert abs(pitch(c)) < 1e-3
-
-
-def test_attitudes_are_reached_with_bounded_rates(make):
-    c = make(model=VehicleModel(step=PERIOD, rate_xy_max=20.0))
-    half = 0.5 * math.radians(80.0)
-    c.run(1.1, mask=0, attitude=LEVEL)
-    c.autopilot.arm()
-    assert c.autopilot.engage()  # begins with the attitude
-    c.run(0.1, mask=0, attitude=(math.cos(half), 0.0, -math.sin(half), 0.0))
-    assert pitch(c) == pytest.approx(0.1 * math.radians(220.0), rel=0.1)
-
-
-def test_parameters_are_sent_in_px4s_encoding(make):
-    c = make(loss_time=0.5)
+def test_parameters_are_sent_in_px4s_encoding(make_companion):
+    c = make_companion(loss_time=0.5)
     for name in (b"COM_OF_LOSS_T", b"NAV_RCL_ACT", b"ABSENT"):
         c.send(mavlink.MAVLink_param_request_read_message(1, 1, name, -1))
     c.run(0.1, every=None)

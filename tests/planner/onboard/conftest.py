@@ -1,9 +1,13 @@
+import socket
 from collections.abc import Iterator
 
 import pytest
 
 from aero_planner import Planner
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.thrust import ThrustModel
+from tests.planner.onboard.mavlink_peer import Peer
 from tests.planner.onboard.simulated import PLACES, SMALL, Clock, Simulation, in_flight, poles
 
 
@@ -53,3 +57,28 @@ def flight(small_planner: Planner) -> Simulation:
     """A simulation in full flight, with short time limits and a low floor, below which braking does not end."""
     changes = {"limits.hold_time": 1.0, "limits.brake_time": 3.0, "limits.fence_height_min": 0.5}
     return in_flight(small_planner, changes=changes)
+
+
+@pytest.fixture
+def port() -> int:
+    """A UDP port that is free."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def link(clock: Clock, port: int) -> Iterator[MavlinkLink]:
+    """A link that obeys the vehicle and a ground station, whose messages may be forwarded."""
+    senders = [(1, None), (255, None), (255, "127.0.0.1")]
+    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(2.0, hover_thrust=0.4), goal_senders=senders, clock=clock)
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def autopilot(link: MavlinkLink, port: int) -> Iterator[Peer]:
+    """The autopilot at the other end of `link`."""
+    peer = Peer(port)
+    yield peer
+    peer.socket.close()

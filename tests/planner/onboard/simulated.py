@@ -47,6 +47,11 @@ def poles(places: Sequence[tuple[float, float]], *, radius: float = 0.25, height
     return np.concatenate([ring + np.array([x, y, 0.0]) for x, y in places]).astype(np.float32)
 
 
+def flying_north(now: float) -> MotionState:
+    """Return the motion of a drone that is level and flies north at 4 m/s."""
+    return MotionState(now, np.zeros(3), np.array([4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
+
+
 class SimulatedLink:
     """An autopilot that, like PX4, leaves OFFBOARD 0.5 s after the last command."""
 

@@ -1,8 +1,6 @@
-"""The failsafe process: its shared memory, and the process itself with a real socket or serial line."""
+"""The failsafe process, with a real socket or serial line."""
 
 import logging
-import math
-import mmap
 import os
 import select
 import signal
@@ -17,17 +15,15 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.onboard.dead_reckoning import MotionState
 from aero_planner.onboard.failsafe_process import FailsafeProcess, takeover_time
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.frames import flu_from_frd
-from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.transport import open_transport
-from aero_planner.onboard.watchdog import UPCOMING_MAX, Heartbeat
-from tests.planner.onboard.simulated import GOAL
+from aero_planner.onboard.watchdog import Heartbeat
+from tests.planner.onboard.simulated import GOAL, flying_north
 from tests.planner.onboard.test_node_life import StandingLidar, StandingLink
 
 mavlink = load_dialect()
@@ -38,96 +34,6 @@ PERIOD = 1.0 / CONFIG.rates.control
 HOVER = np.array([VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.0])
 PATIENCE = 60.0
 """Timeout for a busy machine [s]."""
-
-
-def forward(now: float) -> MotionState:
-    """Level, north at 4 m/s."""
-    return MotionState(now, np.zeros(3), np.array([4.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]))
-
-
-# --- the memory ---
-
-
-@pytest.fixture
-def file() -> Iterator[int]:
-    file = HeartbeatMemory.create_file()
-    yield file
-    os.close(file)
-
-
-@pytest.fixture
-def memory(file: int) -> HeartbeatMemory:
-    return HeartbeatMemory(file)
-
-
-def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
-    reader = HeartbeatMemory(file)
-    assert reader.read() is None
-    motion = MotionState(4.9, np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([0.5, 0.5, -0.5, 0.5]))
-    for count in range(1, 5):
-        written = Heartbeat(5.0 + count, motion, np.array([9.0, 0.1, 0.2, count]))
-        memory.write(written, "udpout:10.0.0.1:14540", 2**47 + count)
-        number, heartbeat, peer, signing_time = reader.read() or pytest.fail("there is none")
-        assert (number, heartbeat.time, peer) == (count, 5.0 + count, "udpout:10.0.0.1:14540")
-        assert signing_time == 2**47 + count
-        assert heartbeat.motion is not None and heartbeat.motion.time == 4.9
-        for name in ("position", "velocity", "quaternion"):
-            np.testing.assert_array_equal(getattr(heartbeat.motion, name), getattr(motion, name))
-        np.testing.assert_array_equal(heartbeat.command, [9.0, 0.1, 0.2, count])
-    planned = np.arange(4.0 * (UPCOMING_MAX + 3)).reshape(-1, 4)
-    for upcoming in (planned[:1], planned[:5], planned[:UPCOMING_MAX], planned):
-        memory.write(Heartbeat(9.0, motion, HOVER, upcoming, thrust_gain=0.9), None)
-        _, heartbeat, *_ = reader.read() or pytest.fail("there is none")
-        assert heartbeat.thrust_gain == 0.9
-        np.testing.assert_array_equal(heartbeat.upcoming, upcoming[:UPCOMING_MAX])
-    memory.write(Heartbeat(10.0, None, None), None)
-    assert reader.read() == (9, Heartbeat(10.0, None, None), None, 0)
-    assert memory.read_status() == (False, False, 0)
-    reader.write_status(8, 3)
-    assert memory.read_status() == (True, False, 3)
-    reader.write_status(9, 3)
-    assert memory.read_status() == (True, True, 3)
-    memory.write(Heartbeat(11.0, None, None), None)
-    assert memory.read_status() == (True, False, 3)  # it braked after an older heartbeat
-
-
-def test_a_motion_that_is_not_finite_reads_as_none(memory: HeartbeatMemory):
-    memory.write(Heartbeat(5.0, forward(math.nan), np.array([9.0, math.inf, 0.0, 0.0])), None)
-    assert memory.read() == (1, Heartbeat(5.0, None, None), None, 0)
-
-
-def test_a_memory_of_another_version_is_refused(file: int):
-    end = os.lseek(file, 0, os.SEEK_END)
-    os.pwrite(file, b"\xff", end - 4)
-    with pytest.raises(ValueError, match="another version"):
-        HeartbeatMemory(file)
-
-
-@pytest.mark.parametrize("written", [1, 2, 3, 4])
-def test_a_writer_stopped_anywhere_leaves_the_previous_heartbeat(memory: HeartbeatMemory, file: int, written: int):
-    for count in range(1, written + 1):
-        memory.write(Heartbeat(float(count), forward(count), HOVER + count), f"udpout:127.0.0.1:{count}")
-    content = mmap.mmap(file, 0)
-    before = content[:]
-    memory.write(Heartbeat(-7.0, forward(-7.0), -HOVER), "/dev/ttyTHS1")
-    after = content[:]
-    (changed,) = np.nonzero(np.frombuffer(before, np.uint8) != np.frombuffer(after, np.uint8))
-    first, last = int(changed[0]), int(changed[-1])
-    for end in range(first, last + 1):
-        content[:] = after[:end] + before[end:]
-        found = memory.read()
-        assert found is not None and found[0] == written and found[1].time == written, end
-    # The same if the bytes are written in another order, such as the end first.
-    for begin in range(first + 1, last + 1):
-        content[:] = before[:begin] + after[begin:]
-        found = memory.read()
-        assert found is not None and found[0] == written, begin
-    content[:] = after
-    found = memory.read()
-    assert found is not None and found[0] == written + 1 and found[2] == "/dev/ttyTHS1"
-
-
-# --- the process ---
 
 
 class Autopilot:
@@ -182,13 +88,13 @@ def fly(failsafe: FailsafeProcess, ticks: int = 10) -> float:
     now = time.monotonic()
     for _ in range(ticks):
         now = time.monotonic()
-        failsafe.report(Heartbeat(now, forward(now), HOVER))
+        failsafe.report(Heartbeat(now, flying_north(now), HOVER))
         time.sleep(0.02)
     return now
 
 
 def check_braking(commands: list[tuple[float, np.ndarray]], *, early: float = 0.0) -> None:
-    """Check that a drone flying north, see `forward`, is braked and then commanded to hover.
+    """Check that a drone flying north, see `flying_north`, is braked and then commanded to hover.
 
     Without a plan it is stopped from the first late tick on, at most `early` seconds before the deadline.
     """
@@ -217,7 +123,7 @@ def test_when_heartbeats_stop_it_brakes_hovers_and_falls_silent(failsafe: Failsa
 def test_until_the_deadline_it_flies_the_planned_commands(failsafe: FailsafeProcess, autopilot: Autopilot):
     now = time.monotonic()
     upcoming = np.array([[VEHICLE.mass * VEHICLE.gravity, 0.0, 0.0, 0.002 * k] for k in range(1, 7)])
-    failsafe.report(Heartbeat(now, forward(now), HOVER, upcoming))
+    failsafe.report(Heartbeat(now, flying_north(now), HOVER, upcoming))
     commands = autopilot.receive_all()
     planned = [values for _, values in commands if values[3] != 0.0]
     braking = commands[len(planned) :]
@@ -255,7 +161,7 @@ def test_it_sends_nothing_when_closed_in_flight(failsafe: FailsafeProcess, autop
 def test_it_sends_nothing_to_a_drone_that_does_not_obey(failsafe: FailsafeProcess, autopilot: Autopilot):
     fly(failsafe)
     now = time.monotonic()
-    failsafe.report(Heartbeat(now, forward(now), None))
+    failsafe.report(Heartbeat(now, flying_north(now), None))
     assert autopilot.receive(2 * takeover_time(CONFIG)) is None
 
 

@@ -1,4 +1,4 @@
-"""Decisions of the watchdog. `test_node` flies with it; `test_failsafe_process` runs it in a second process."""
+"""Decisions of the watchdog. `test_node_faults` flies with it; `test_failsafe_process` runs it in a second process."""
 
 import math
 
@@ -12,6 +12,7 @@ from aero_planner.onboard.settings import BrakeSettings
 from aero_planner.onboard.stop_controller import StopController
 from aero_planner.onboard.watchdog import Heartbeat, Watchdog
 from aero_planner.quaternions import quaternion_from_angles, rotate
+from tests.planner.onboard.simulated import flying_north
 
 PERIOD, DEADLINE, BLIND_TIME = 0.02, 0.1, 1.5
 VEHICLE = PlannerConfig().vehicle
@@ -41,10 +42,6 @@ def watchdog(link: RecordingLink) -> Watchdog:
     return Watchdog(link, stop, VEHICLE, period=PERIOD, deadline=DEADLINE, blind_time=BLIND_TIME)
 
 
-def moving(time: float) -> MotionState:
-    return MotionState(time, np.zeros(3), np.array([4.0, 0.0, 0.0]), LEVEL)
-
-
 def tilt(motion: MotionState | None) -> float:
     """Return the angle between the drone's axis and the vertical [deg]."""
     assert motion is not None
@@ -57,14 +54,14 @@ def times(begin: float, end: float) -> NDArray[np.float64]:
 
 
 def test_it_brakes_by_dead_reckoning_then_hovers_and_falls_silent(watchdog: Watchdog, link: RecordingLink):
-    watchdog.report(Heartbeat(10.0, moving(10.0), TURNING))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), TURNING))
     checks = [(now, watchdog.check(now)) for now in times(10.01, 13.0)]
     acted = [(now, action) for now, action in checks if action is not None]
     assert 1.5 * PERIOD <= acted[0][0] - 10.0 <= 2.5 * PERIOD
     assert DEADLINE + BLIND_TIME < acted[-1][0] - 10.0 <= DEADLINE + BLIND_TIME + PERIOD
     np.testing.assert_allclose(np.diff([now for now, _ in acted]), PERIOD)
     # Each command acts from the state that TURNING and the commands before it have led to.
-    motion, command, sent = moving(10.0), TURNING, iter(link.commands)
+    motion, command, sent = flying_north(10.0), TURNING, iter(link.commands)
     for now, action in acted[:-1]:
         motion = propagate(motion, command, now, VEHICLE)
         assert action.motion is not None and action.command is not None
@@ -80,7 +77,7 @@ def test_it_brakes_by_dead_reckoning_then_hovers_and_falls_silent(watchdog: Watc
 
 def test_until_the_deadline_it_sends_the_planned_commands(watchdog: Watchdog, link: RecordingLink):
     upcoming = np.array([[11.0 + k, 0.1 * k, 0.0, 0.0] for k in range(3)])
-    watchdog.report(Heartbeat(10.0, moving(10.0), TURNING, upcoming))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), TURNING, upcoming))
     actions = [(now, watchdog.check(now)) for now in times(10.005, 10.2)]
     # Nothing while the tick may still come, then the planned commands while they last, then braking.
     assert [action is not None for _, action in actions[:2]] == [False, False]
@@ -88,7 +85,7 @@ def test_until_the_deadline_it_sends_the_planned_commands(watchdog: Watchdog, li
     assert actions[3][1] is not None and actions[4][1] is None and actions[5][1] is not None
     assert actions[5][0] - 10.0 > DEADLINE and watchdog.interventions == 1
     # The drone has obeyed the command of the heartbeat and then the planned ones.
-    motion = moving(10.0)
+    motion = flying_north(10.0)
     for command, end in ((TURNING, 10.045), (upcoming[1], 10.065), (upcoming[2], 10.105)):
         motion = propagate(motion, command, end, VEHICLE)
     assert actions[5][1].motion is not None
@@ -98,19 +95,19 @@ def test_until_the_deadline_it_sends_the_planned_commands(watchdog: Watchdog, li
 def test_a_late_loop_that_was_stopping_the_drone_is_replaced_before_the_deadline(
     watchdog: Watchdog, link: RecordingLink
 ):
-    watchdog.report(Heartbeat(10.0, moving(10.0), TURNING))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), TURNING))
     acted = [now for now in times(10.0, 10.0 + DEADLINE) if watchdog.check(now) is not None]
     # Not the rates of TURNING, which would last until the deadline: the nose goes up, against the velocity.
     np.testing.assert_allclose(acted, times(10.04, 10.0 + DEADLINE))
     assert all(command[1] < 0.0 and command[2] < -1.0 for command in link.commands)
     # This is no intervention: the loop may come back.
     assert watchdog.interventions == 0 and not watchdog.braking
-    watchdog.report(Heartbeat(10.1, moving(10.1), TURNING))
+    watchdog.report(Heartbeat(10.1, flying_north(10.1), TURNING))
     assert watchdog.check(10.11) is None
 
 
 def test_a_dead_loop_is_replaced_even_before_a_tick_is_late(watchdog: Watchdog, link: RecordingLink):
-    watchdog.report(Heartbeat(10.0, moving(10.0), HOVER, np.tile(HOVER, (3, 1))))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), HOVER, np.tile(HOVER, (3, 1))))
     assert watchdog.check(10.004) is None
     watchdog.declare_dead(10.005)
     assert watchdog.check(10.005) is not None
@@ -119,18 +116,18 @@ def test_a_dead_loop_is_replaced_even_before_a_tick_is_late(watchdog: Watchdog, 
 
 def test_a_running_loop_is_left_alone(watchdog: Watchdog, link: RecordingLink):
     for now in times(10.0, 11.0):
-        watchdog.report(Heartbeat(now, moving(now), HOVER))
+        watchdog.report(Heartbeat(now, flying_north(now), HOVER))
         assert watchdog.check(now + 0.5 * PERIOD) is None
     assert watchdog.needed and not watchdog.braking and not link.commands
 
 
 def test_a_loop_that_comes_back_is_left_alone_until_it_stalls_again(watchdog: Watchdog, link: RecordingLink):
-    watchdog.report(Heartbeat(10.0, moving(10.0), HOVER))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), HOVER))
     for now in times(10.0, 10.2):
         watchdog.check(now)
     count = len(link.commands)
     assert count > 0
-    watchdog.report(Heartbeat(10.2, moving(10.2), HOVER))
+    watchdog.report(Heartbeat(10.2, flying_north(10.2), HOVER))
     for now in times(10.2, 10.23):
         assert watchdog.check(now) is None
     assert len(link.commands) == count
@@ -151,7 +148,7 @@ def test_it_ends_level_however_short_its_time_is(link: RecordingLink, blind_time
     np.testing.assert_allclose(link.commands[-1], HOVER)
 
 
-@pytest.mark.parametrize(("motion", "command"), [(None, HOVER), (moving(10.0), None), (None, None)])
+@pytest.mark.parametrize(("motion", "command"), [(None, HOVER), (flying_north(10.0), None), (None, None)])
 def test_it_is_silent_if_the_drone_does_not_obey(watchdog: Watchdog, link: RecordingLink, motion, command):
     watchdog.report(Heartbeat(10.0, motion, command))
     for now in times(10.0, 12.0):
@@ -160,7 +157,7 @@ def test_it_is_silent_if_the_drone_does_not_obey(watchdog: Watchdog, link: Recor
 
 
 def test_it_is_silent_after_it_has_stalled_for_too_long_itself(watchdog: Watchdog, link: RecordingLink):
-    watchdog.report(Heartbeat(10.0, moving(10.0), HOVER))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), HOVER))
     assert watchdog.check(10.01) is None
     for now in times(12.0, 12.2):
         assert watchdog.check(now) is None
@@ -168,7 +165,7 @@ def test_it_is_silent_after_it_has_stalled_for_too_long_itself(watchdog: Watchdo
 
 
 def test_a_dead_loop_is_replaced_at_once(watchdog: Watchdog, link: RecordingLink):
-    watchdog.report(Heartbeat(10.0, moving(10.0), HOVER))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), HOVER))
     assert watchdog.check(10.01) is None
     acted = []
     for now in times(10.012, 12.0):
@@ -180,7 +177,7 @@ def test_a_dead_loop_is_replaced_at_once(watchdog: Watchdog, link: RecordingLink
 
 
 def test_a_loop_declared_dead_later_is_replaced_for_the_same_time(watchdog: Watchdog):
-    watchdog.report(Heartbeat(10.0, moving(10.0), HOVER))
+    watchdog.report(Heartbeat(10.0, flying_north(10.0), HOVER))
     acted = []
     for now in times(10.0, 13.0):
         if now > 11.4:
