@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig, PlanStatus
+from aero_viz.logs.flight_figures import CLEARANCE_MAX
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
-CLEARANCE_MAX = 5.0
-"""Largest clearance that is told apart [m]."""
 COLUMNS = (
     "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "samples", "best",
     "x", "y", "z",
@@ -22,9 +21,9 @@ COLUMNS = (
 """Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
 candidates, effective number of samples of the chosen instance, number of that instance, position [m]."""
 _SOLIDS_MAX = 3000
-"""Number of solids up to which the exact clearance is computed at every tick; more take too long."""
+"""Largest number of solids for which the exact clearance is computed at every tick."""
 _SAME = 1e-4
-"""Distance up to which two positions are the same [m]."""
+"""Positions that differ by less than this count as equal [m]."""
 
 Rows = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from aero_planner import Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
-from aero_viz.flight.single import FlightRecorder
+from aero_viz.flight.single import FlightRecorder, FlightRecorders
 from aero_viz.session.frame import Frame
 
 KEPT = 6.0
@@ -83,21 +83,6 @@ def _small(frame: Frame) -> Frame:
     return dataclasses.replace(frame, observation=observation, plan=dataclasses.replace(frame.plan, samples=None))
 
 
-class _Tee:
-    """Gives a flight to several recorders."""
-
-    def __init__(self, recorders: Sequence[FlightRecorder]) -> None:
-        self._recorders = recorders
-
-    def write(self, frame: Frame) -> None:
-        for recorder in self._recorders:
-            recorder.write(frame)
-
-    def write_pose(self, time: float, state: VehicleState) -> None:
-        for recorder in self._recorders:
-            recorder.write_pose(time, state)
-
-
 @contextlib.contextmanager
 def recorder(trace: FlightTrace, log: str | Path | None = None) -> Iterator[FlightRecorder]:
     """Return a recorder of `fly` that fills a trace and, on request, a log.
@@ -109,7 +94,7 @@ def recorder(trace: FlightTrace, log: str | Path | None = None) -> Iterator[Flig
 
     with contextlib.ExitStack() as stack:
         files = [] if log is None else [stack.enter_context(flight_recorder(log))]
-        yield _Tee([trace, *files])
+        yield FlightRecorders(trace, *files)
 
 
 def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
@@ -126,7 +111,7 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
     if not Path(path).is_file():
         raise UserError(f"There is no file {path}.")
     if not is_flight_log(path):
-        raise UserError(f"{path} is no flight log, which `aero-viz fly WORLD --log FILE` writes: it has no plans.")
+        raise UserError(f"{path} is not a flight log, which `aero-viz fly WORLD --log FILE` writes: it has no plans.")
     trace, contents = FlightTrace(), read_log(path)
     trace.missing += [contents.damage] if contents.damage else []
     config = contents.config()

@@ -42,6 +42,23 @@ class FlightRecorder(Protocol):
         """Take the true state at a time [s]: at the start and after every tick."""
 
 
+class FlightRecorders:
+    """A recorder that passes a flight on to several others."""
+
+    def __init__(self, *recorders: FlightRecorder) -> None:
+        self._recorders = recorders
+
+    def write(self, frame: Frame) -> None:
+        """Pass on the frame of a plan."""
+        for recorder in self._recorders:
+            recorder.write(frame)
+
+    def write_pose(self, time: float, state: VehicleState) -> None:
+        """Pass on the true state at a time [s]."""
+        for recorder in self._recorders:
+            recorder.write_pose(time, state)
+
+
 def fly(
     world: World,
     *,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.logs.flight_figures import LABELS, FlightFigures
+from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
 from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
@@ -22,9 +22,7 @@ from aero_viz.text_table import format_table
 _logger = logging.getLogger(__name__)
 
 _SAME = 0.01
-"""Distance up to which two positions are the same [m]: logs of drones hold noise."""
-_CLEARANCE_MAX = 5.0
-"""Largest clearance that is told apart [m]."""
+"""Positions that differ by less than this count as equal, because logs of drones are noisy [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +47,14 @@ class LoggedFlight:
         """Read a flight log.
 
         Raises:
-            UserError: the file is no flight log, or is damaged; says which file and what to give instead.
+            UserError: the file is not a flight log, or is damaged; says which file and what to give instead.
         """
         if not Path(path).exists():
             raise UserError(f"There is no file {path}; give two flight logs (MCAP).")
         if not is_flight_log(path):
             raise UserError(
-                f"{path} is no flight log with plans; write one with `aero-viz fly .. --log FLIGHT.mcap`, or take that "
-                "of the drone."
+                f"{path} is not a flight log with plans; write one with `aero-viz fly .. --log FLIGHT.mcap`, or use "
+                "that of the drone."
             )
         contents = read_log(path)
         try:
@@ -128,7 +126,7 @@ def compare_logs(a: str | Path, b: str | Path) -> LogComparison:
     """Return the comparison of two flight logs.
 
     Raises:
-        UserError: a file is no flight log, or is damaged.
+        UserError: a file is not a flight log, or is damaged.
     """
     return LogComparison(LoggedFlight.read(a), LoggedFlight.read(b))
 
@@ -171,7 +169,7 @@ def _columns(contents: LogContents, world: World | None, config: PlannerConfig) 
     limit = config.candidates.safe_clearance
     return columns | {
         "time": time,
-        "clearance": columns["clearance"].clip(0.0, _CLEARANCE_MAX),
+        "clearance": columns["clearance"].clip(0.0, CLEARANCE_MAX),
         "plan_ms": np.array([plan.plan_ms for plan in plans]),
         "safe": np.array([float(np.count_nonzero(plan.clearance >= limit)) for plan in plans]),
         "best": np.array([float(plan.best) for plan in plans]),

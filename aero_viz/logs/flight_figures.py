@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+CLEARANCE_MAX = 5.0
+"""Larger clearances count as this one [m]."""
 LABELS = (
     "outcome", "time [s]", "length [m]", "mean speed [m/s]", "smallest clearance [m]", "median plan time [ms]",
     "ticks without safe candidate",

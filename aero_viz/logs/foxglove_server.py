@@ -8,7 +8,7 @@ import logging
 import secrets
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from websockets import Request, Response, Subprotocol
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -22,6 +22,9 @@ from aero_viz.logs.foxglove_client import Channel, FoxgloveClient
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 from aero_viz.web_access import Access, local_address, quiet_logger
+
+if TYPE_CHECKING:
+    from aero_viz.flight.single import FlightRecorders
 
 _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
 _CLIENTS_MAX = 64
@@ -49,7 +52,7 @@ class FoxgloveServer:
         allowed_origins: origins of further pages that may read the flight.
 
     Raises:
-        UserError: the port cannot be opened, or an argument is no name or no origin.
+        UserError: the port cannot be opened, or an argument is not a name or an origin.
     """
 
     def __init__(
@@ -165,23 +168,6 @@ def serve_foxglove(session: BaseSession, host: str, port: int, **options: Sequen
             sink.close(timeout=None)
 
 
-class _Recorder:
-    """A recorder of `aero_viz.flight.fly` that hands everything to others, of which some may be None."""
-
-    def __init__(self, *recorders: Any) -> None:
-        self._recorders = [recorder for recorder in recorders if recorder is not None]
-
-    def write(self, frame: Frame) -> None:
-        """Take the frame of a plan."""
-        for recorder in self._recorders:
-            recorder.write(frame)
-
-    def write_pose(self, time: float, state: VehicleState) -> None:
-        """Take the true state at a time [s]."""
-        for recorder in self._recorders:
-            recorder.write_pose(time, state)
-
-
 @contextlib.contextmanager
 def foxglove_recorder(
     host: str,
@@ -190,7 +176,7 @@ def foxglove_recorder(
     log: contextlib.AbstractContextManager[Any] | None = None,
     announce: Callable[[str], None] = lambda url: None,
     **options: Sequence[str],
-) -> Iterator[_Recorder]:
+) -> Iterator[FlightRecorders]:
     """Open a recorder of `aero_viz.flight.fly` that serves the flight.
 
     Args:
@@ -201,7 +187,10 @@ def foxglove_recorder(
     Raises:
         UserError: see `FoxgloveServer`.
     """
+    from aero_viz.flight.single import FlightRecorders  # loads the simulator, which a viewer of a drone does not need
+
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(contextlib.closing(FoxgloveServer(host, port, **options)))
         announce(server.url)
-        yield _Recorder(server, None if log is None else stack.enter_context(log))
+        files = [] if log is None else [stack.enter_context(log)]
+        yield FlightRecorders(server, *files)
