@@ -1,4 +1,4 @@
-"""Search for a Chromium, for snapshots and browser tests."""
+"""Finds a Chromium for snapshots and browser tests."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def is_map(spec: str) -> bool:
 
 
 def refuse_irregular(spec: str) -> None:
-    """Refuse pipes, devices and sockets: opening one may wait for ever, and reading one changes it.
+    """Refuse pipes, devices and sockets: opening one may block forever, and reading one changes it.
 
     Raises:
         UserError: `spec` is the path of one.

@@ -1,4 +1,4 @@
-"""Calls functions that read files in a process of its own, with limits on memory and time.
+"""Runs functions that read files in a separate process, with limits on memory and time.
 
 A reader disturbs nobody else then, and neither a crash nor an endless loop in a library ends the session.
 """
@@ -73,7 +73,7 @@ class Limits:
 
 
 class ReaderProcess:
-    """A `Reader` whose calls run in a process of their own, with a lower priority than this one.
+    """A `Reader` whose calls run in a separate process, with a lower priority than this one.
 
     The function, its arguments and its result are pickled.
 
@@ -104,7 +104,7 @@ class ReaderProcess:
         return self.call(self._limits, function, *arguments, **options)
 
     def call(self, limits: Limits, function: Callable[..., T], /, *arguments: Any, **options: Any) -> T:
-        """Return the result of the function, called within limits of its own.
+        """Return the result of the function, called within `limits` instead of those of the process.
 
         Raises:
             UserError, ReadCancelled: as for `__call__`.

@@ -51,7 +51,7 @@ class RunFlags:
     ray: RayFlag = None
     """Fly on all cores or GPUs of this machine with Ray, or on those of the cluster at ADDRESS."""
     causes: bool = True
-    """Fly each failure once more, alone, and explain it."""
+    """Fly each failure again, alone, and explain it."""
     json: bool = False
     """Print one JSON object."""
     flight: Inline[FlightFlags] = dataclasses.field(default_factory=FlightFlags)

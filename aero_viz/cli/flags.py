@@ -31,7 +31,7 @@ Point = tuple[float, float, float]
 
 
 def _optional(metavar: str) -> Any:
-    """Return the annotation of a flag without a default value, whose help then says what happens without it."""
+    """Return the annotation of a flag without a default value; its help text says what happens if it is absent."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
 
 
@@ -43,9 +43,9 @@ OptionalPath = Annotated[Path | None, _optional("PATH")]
 OptionalPoint = Annotated[Point | None, _optional("X Y Z")]
 OptionalText = Annotated[str | None, _optional("STR")]
 FoxgloveFlag = Annotated[tuple[int, ...] | None, _optional("[PORT]")]
-"""None without the flag; () or the port with it."""
+"""None if the flag is absent, () if it has no port."""
 RayFlag = Annotated[tuple[str, ...] | None, _optional("[ADDRESS]")]
-"""None without the flag; () or the address of a cluster with it."""
+"""None if the flag is absent, () if it has no address of a cluster."""
 
 
 def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:

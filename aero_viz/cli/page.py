@@ -63,7 +63,7 @@ def demo(
 
     Args:
         scene: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
-        tour: Show scenes in turn for ever, with captions and a moving camera and without panels, on a screen.
+        tour: Loop through scenes for an exhibition screen, with captions and a moving camera, and without panels.
         lidar: LiDAR model: mid360, full-sphere or spinning64.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
@@ -77,10 +77,10 @@ def demo(
     if tour:
         if log is not None or world_flags != WorldFlags() or scene != "forest" or study_flags.study is not None:
             raise UserError(
-                "--tour shows scenes of its own; leave out the scene, the flags of the world, --study and --log."
+                "--tour has its own scenes; leave out the scene, the flags of the world, --study and --log."
             )
         if page_flags.paused or page_flags.folder:
-            raise UserError("--tour plays by itself and opens no files; leave out --paused and --folder.")
+            raise UserError("--tour always plays and opens no files; leave out --paused and --folder.")
         from aero_viz.cli.tour import serve_tour
 
         config = config_flags.load()
@@ -303,6 +303,6 @@ def _folders(spec: str, page_flags: PageFlags) -> list[Path]:
     """
     for folder in page_flags.folder:
         if not folder.expanduser().is_dir():
-            raise UserError(f"{folder} is no folder; give --folder a folder whose files the page may open.")
+            raise UserError(f"{folder} is not a folder; give --folder a folder whose files the page may open.")
     first = [Path(spec).resolve().parent] if Path(spec).exists() else []
     return [*page_flags.folder, *first, Path("datasets"), Path(__file__).parents[2] / "datasets"]

@@ -54,7 +54,7 @@ def convert(
         start: Leave out what precedes this time after the first message [s].
         end: Leave out what follows this time after the first message [s].
         topics: Write these topics only.
-        decimate: Keep one of so many points of every cloud.
+        decimate: Keep every n-th point of each cloud.
         to: Format to write. Rerun opens MCAP itself; rrd says how it is converted.
         recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
         json: Print one JSON object.

@@ -1,4 +1,4 @@
-"""Parts that the verbs that serve the page share: its flags, its address on the terminal, and the end by a signal."""
+"""What all verbs that serve the page need: its flags, its address on the terminal, and shutdown by a signal."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class PageFlags:
         """The port for Foxglove, None without it.
 
         Raises:
-            UserError: more than one port was given, a number that is no port, or an origin without a port.
+            UserError: more than one port was given, a number that is not a port, or an origin without a port.
         """
         if self.foxglove is None:
             if self.foxglove_origin:
@@ -140,7 +140,7 @@ def announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
     if not server.is_private:
         for address in server.addresses:
             print(f"  to control it from another machine: {server.link(address=address)}", flush=True)
-            print(f"  to look on from another machine: {server.link(address=address, view_only=True)}", flush=True)
+            print(f"  to watch it from another machine: {server.link(address=address, view_only=True)}", flush=True)
         print("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
     if page_flags.open:
         webbrowser.open(dashboard.url)

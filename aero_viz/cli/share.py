@@ -30,12 +30,12 @@ def share(
 ) -> None:
     """Write a flight to one file: page, video, picture or log.
 
-    The end of the file's name says which: .html, .mp4, .png or .mcap. The page needs no server and no network: it opens
-    from disk in any browser, plays, and goes to any time.
+    The extension of the file determines which: .html, .mp4, .png or .mcap. The page needs no server and no network: any
+    browser opens it from disk, plays it, and seeks to any time.
 
     Args:
         source: Scene, file of a world (JSON), point-cloud map or mesh, recording, or flight log.
-        output: File to write; its end says what is written.
+        output: File to write; its extension determines the format.
         duration: Longest time to show [s].
         layers: Layers to show, separated by commas, such as rollouts,drone,obstacles; by default those of the page.
         lidar: LiDAR model of a flight: mid360, full-sphere or spinning64.

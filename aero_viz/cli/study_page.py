@@ -1,4 +1,4 @@
-"""The page of a study beside the search that flies it, in a process of its own."""
+"""The page of a study, served by a separate process while the search runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from aero_viz.errors import UserError
 class StudyPage:
     """Serves the page of a study until `wait` or `close`.
 
-    A process of its own neither slows the search nor shares its device memory, and Ctrl-C does not reach it.
+    A separate process neither slows the search nor shares its device memory, and Ctrl-C does not reach it.
 
     Args:
         serve: serves a page that shows `study`, until SIGTERM. It can be pickled.

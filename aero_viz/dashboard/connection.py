@@ -38,10 +38,10 @@ _PARTS_MAX = 10_000
 _MESSAGES_IN_A_ROW = 16
 """Messages that are read before others than this client get a turn."""
 _REMINDER_PERIOD = 5.0
-"""Shortest time between two notifications that a visitor only looks on [s]."""
+"""Shortest time between two reminders that a visitor cannot change the page [s]."""
 
 
-class _LooksOn(ValueError):
+class _NoControl(ValueError):
     """A visitor without control has used a control that all share."""
 
 
@@ -57,7 +57,7 @@ class PageConnection(ServerConnection):
     Args:
         arguments: those of `ServerConnection`.
         page: server of the page.
-        visitors: who is on the page.
+        visitors: visitors of the page.
         upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
         catch_up: returns a future that is done when the session has run all commands of the page.
         options: those of `ServerConnection`.
@@ -100,7 +100,7 @@ class PageConnection(ServerConnection):
                 while not self._admitted:
                     await self._receive(decode)
                 return self._checked(*self._admitted.popleft())
-            except _LooksOn:
+            except _NoControl:
                 self._remind()
             except ValueError as error:
                 self._warn(f"A message is ignored, since no page sends it: {error}.")
@@ -127,7 +127,7 @@ class PageConnection(ServerConnection):
             self._admitted += self._limit.admit((type(message), name), (message, data), is_click=is_click)
 
     def _control(self, message: PageMessage) -> Any:
-        """Return the control of which a page sends the value, None if there is none."""
+        """Return the control whose value a message sets, None if there is none."""
         if not isinstance(message, ValueMessage):
             return None
         client = self._client()
@@ -144,10 +144,10 @@ class PageConnection(ServerConnection):
         if not own and not self._visitors.has_control(number):
             if isinstance(message, ValueMessage):
                 self._show_value(message.uuid)
-            raise _LooksOn
+            raise _NoControl
         gui = client.gui if own and client is not None else self._page.gui
         if isinstance(message, ValueMessage):
-            return self._with_fitting_value(message, data, gui)
+            return self._clamped(message, data, gui)
         if isinstance(message, FormMessage):
             if message.uuid not in gui._container_handle_from_uuid:
                 raise ValueError("there is no such form")
@@ -157,8 +157,8 @@ class PageConnection(ServerConnection):
             self._continue_upload(message)
         return data
 
-    def _with_fitting_value(self, message: ValueMessage, data: bytes, gui: viser.GuiApi) -> bytes:
-        """Return the message with a value within the bounds of the control. If it is another one, the page shows it."""
+    def _clamped(self, message: ValueMessage, data: bytes, gui: viser.GuiApi) -> bytes:
+        """Return the message with its value clamped to the bounds of the control; the page shows a clamped value."""
         control = gui._gui_input_handle_from_uuid.get(message.uuid)
         if control is None:
             raise ValueError("there is no such control")
@@ -186,7 +186,7 @@ class PageConnection(ServerConnection):
         client._websock_connection.queue_message(_messages.GuiUpdateMessage(uuid, updates))
 
     def _remind(self) -> None:
-        """Tell a visitor who has used a shared control what is missing."""
+        """Tell a visitor without control how to change a shared control."""
         client = self._client()
         if client is not None and time.monotonic() > self._reminder_due:
             self._reminder_due = time.monotonic() + _REMINDER_PERIOD
@@ -199,7 +199,7 @@ class PageConnection(ServerConnection):
         if not isinstance(button, viser.GuiUploadButtonHandle) or button.disabled:
             raise ValueError("there is no such button")
         if start.transfer_uuid in self._page.gui._current_file_upload_states or self._parts_left:
-            raise ValueError("another upload is not finished")
+            raise ValueError("another upload is still running")
         if start.size_bytes > self._upload_limit:
             self._refuse_upload(start)
             raise ValueError(f"a file of {start.size_bytes} bytes is larger than {self._upload_limit}")

@@ -204,7 +204,7 @@ class Dashboard:
         return [change for camera in cameras for change in ((camera, "position", eye), (camera, "look_at", target))]
 
     def _choose_plan(self, source: SourceInfo) -> None:
-        """Hide the live plan where a recorded one is shown; it can be switched on beside it."""
+        """Hide the live plan where a recorded one is shown; it can be switched on again."""
         is_replay = source.recorded_plan is not None
         if is_replay != self._is_replay:
             self._is_replay = is_replay

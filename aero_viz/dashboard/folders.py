@@ -9,7 +9,7 @@ from aero_viz.errors import UserError
 
 
 class Folders:
-    """Folders that the server was told of. A page opens files in them, at any depth, and learns of no others.
+    """Folders in which a page may open files, at any depth. The page learns of no other files.
 
     Args:
         folders: the folders; those that do not exist are left out.

@@ -1,4 +1,4 @@
-"""History of a flight log beside another one, its ghost."""
+"""History of a flight log, with another log as its ghost."""
 
 from __future__ import annotations
 

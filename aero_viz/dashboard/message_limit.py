@@ -1,4 +1,4 @@
-"""How many messages of a client are handled, so that a flood delays nothing else."""
+"""Rate limit for the messages of a client, so that a flood delays nothing else."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from typing import Any, Generic, TypeVar
 T = TypeVar("T")
 
 _MESSAGES_MAX = 60
-"""Messages of a control that are handled in a row; a page sends at most 50 a second."""
+"""Messages of a control that are handled per period; a page sends at most 50 per second."""
 _PERIOD = 1.0
-"""Shortest time until as many are handled again [s]."""
+"""Shortest period [s]; it lasts until the session has caught up."""
 _CONTROLS_MAX = 1000
-"""Controls that are counted; the page has some 300."""
+"""Largest number of controls that are counted; the page has about 300."""
 _POLL_PERIOD = 0.1
-"""Time between two looks at a session that has not answered [s]."""
+"""Time between two checks of a session that has not caught up [s]."""
 
 
 class MessageLimit(Generic[T]):
-    """Thins out the messages of one client, each control by itself.
+    """Limits the rate at which the messages of one client are handled, separately for each control.
 
-    So many of a control are handled until a second has passed and the session has caught up. Of more clicks the rest is
-    dropped. Of more values the newest one waits, and is handled before any other message.
+    In each period, 60 messages of a control are handled. A period ends when a second has passed and the session has
+    caught up. Further clicks are dropped. Of further values, the newest one waits for the next period, in which it is
+    handled before any other message.
 
     Args:
         catch_up: returns a future that is done when the session has run every command that it was given before.
@@ -39,13 +40,13 @@ class MessageLimit(Generic[T]):
 
     @property
     def delay(self) -> float | None:
-        """Time after which to ask for the messages that wait [s]; None if there are none."""
+        """Time after which `due` may return waiting messages [s]; None if none wait."""
         if not self._waiting:
             return None
         return max(self._began + _PERIOD - time.monotonic(), _POLL_PERIOD)
 
     def admit(self, control: Hashable, message: T, *, is_click: bool) -> list[T]:
-        """Return what is handled now that `message` has arrived, in this order."""
+        """Return the messages to handle after `message` has arrived, in order."""
         due = self.due()
         is_known = control in self._counts or len(self._counts) < _CONTROLS_MAX
         if is_known and self._counts[control] < _MESSAGES_MAX:
@@ -56,7 +57,7 @@ class MessageLimit(Generic[T]):
         return due
 
     def due(self) -> list[T]:
-        """Return the values that have waited long enough."""
+        """Return the waiting values if the period has ended."""
         if time.monotonic() < self._began + _PERIOD:
             return []
         if self._caught_up is None:

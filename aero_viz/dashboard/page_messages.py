@@ -154,7 +154,7 @@ _MESSAGES: Any = (
 _decoder = msgspec.msgpack.Decoder(_MESSAGES)
 
 _NUMBER_MAX = 1e15
-"""Larger numbers are no setting of anything, and a browser does not hold them exactly."""
+"""No setting is larger, and a browser does not store larger numbers exactly."""
 _TEXT_MAX = 5000
 """Length of the longest text; no path is longer."""
 
@@ -192,7 +192,7 @@ def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
 
 
 def control_name(message: PageMessage) -> str | None:
-    """Return the name of the control or the object that a message concerns; None for what is no click or value."""
+    """Return the name of the control or object that a click or a value is for; None for any other message."""
     if isinstance(message, (CameraMessage, UploadPart, _Rendering, _StoredItem)):
         return None
     if isinstance(message, UploadStart):
@@ -221,7 +221,7 @@ def _numbers(message: PageMessage) -> Iterator[float]:
 
 
 def fit(control: Any, value: Any) -> Any:
-    """Return the value that a control of viser takes if a page sets it to `value`: numbers end at the bounds.
+    """Return the value that a control of viser takes if a page sets it to `value`; numbers are clamped to the bounds.
 
     Raises:
         ValueError: the value has another type, is not among the options, or the control is disabled.

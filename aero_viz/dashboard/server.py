@@ -1,4 +1,4 @@
-"""The web server of the page: its address, its look, and the requests that it refuses."""
+"""The web server of the page: its address, its appearance, and the requests that it refuses."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ _STYLE = "".join(
         # Colours of curves are chosen for a dark ground.
         ':root[data-mantine-color-scheme="light"] :is(.aero-curve,.aero-plot)'
         f"{{background:{palette.css(palette.PANEL[6])}!important}}",
-        # Room for the number 100000 beside a slider.
+        # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
-        # What is below the controls of time scrolls by itself, so that these stay in view.
+        # Everything below the playback controls scrolls separately, so that these stay in view.
         ".mantine-ScrollArea-content div:has(>[role=tab])+div"
         "{max-height:calc(100vh - 19rem);overflow-y:auto!important;overflow-x:hidden}",
         # All tabs fit in one row without their icons.
@@ -82,7 +82,7 @@ _NOTIFICATIONS: dict[str, tuple[str, Any, float]] = {
     "error": ("That did not work", "red", 12.0),
 }
 """Title, colour and duration [s] of a notification by level."""
-_FULL = "There is no room for another page: too many are open."
+_FULL = "Too many pages are open; close one first."
 _NO_TOKEN = "This page needs a link with a token; the terminal in which AERO-Viz was started shows it."
 REFUSAL = "Sharing through a public tunnel is refused; to reach the page from another machine, start it with --host."
 
@@ -100,7 +100,7 @@ class LocalServer(viser.ViserServer):
         upload_limit: size of the largest file that a page may upload [bytes].
 
     Raises:
-        UserError: the port is taken, the host is not an address of this machine, or an allowed host is no name.
+        UserError: the port is taken, the host is not an address of this machine, or an allowed host is not a name.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class LocalServer(viser.ViserServer):
         """Returns a future that is done when all that the page asked for is done; the dashboard asks its session."""
         self._access = Access(host, allowed_hosts)
         self.visitors = Visitors()
-        """Who is on the page."""
+        """Visitors of the page."""
         self._tokens: Tokens | None = None
         """Links that are required; None if only this machine can reach the page."""
         self._is_open = threading.Event()
@@ -353,8 +353,8 @@ def _require_free(host: str, port: int) -> None:
 def _busy(host: str, port: int, error: Exception | None = None) -> UserError:
     if isinstance(error, socket.gaierror) or getattr(error, "errno", None) == errno.EADDRNOTAVAIL:
         return UserError(
-            f"{host} is no address of this machine; choose another one with --host: 127.0.0.1 for this machine only, "
-            "0.0.0.0 for everyone who can reach it."
+            f"{host} is not an address of this machine; choose another one with --host: 127.0.0.1 for this machine "
+            "only, 0.0.0.0 for everyone who can reach it."
         )
     reason = getattr(error, "strerror", None) or (str(error) if error else "it is in use")
     return UserError(f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any.")

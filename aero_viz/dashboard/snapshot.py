@@ -174,7 +174,7 @@ def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard) -> NDArray[np
     url = base64.b64encode(iio.imwrite("<bytes>", picture, extension=".png")).decode()
     style = "position:fixed;left:16px;bottom:16px;width:270px;padding:10px;border-radius:8px;font-family:sans-serif;"
     style += f"color:#dfe5ee;background:{palette.css((18, 23, 32), 0.82)}"
-    # A browser of its own: on a busy machine, Chromium may fail to capture a page while another one draws.
+    # A second browser, because on a busy machine Chromium may fail to capture a page while another one draws.
     with launch_chromium() as browser:
         page = browser.new_page(viewport={"width": picture.shape[1], "height": picture.shape[0]})
         page.set_content(

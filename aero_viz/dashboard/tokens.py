@@ -1,4 +1,4 @@
-"""The secret links of a page that other machines can reach: one that controls the session, one that only looks on."""
+"""The secret links of a page that other machines can reach: one to control the session, one to watch it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tour for an exhibition screen: scenes in turn, with captions and a camera that knows where to look."""
+"""A tour for an exhibition screen: scenes in sequence, with captions and a moving camera."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from aero_viz.session.source import Conditions, Opener
 
 _log = logging.getLogger(__name__)
 _PERIOD = 0.25
-"""Time between two looks at the flight [s]."""
+"""Time between two polls of the flight [s]."""
 _STILL_MAX = 30.0
 """Time without a tick after which a flight counts as failed [s]."""
 _READING = 0.5
@@ -118,7 +118,7 @@ STOPS = (
         "double_wall_trap",
         (
             "Two walls with passages on opposite sides, under a low ceiling.",
-            "Without a map the drone cannot know where a passage is: it has to look for it.",
+            "Without a map the drone cannot know where a passage is: it has to search for it.",
         ),
         shot="top",
         layers=("rollouts", "cloud"),
@@ -168,13 +168,13 @@ class Director:
 
 
 class Tour:
-    """Shows scene after scene, for ever. Whatever fails is skipped and said.
+    """Loops through scenes. A scene that fails is skipped and reported.
 
     Args:
         session: started session, whose configuration knows nothing about a flight.
         dashboard: its page, without panels.
         open_source: opens scenes.
-        stops: the scenes, in turn.
+        stops: the scenes, in order.
         say: called with a line about each scene.
         pause: time for which the end of a flight stays in view [s].
     """
@@ -202,7 +202,7 @@ class Tour:
         dashboard.server.on_client_connect(self._show_caption)
 
     def run(self, shutdown: threading.Event) -> None:
-        """Show the scenes in turn until `shutdown` is set."""
+        """Show the scenes one after the other until `shutdown` is set."""
         number = 0
         while not shutdown.is_set():
             stop = self._stops[number % len(self._stops)]

@@ -1,4 +1,4 @@
-"""Who is on the page, and who of them controls the session."""
+"""The visitors of the page, and which of them holds control."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class Visitors:
-    """One visitor holds control; the others look on until they take it. Safe to use from any thread.
+    """One visitor holds control; the others watch until they take it. Safe to use from any thread.
 
     The first visitor who may hold control gets it. When the holder leaves, it passes to whoever has been here longest.
     """

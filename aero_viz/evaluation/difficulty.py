@@ -1,7 +1,7 @@
 """Difficulty of a world by the metrics of FlightBench (Yu et al., arXiv 2406.05687).
 
 They describe what a drone meets along a *guide*, a short path from start to goal with free space for the drone. The
-constants are those of the authors' program (`cal_difficulty.py`), so that the numbers can be read beside their table:
+constants are those of the authors' program (`cal_difficulty.py`), so that the numbers can be compared with their table:
 a sensing range s = 4 m, a drone of radius 0.15 m, and a cone of 36 degrees around the direction of flight. Obstacles
 are points on all surfaces, the ground among them, 0.15 m apart.
 """

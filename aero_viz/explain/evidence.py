@@ -1,4 +1,4 @@
-"""A plan with everything that decided it: it is planned once more, and the planner's intermediate results are kept."""
+"""A plan with everything that decided it: the tick is planned again, and the intermediate results are kept."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Evidence:
 
 
 class Replanner:
-    """Plans frames once more, on a planner of its own: that of the session goes on undisturbed."""
+    """Plans frames again, on a separate planner, so that the session's is not disturbed."""
 
     def __init__(self) -> None:
         self._planner: Planner | None = None

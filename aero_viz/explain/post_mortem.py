@@ -28,7 +28,7 @@ _MOVING = "hit a moving obstacle"
 _RADIUS = 6
 """Column of `World.cylinders` with the radius."""
 _SAME_OBSTACLE = 0.5
-"""Distance from the surface of an obstacle up to which what the planner follows is the same one [m]."""
+"""Largest distance from the surface of an obstacle at which a tracked obstacle is the same one [m]."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
             break
         since = frame.time
     if since is None:
-        return ["The planner did not take it for moving at the end."]
+        return ["The planner did not track it as moving at the end."]
     return [f"The planner followed its motion since {since:.2f} s{' or longer' if since == frames[0].time else ''}."]
 
 

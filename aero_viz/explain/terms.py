@@ -43,7 +43,7 @@ class Obstacles:
         points: filtered cloud [m], shape [P, 3].
         ground_height: [m]; None where it is unknown.
         config: configuration of the planner.
-        moving: obstacles that the planner takes for moving.
+        moving: obstacles that the planner tracks as moving.
     """
 
     def __init__(

@@ -84,7 +84,7 @@ def with_conditions(options: Mapping[str, Any], conditions: Conditions) -> dict[
     changes: dict[str, dict[str, Any]] = {"noise": {}, "drone": {}}
     for path, value in conditions.values.items():
         if path not in known:
-            raise ValueError(f"{path} is no condition of a flight; give one of {', '.join(known)}.")
+            raise ValueError(f"{path} is not a condition of a flight; give one of {', '.join(known)}.")
         changes[known[path].section][known[path].name] = value
     noise = dataclasses.replace(options["noise"] or StateNoise(), **changes["noise"])
     is_exact = not any((noise.position, noise.velocity, noise.attitude))

@@ -107,7 +107,7 @@ def _outside(world: World, place: NDArray[np.float64]) -> str | None:
 
 
 def _depth_below_ground(world: World, place: NDArray[np.float64]) -> float:
-    """Return how far a place lies below the top of the ground [m]; negative above it, -inf beside it."""
+    """Return how far a place lies below the top of the ground [m]; negative above it, -inf outside its bounds."""
     boxes = world.boxes[world.ground]
     half, local = 0.5 * boxes[:, 3:6], rotate_z(place - boxes[:, :3], -boxes[:, 6])
     is_within = np.all(np.abs(local[:, :2]) <= half[:, :2], axis=1)

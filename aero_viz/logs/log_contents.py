@@ -1,6 +1,6 @@
 """The contents of a flight log besides its clouds: plans, goals, poses, world, configurations and the outcome.
 
-A process of its own reads them, with limits on its memory and time, because the reader of the mcap package expands
+A separate process reads them, with limits on its memory and time, because the reader of the mcap package expands
 whatever a file contains. The process imports this module for every log, so what only the parent needs is imported where
 it is used: the planner takes a second.
 """

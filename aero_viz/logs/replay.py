@@ -21,9 +21,9 @@ from aero_viz.session.source import Observation, RecordedPlan
 
 
 class FlightReplay(RecordingSource):
-    """Replays a flight log. The planner runs on it as on any recording, beside the recorded plans.
+    """Replays a flight log. The planner runs on it as on any recording, and the recorded plans are shown as well.
 
-    What is damaged of them is left out, and the notices of the source say so.
+    Damaged plans are left out; a notice of the source says so.
 
     Args:
         recording: the log; `close` closes it.

@@ -47,7 +47,7 @@ class SensorLogOptions:
     start: int = 1_700_000_000_000_000_000
     """Stamp of source time 0 [ns]."""
     every: int = 1
-    """One of so many rays is written."""
+    """Every `every`-th ray is written."""
     resolution: float = 0.0
     """Coordinates are rounded to multiples of this [m]; 0 keeps them. Powers of two compress best."""
     time_resolution: float = 1e-9
@@ -55,7 +55,7 @@ class SensorLogOptions:
     imu: bool = False
     """True writes /imu at every tick of the rules, with the noise of a small MEMS sensor."""
     pose_every: int = 1
-    """/odometry and /tf are written once in so many ticks; 0 writes none."""
+    """/odometry and /tf are written every `pose_every`-th tick; 0 writes none."""
     plan_period: float | None = 0.2
     """Time between two plans in the file [s]; None writes no plan and no goal."""
     hover: float = 0.0

@@ -91,7 +91,7 @@ class CloudSequence(BagFile):
 
 @lru_cache(maxsize=256)
 def _layout(count: int) -> tuple[int, bytes]:
-    """Return the size and the head of the message of a cloud with so many points."""
+    """Return the size and the head of the message of a cloud with `count` points."""
     whole = encode_point_cloud2(np.zeros((count, 3), np.float32), 0, _FRAME)
     return len(whole), whole[:HEAD_BYTES]
 
@@ -176,7 +176,7 @@ def read_bin(path: Path) -> NDArray[np.float64]:
             data = file.read((_BIN_ROW + 4) * SWEEP_POINTS_MAX + 1)
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
-    with np.errstate(invalid="ignore"):  # bytes that are no numbers
+    with np.errstate(invalid="ignore"):  # the bytes may not be numbers
         if data and not len(data) % (_BIN_ROW + 4):
             rows = np.frombuffer(data, "<f4").reshape(-1, 5)
             ring = rows[:, 4]
@@ -185,7 +185,7 @@ def read_bin(path: Path) -> NDArray[np.float64]:
         if data and not len(data) % _BIN_ROW:
             return np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
     raise UserError(
-        f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are no rows of {_BIN_ROW} or "
+        f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are not rows of {_BIN_ROW} or "
         f"{_BIN_ROW + 4}, or too many."
     )
 

@@ -79,7 +79,7 @@ def _pieces(source: BinaryIO) -> Iterator[bytes | str]:
                     frame, is_open = make(), True
                 try:
                     yield frame.decompress(data)
-                except Exception as error:  # every library has a class of its own
+                except Exception as error:  # every library raises its own class
                     yield f"damaged ({one_line(error)})"
                     return
                 is_open, data = not frame.eof, frame.unused_data if frame.eof else b""

@@ -1,4 +1,4 @@
-"""Writing a recording, or a part of it, as ROS 2 MCAP that Foxglove, RViz and rosbags open."""
+"""Writes a recording, or a part of it, as ROS 2 MCAP that Foxglove, RViz and rosbags open."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def convert(
         target: MCAP file to write; it appears when it is complete.
         start, end: only messages between these times after the first message are written [s].
         topics: only these topics are written; none means all.
-        decimate: one of so many points of a cloud is kept.
+        decimate: every `decimate`-th point of a cloud is kept.
         recording: the opened recording, if its estimated poses are to be written as /odometry and /tf.
         progress: called with the time reached and the duration [s].
 
@@ -132,7 +132,7 @@ class _Output:
 
     Args:
         writer: a new MCAP writer.
-        decimate: one of so many points is kept.
+        decimate: every `decimate`-th point of a cloud is kept.
     """
 
     def __init__(self, writer: Writer, decimate: int) -> None:

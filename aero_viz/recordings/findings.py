@@ -1,4 +1,4 @@
-"""The check-up of a recording: faults that make the planner's view wrong without any error, each with evidence."""
+"""Checks of a recording: faults that falsify the planner's view without raising an error, each with its evidence."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ _MOVED = 2.0
 _MOVING = 0.5
 """Speed from which the direction of a velocity counts [m/s]."""
 _AIRFRAME_RANGE, _AIRFRAME_CELL, _AIRFRAME_SHARE = 1.0, 0.05, 0.7
-"""Points that stay within 1 m in the same cell in so many sweeps of a moving body belong to it [m], [m]."""
+"""Points nearer than the range belong to the body if they stay in one cell of this size, body frame, in this share of
+the sweeps while it moves [m], [m]."""
 _BURST = 1e-3
 """Sweeps that follow one another faster belong to one cloud: a flight log starts with several [s]."""
 _GAP = 1.6
-"""A time between two sweeps that is so many median ones long lacks a sweep."""
+"""A gap between two sweeps that is longer than this many median periods lacks at least one sweep."""
 _JUMP, _TURN = 0.5, np.radians(25.0)
 _MIN_TIME_OFFSET, _MIN_ROTATION = 0.008, np.radians(0.8)
 _CERTAIN = 5.0
-"""An estimate counts if it is so many standard deviations from zero."""
+"""An estimate is significant if it is at least this many standard deviations from zero."""
 _IMPROVEMENT = 0.9
 
 
@@ -49,7 +50,7 @@ class Finding:
     advice: str
     """The next step, an imperative without a full stop."""
     is_fault: bool = True
-    """False if the playback copes with it by itself."""
+    """False if the playback handles it without help."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ _HUBER = 0.3
 _DAMPING = np.array([1.0, 1.0, 1.0, 1.0])
 """Information that holds unobservable unknowns at zero: about one match of 1 m per second or radian."""
 _CORRELATION = 50.0
-"""Neighbouring matches share their errors: so many count as one. Over eight flights, the errors have the deviations."""
+"""Number of neighbouring matches that count as one, because their errors are correlated. With this value, the errors on
+eight flights agree with the standard deviations."""
 _SHIFTS = np.linspace(-0.2, 0.2, 17)
 """Values of tau that are tried before the search [s]."""
 _LIMIT = np.array([0.3, 0.35, 0.35, 0.35])

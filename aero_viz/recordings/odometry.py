@@ -1,4 +1,4 @@
-"""Poses for recordings that have none: LiDAR odometry by rko-lio (with an IMU) or kiss-icp, and what became of it."""
+"""Poses for recordings without any: LiDAR odometry by rko-lio (with an IMU) or kiss-icp, and checks of the result."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _RKO_JERK = 100.0
 """A drone's acceleration changes faster than that of the vehicles for which the default was chosen [m/s^3]."""
 _SWEEP_WITHOUT_TIMES = 0.1
 _REST_TIME = 0.2
-"""Time at the start over which the mean specific force is taken for gravity [s]."""
+"""Time at the start over which the mean specific force is taken as gravity [s]."""
 _MAX_SPEED, _MAX_ACCELERATION = 40.0, 60.0
 """A drone is slower, and brakes and accelerates less; an estimate beyond them is wrong [m/s], [m/s^2]."""
 _MAX_LOST = 0.1

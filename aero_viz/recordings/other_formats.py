@@ -66,7 +66,7 @@ class CloudFolder(NamedTuple):
 
 
 def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | None:
-    """Return the format of a file that is no bag, and its clouds; None if it is of no such format.
+    """Return the format of a file that is not a bag, and its clouds; None if the format is unknown.
 
     Args:
         path: the file.
@@ -112,7 +112,7 @@ def _ouster_clouds(path: Path, *, is_osf: bool) -> PacketClouds:
 
 
 def open_cloud_folder(path: Path) -> CloudFolder | None:
-    """Return the clouds in a folder, with poses and times from the texts beside them; None if it holds no clouds.
+    """Return the clouds in a folder, with poses and times from the text files next to them; None if it holds no clouds.
 
     Raises:
         UserError: a file is damaged, or the times do not fit the clouds.
@@ -122,7 +122,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         if not folder.is_dir():
             continue
         named = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES]
-        files = [file for file in named if file.exists() and not file.is_dir()]  # what is no file is reported as lost
+        files = [file for file in named if file.exists() and not file.is_dir()]  # other entries are reported as lost
         if not files:
             continue
         suffix = Counter(file.suffix.lower() for file in files).most_common(1)[0][0]

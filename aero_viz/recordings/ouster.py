@@ -1,6 +1,6 @@
 """Captures of Ouster's sensors: .pcap with the metadata of the sensor (JSON), and OSF.
 
-ouster-sdk decodes them in a process of its own, because it changes modules that the session uses and may crash.
+ouster-sdk decodes them in a separate process, because it changes modules that the session uses and may crash.
 """
 
 from __future__ import annotations
@@ -43,13 +43,14 @@ class _Decoded(NamedTuple):
     imu_stamps: NDArray[np.int64]
     """[n] [ns]."""
     problem: str
-    """Reason why what follows cannot be decoded, empty without one."""
+    """Reason why the rest cannot be decoded; empty if there is none."""
 
 
 def find_metadata(path: Path) -> Path | None:
-    """Return the metadata of the sensor beside a capture: of the JSON files, the one whose name has the most in common.
+    """Return the file next to a capture that holds the metadata of its sensor; None if there is none.
 
-    Files that are no metadata of an Ouster, or whose name starts otherwise, are passed over.
+    Of several, it is the one whose name shares the longest prefix with that of the capture. JSON files that share no
+    prefix, or are not metadata of an Ouster, are skipped.
     """
     files = [file for file in path.parent.glob("*.json") if file.is_file()]
     common = {

@@ -1,4 +1,4 @@
-"""Poses of the GPS and IMU of KITTI's raw data, in a folder oxts beside velodyne_points."""
+"""Poses of the GPS and IMU of KITTI's raw data, in the folder oxts next to velodyne_points."""
 
 from __future__ import annotations
 
@@ -75,5 +75,5 @@ def _read_row(path: Path) -> NDArray[np.float64]:
     except ValueError:
         row = np.zeros(0)
     if len(row) < _COLUMNS or not np.isfinite(row).all() or abs(row[0]) > 89.0 or np.abs(row).max() > 1e6:
-        raise UserError(f"{path} is no row of KITTI's oxts (latitude, longitude, altitude, ..): copy it again.")
+        raise UserError(f"{path} is not a row of KITTI's oxts (latitude, longitude, altitude, ..): copy it again.")
     return row

@@ -27,7 +27,7 @@ from aero_viz.recordings.pcap import udp_payloads
 
 LVX_MAGIC = b"livox_tech"
 _SWEEP = 100_000_000
-"""A Livox never turns: packets of so much time make a sweep [ns]."""
+"""A Livox does not rotate: the packets of this period form a sweep [ns]."""
 _LVX_HEADER, _LVX_DEVICE, _LVX_FRAME = 24 + 5, 63, 24
 _LVX_PACKAGE = struct.Struct("<BIBBQHBIB4x")
 _POINT_SIZES = {1: 14, 2: 8}
@@ -42,7 +42,7 @@ _PROBED = 2000
 def pcap_kind(path: Path) -> str:
     """Return "livox", "velodyne" or "ouster", whichever most of the first packets of a capture are.
 
-    The metadata of an Ouster beside a capture decide where its port is not the usual one.
+    An Ouster that does not use its default port is recognized by its metadata, a JSON file in the same folder.
 
     Raises:
         UserError: they are none of these.
@@ -60,7 +60,7 @@ def pcap_kind(path: Path) -> str:
             return "ouster"
         raise UserError(
             f"{path} has no packets of a Livox Mid-360, a Velodyne or an Ouster: capture the sensor's UDP port; an "
-            "Ouster with another port than 7502 needs its metadata (JSON) beside the capture."
+            "Ouster on a port other than 7502 needs its metadata (JSON) in the same folder."
         )
     return kind
 

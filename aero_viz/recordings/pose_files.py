@@ -1,4 +1,4 @@
-"""Poses from files beside a recording: TUM and KITTI text, and the state in a ULog of PX4."""
+"""Poses from files next to a recording: TUM and KITTI text, and the state in a ULog of PX4."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def read_pose_file(path: Path) -> PoseTable:
         matrices = table.reshape(-1, 3, 4)
         rotation = matrices[:, :, :3]
         if np.abs(np.linalg.det(rotation) - 1.0).max() > 0.1:
-            raise UserError(f"{path} is not KITTI text: its matrices are no rotations.")
+            raise UserError(f"{path} is not KITTI text: its matrices are not rotations.")
         return PoseTable("KITTI", None, matrices[:, :, 3], quaternion_of_matrix(rotation), None)
     quaternions = table[:, [7, 4, 5, 6]]
     norms = np.linalg.norm(quaternions, axis=1)
@@ -115,7 +115,7 @@ def _read_table(path: Path, file: BinaryIO) -> NDArray[np.float64]:
 
 
 def read_in_process(function: Callable[[Path], T], path: Path) -> T:
-    """Return what a function reads from a file, called in a process of its own: hostile logs take gigabytes.
+    """Return what a function reads from a file, called in a separate process: hostile logs take gigabytes.
 
     Raises:
         UserError: the file cannot be read within the limits; the text names it.
@@ -198,7 +198,7 @@ def add_poses(recording: Recording, path: Path) -> None:
     """Play a recording with the poses of a file.
 
     Times are those of the sweeps' stamps, or since the first sweep. A ULog, whose clock starts with the autopilot, is
-    aligned by its GPS time; without it, the first sweep is taken for its first pose.
+    aligned by its GPS time; without it, its first pose is assigned to the first sweep.
 
     Raises:
         UserError: the file holds no poses, or none during the sweeps.
@@ -237,7 +237,7 @@ def add_poses(recording: Recording, path: Path) -> None:
 
 
 def _camera_mount(poses: Path, recording: Path) -> tuple[Path, NDArray[np.float64]] | None:
-    """Return KITTI's calibration beside the poses or the clouds, and the pose of the LiDAR in its camera [4, 4]."""
+    """Return KITTI's calibration near the poses or the clouds, and the pose of the LiDAR in its camera [4, 4]."""
     for folder in dict.fromkeys((poses.parent, recording, recording.parent)):
         try:
             lines = read_user_text(folder / "calib.txt", limit=_LINE_MAX).splitlines()

@@ -85,7 +85,7 @@ class SqliteFile(BagFile):
             kinds = self._database.execute(
                 "SELECT type, rootpage FROM sqlite_master WHERE name = ? COLLATE NOCASE", (table,)
             ).fetchmany(2)
-            # Views and virtual tables have no pages of their own.
+            # Views and virtual tables have no pages.
             if len(kinds) != 1 or kinds[0][0] != "table" or not kinds[0][1]:
                 raise ValueError(f"it has no plain table {table!r}, as rosbag2 writes it")
             plain = {row[1] for row in self._database.execute(f"PRAGMA table_xinfo({table})") if row[6] == 0}

@@ -59,7 +59,7 @@ class Storage:
     def __init__(self, path: Path, files: list[Path], *, is_folder: bool, folder: CloudFolder | None = None):
         self.path = path
         self.pose_file = folder.pose_file if folder else None
-        """File of poses that was found beside the clouds."""
+        """File of poses that was found next to the clouds."""
         self.problems: list[str] = []
         """Notices for the user about the files, one sentence each."""
         self.files: list[BagFile] = []
@@ -172,7 +172,7 @@ def _open_folder(path: Path) -> Storage:
         names = list(dict.fromkeys(Path(name).name for name in _relative_paths(metadata)))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(
-            f"{metadata} is damaged ({one_line(error)}): open the .mcap or .db3 file beside it instead"
+            f"{metadata} is damaged ({one_line(error)}): open the .mcap or .db3 file next to it instead"
         ) from error
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:

@@ -24,7 +24,7 @@ class NodeProcess:
     Args:
         planner, onboard: configuration of planner and node, which is written to a file.
         command: command to run instead of `aero-planner run`; "{config}" stands for the configuration file.
-        patience: time that the process gets to end by itself before it is killed [s].
+        patience: time that the process gets to end before it is killed [s].
     """
 
     def __init__(

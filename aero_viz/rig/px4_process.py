@@ -22,7 +22,7 @@ _MODEL = "sihsim_quadx"  # PX4's "simulation in hardware", which needs no other 
 _INSTANCES = 10  # with more, PX4's instances share ports
 # Ports of instance 0, as PX4's startup script sets them; instance n adds n.
 _COMPANION_PORT, _COMPANION_REMOTE, _STATION_PORT = 14580, 14540, 18570
-_STOP_TIME = 5.0  # [s] that the process gets to end by itself
+_STOP_TIME = 5.0  # [s] that the process gets to end before it is killed
 
 
 def find_px4(folder: str | Path) -> Path:

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class DecodingProcess:
-    """Decodes files one after the other in a process that the first of them starts; each has limits of its own."""
+    """Decodes files one after the other in one process, started by the first of them; each file has its own limits."""
 
     def __init__(self) -> None:
         self._process = ReaderProcess(is_kept=True)

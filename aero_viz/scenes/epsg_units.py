@@ -31,12 +31,12 @@ _HEIGHTS_IN_FEET = "5614 6130-6132 8050-8051 8228 8897"
 
 
 def unit_of_system(code: int) -> float | None:
-    """Return the unit of the plane of a projected or compound system [m], None where it is no foot."""
+    """Return the unit of the plane of a projected or compound system [m], None if it is not a foot."""
     return FOOT if code in _codes(_IN_FEET) else US_FOOT if code in _codes(_IN_US_FEET) else None
 
 
 def unit_of_heights(code: int) -> float | None:
-    """Return the unit of a vertical system [m], None where it is no foot."""
+    """Return the unit of a vertical system [m], None if it is not a foot."""
     return FOOT if code in _codes(_HEIGHTS_IN_FEET) else US_FOOT if code in _codes(_HEIGHTS_IN_US_FEET) else None
 
 

@@ -1,7 +1,7 @@
 """Points from files, decoded by laspy (LAS, LAZ) and NumPy; triangles by `mesh_decoder`.
 
-Run it in a process of its own, see `decoding_process`. The libraries are imported on first use. They trust the counts
-in a header, so that counts are compared with the size of the file before anything is allocated, and with what was read.
+Run it in a separate process, see `decoding_process`. The libraries are imported on first use. They trust the counts in
+a header, so counts are compared with the size of the file before anything is allocated, and with what was read.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _read_text(path: Path) -> tuple[Points, None]:
             declared, skipped = int(file.readline(32)), 1
     points = np.loadtxt(
         path, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"), encoding="utf-8",
-        max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy reserves the memory for so many
+        max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy allocates memory for this many rows
     )  # fmt: skip
     check_count(len(points) if declared is None else declared, len(points))
     _check_last_line(path)

@@ -1,7 +1,7 @@
-"""Points, triangles and solids of the files of maps, meshes and worlds of other programs.
+"""Points, triangles and solids from the maps, meshes and worlds of other programs.
 
-A process of its own decodes them: the libraries crash, hang or allocate what a damaged header declares, and a large
-file does not slow down a session that flies meanwhile.
+A separate process decodes them, because the libraries crash, hang or allocate what a damaged header declares. A large
+file also does not slow down a session that is flying.
 """
 
 from __future__ import annotations

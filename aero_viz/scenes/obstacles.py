@@ -131,7 +131,7 @@ def _numbers(world: World, kind: str) -> NDArray[np.int64]:
 def with_obstacle(world: World, obstacle: Obstacle | None, key: ObstacleKey | None = None) -> World:
     """Return the world with an obstacle in place of the solid `key`, or in addition; without that solid for None.
 
-    An obstacle that is added or changed stands, whatever moved in its place before.
+    An obstacle that is added or changed is static, even if it replaces a moving one.
 
     Raises:
         ValueError: a size or a position is not a number that a world can have; names the row.

@@ -77,7 +77,7 @@ def _settings(path: Path) -> tuple[dict[str, Any], Path]:
     if not isinstance(content, dict) or not isinstance(content.get("image"), str):
         if is_image:  # it belongs to something else
             return dict(_DEFAULTS), path
-        raise ValueError("it is no map of ROS: the key image with the name of a PNG or PGM file is missing")
+        raise ValueError("it is not a map of ROS: the key image with the name of a PNG or PGM file is missing")
     image = path if is_image else file.parent / content["image"]
     if image.suffix.lower() not in IMAGE_SUFFIXES:
         raise ValueError(f"it names the image {content['image'][:60]!r}; it must be a PNG or PGM file")

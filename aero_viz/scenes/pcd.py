@@ -127,7 +127,7 @@ def _layout(
 
 
 def _record(length: int, sizes: list[str], types: list[str], counts: list[str]) -> np.dtype[Any]:
-    """Return the type of a point with so many fields. Those that are not described are single float32."""
+    """Return the type of a point with `length` fields. Fields without a description are single float32."""
     rows = [
         (name or "F", width or "4", int(count or "1"))
         for _, name, width, count in zip_longest(range(length), types[:length], sizes[:length], counts[:length])

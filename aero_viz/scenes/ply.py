@@ -55,7 +55,7 @@ def _layout(header: bytes) -> tuple[str, list[tuple[str, np.dtype[Any]]]]:
     """Return the encoding, and the elements up to the vertices with the type of a row.
 
     Raises:
-        ValueError: a property is of an unknown type, or has a length of its own.
+        ValueError: a property is of an unknown type, or a list.
     """
     form, elements = "", list[tuple[str, list[tuple[str, str]]]]()
     for words in (line.split() for line in header.decode("ascii", "replace").splitlines()):

@@ -42,7 +42,7 @@ def pillars(
         ground: True adds the floor, a box whose top is z = 0.
 
     Raises:
-        UserError: so many do not fit.
+        UserError: they do not all fit.
     """
     rng = np.random.default_rng(seed)
     height = ceiling or HEIGHT
@@ -55,7 +55,7 @@ def pillars(
 def wall(
     *, seed: int, width: tuple[float, float] = (1.6, 2.2), ceiling: float | None = None, ground: bool = True
 ) -> World:
-    """Return a room with a wall across the direct line; the wider of the two passages beside it is at least 0.9 m wide.
+    """Return a room with a wall across the direct line; the wider of the passages at its ends is at least 0.9 m wide.
 
     Args:
         seed: same seed, same room; it determines the position of the wall, within 0.3 m of the centre, and its width.
@@ -116,7 +116,7 @@ def random_clutter(
         ground: True adds the floor, a box whose top is z = 0.
 
     Raises:
-        UserError: so many do not fit.
+        UserError: they do not all fit.
     """
     rng = np.random.default_rng(seed)
     boxes, cylinders, spheres = [], [], []

@@ -83,7 +83,7 @@ class SessionControls(Protocol):
         ...
 
     def compare_with(self, config: PlannerConfig) -> Future[Any]:
-        """Use `config` as B, beside the configuration that is pinned; without one, the present one is pinned first."""
+        """Use `config` as B against the pinned configuration, A; without one, the present one is pinned first."""
         ...
 
     def fly_both(self) -> Future[Any]:

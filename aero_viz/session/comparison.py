@@ -1,4 +1,4 @@
-"""A second configuration that plans the same tick as the session's, and flies on from it, while time stands still."""
+"""A second configuration that plans the session's tick and flies on from it while the session is paused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.timeline import Checkpoint
 
 _TICKS_PER_TURN = 4
-"""Ticks that A flies before the session looks for commands again."""
+"""Ticks that A flies before the session runs commands again."""
 _TICKS_MAX = 30_000
 """Longest flight of A [ticks]: ten minutes at 50 Hz."""
 
@@ -45,12 +45,12 @@ class _Flight:
 
 
 class Comparison:
-    """Plans and flies with a pinned configuration, A, beside the session's own, B.
+    """Plans and flies with a pinned configuration, A, for comparison with the session's own, B.
 
-    Whenever time stands still, A plans the session's tick from the same state, cloud, history and seed; on request it
-    flies on from there to the end, with the same noise. All of it happens on the session's thread between two commands,
-    and only while time stands still: a session that plays never waits for A. The planner of A is built when A plans for
-    the first time, and kept. Methods are called on the session's thread; attributes may be read from any thread.
+    While the session is paused, A plans its tick from the same state, cloud, history and seed; on request it flies on
+    from there to the end, with the same noise. All of it happens on the session's thread between two commands, so a
+    session that plays never waits for A. The planner of A is built when A plans for the first time, and kept. Methods
+    are called on the session's thread; attributes may be read from any thread.
 
     Args:
         engine: provides the ticks.
@@ -92,7 +92,7 @@ class Comparison:
         self._events.publish(ComparisonEvent("unpinned", None))
 
     def depart(self, *, when_over: Callable[[], None] | None = None) -> None:
-        """Let A fly from the session's tick to its end, while time stands still.
+        """Let A fly from the session's tick to its end while the session is paused.
 
         Args:
             when_over: called when it has arrived there.

@@ -62,11 +62,11 @@ class NodeClient:
             try:
                 hello = self._receive(deadline=time.monotonic() + timeout)
             except TimeoutError as error:
-                raise UserError(f"Something listens at {self.name} but sends no greeting; it is no node.") from error
+                raise UserError(f"Something listens at {self.name} but sends no greeting; it is not a node.") from error
             except OSError:
                 hello = None
             if hello is None or hello.kind != Kind.HELLO:
-                raise UserError(f"The node at {self.name} has no room for another viewer, or is no node.")
+                raise UserError(f"The node at {self.name} accepts no further viewer, or is not a node.")
             try:
                 self.config = PlannerConfig.from_dict(hello.values["planner"])
                 settings = hello.values["onboard"].items()

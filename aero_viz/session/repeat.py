@@ -1,4 +1,4 @@
-"""Ticks that a session has flown, once more, on a source of their own: to write them to a file while it flies on."""
+"""Repeats the ticks of a session on a separate source, to write them to a file while the session flies on."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class LaunchSequence:
         return [[(name, launch) for launch in launches]]
 
     def side_branch(self, name: str, *launches: Callable[[], Any]) -> list[Chunk]:
-        """Return a stage that runs on the side stream, beside the stages up to the next join."""
+        """Return a stage that runs on the side stream, in parallel with the stages up to the next join."""
         return self.serial(name, self.fork, *launches, self.end_fork)
 
     def fork(self) -> None:
@@ -67,7 +67,7 @@ class LaunchSequence:
             self._device.set_stream(self._side_stream, sync=False)
 
     def end_fork(self) -> None:
-        """On CUDA, put the following launches on the main stream again, beside those since `fork`."""
+        """On CUDA, put the following launches on the main stream again, in parallel with those since `fork`."""
         if self._side_stream is not None:
             self._fork_end = self._side_stream.record_event()
             self._device.set_stream(self._main_stream, sync=False)

@@ -87,10 +87,10 @@ class Pipeline(LaunchSequence):
     # --- the stages, in order ---
 
     def _record(self) -> list[list[Chunk]]:
-        """Record all launches. Fork and join only matter on CUDA, where a side branch runs beside what follows it."""
+        """Record all launches. On CUDA, a side branch runs in parallel with the stages up to the join."""
         cloud = self._cloud_stages
         return [
-            self.side_branch("anchors", *self._place_anchors()),  # beside the scan of the cloud
+            self.side_branch("anchors", *self._place_anchors()),  # in parallel with the scan of the cloud
             cloud.scan_points(),
             self.serial("partition", cloud.finish_fine_cells(), self.join),
             cloud.find_surfaces(),

@@ -14,7 +14,7 @@ def open_user_file(path: str | os.PathLike[str]) -> BinaryIO:
     Raises:
         OSError: there is no such file, it may not be read, or it is not a regular file; `strerror` says which.
     """
-    # Opening a device can have effects of its own, so the kind is checked first, and again once the file is open.
+    # Opening a device can have side effects, so the kind is checked first, and again once the file is open.
     _check_kind(os.stat(path).st_mode, path)
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     try:

@@ -72,7 +72,7 @@ def test_the_page_shows_both_logs_in_one_time_base(logs):
 def test_what_is_no_flight_log_is_named(logs, tmp_path, capsys):
     assert "nowhere.mcap" in run_refused(capsys, "compare", logs[0][0], "nowhere.mcap")
     (tmp_path / "text.mcap").write_text("no log")
-    assert "is no flight log" in run_refused(capsys, "compare", str(tmp_path / "text.mcap"), logs[0][0])
+    assert "is not a flight log" in run_refused(capsys, "compare", str(tmp_path / "text.mcap"), logs[0][0])
     cut = tmp_path / "cut.mcap"
     with open(logs[0][0], "rb") as file:
         content = file.read()

@@ -26,7 +26,7 @@ from tests.planner.interruption import interrupted_at_import
         (["play", "missing.bag"], "missing.bag"),
         (["play", "world.json"], "aero-viz demo world.json"),
         (["play", "forest"], "forest is a scene, not a recording; fly it with: aero-viz demo forest"),
-        (["demo", "--host", "203.0.113.7"], "no address of this machine; choose another one with --host"),
+        (["demo", "--host", "203.0.113.7"], "not an address of this machine; choose another one with --host"),
         (["snapshot", "forest", "/"], "/ cannot be written: it is a folder"),
         (["demo", "forrest"], "forest"),
         (["snapshot", "forrest", "out.png"], "forest"),

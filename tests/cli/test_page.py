@@ -97,8 +97,8 @@ def test_demo_serves_the_page_until_ctrl_c(start_python: StartPython, poles: str
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (["verticals"], "--tour shows scenes of its own; leave out the scene"),
-        (["--paused"], "--tour plays by itself"),
+        (["verticals"], "--tour has its own scenes; leave out the scene"),
+        (["--paused"], "--tour always plays"),
         (["--folder", "."], "opens no files; leave out --paused and --folder"),
     ],
 )

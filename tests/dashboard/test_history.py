@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_viz.dashboard.history import CLEARANCE_MAX, COLUMNS, FlightHistory, first_difference, true_clearance
+from aero_viz.dashboard.history import COLUMNS, FlightHistory, first_difference, true_clearance
 from aero_viz.dashboard.panels.charts import CURVES, envelope, table
+from aero_viz.logs.flight_figures import CLEARANCE_MAX
 from aero_viz.session import Session
 
 

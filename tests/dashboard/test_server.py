@@ -51,8 +51,8 @@ def test_a_taken_port_is_an_error_that_names_it():
 @pytest.mark.parametrize(
     ("host", "port", "words"),
     [
-        ("203.0.113.7", 0, r"203\.0\.113\.7 is no address of this machine; choose another one with --host"),
-        ("nobody.invalid", 0, r"nobody\.invalid is no address of this machine; choose another one with --host"),
+        ("203.0.113.7", 0, r"203\.0\.113\.7 is not an address of this machine; choose another one with --host"),
+        ("nobody.invalid", 0, r"nobody\.invalid is not an address of this machine; choose another one with --host"),
         ("127.0.0.1", 70_000, r"Port 70000 on 127\.0\.0\.1 .*; choose another one with --port"),
     ],
 )

@@ -66,7 +66,7 @@ def test_a_file_that_is_no_log_is_refused(tmp_path):
     with pytest.raises(UserError, match="no file"):
         trace_of_log(tmp_path / "none.mcap")
     (tmp_path / "other.mcap").write_bytes(b"nothing")
-    with pytest.raises(UserError, match="no flight log"):
+    with pytest.raises(UserError, match="not a flight log"):
         trace_of_log(tmp_path / "other.mcap")
 
 
@@ -93,7 +93,7 @@ def test_a_fast_obstacle_is_named_with_its_speed():
     _, _, report, evidence = flown(world, rules=rules)
     assert report.outcome == "collision" and report.cause.startswith("hit a moving obstacle: ")
     assert report.obstacle == "cylinder 0" and "moves at 6.0 m/s" in report.format_table()
-    assert "did not take it for moving" in report.format_table(), "it is faster than any that the planner follows"
+    assert "did not track it as moving" in report.format_table(), "it is faster than any that the planner follows"
     assert report.seen is not None and report.braking is None
     assert evidence is not None
 

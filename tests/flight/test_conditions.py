@@ -35,7 +35,7 @@ def test_conditions_replace_what_they_name():
     [
         (Conditions(values={"noise.position": -1.0}), "noise.position is -1.0"),
         (Conditions(values={"drone.gust_speed": 2.0, "drone.drag": 0.0}), "set drone.drag too"),
-        (Conditions(values={"drone.mass": 2.0}), "drone.mass is no condition"),
+        (Conditions(values={"drone.mass": 2.0}), "drone.mass is not a condition"),
         (Conditions(lidar="mid361"), "Unknown LiDAR"),
     ],
 )

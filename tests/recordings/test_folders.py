@@ -61,7 +61,7 @@ def test_raw_data_of_kitti_play_with_the_poses_of_the_imu_also_where_clouds_are_
             np.testing.assert_allclose(recording.sweep(0).points[:, 1], WALL[:, 0], atol=1e-4)
             np.testing.assert_allclose(recording.sweep(0).points[:, 0], 0.8 - WALL[:, 1], atol=1e-4)
     (drive / "oxts" / "data" / "0000000002.txt").write_text("49.0 8.4 x")
-    with pytest.raises(UserError, match=r"0000000002\.txt is no row of KITTI's oxts"):
+    with pytest.raises(UserError, match=r"0000000002\.txt is not a row of KITTI's oxts"):
         open_recording(drive)
 
 

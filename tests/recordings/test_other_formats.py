@@ -178,7 +178,7 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
     [
         ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
         ("flight.ulg", b"ULog\x01\x12\x35\x01", "flight.ulg cannot be read"),
-        ("odd.bin", bytes(17), "no rows of 16 or 20"),
+        ("odd.bin", bytes(17), "not rows of 16 or 20"),
         ("flight.zip", b"PK\3\4" + bytes(30), "unpack this archive"),
         ("flight.tar", bytes(257) + b"ustar" + bytes(250), "tar -xf"),
         ("scan.e57", b"ASTM-E57" + bytes(40), "pdal translate"),
@@ -283,7 +283,7 @@ def test_a_log_of_px4_is_checked_against_what_the_node_needs(tmp_path: Path, cap
         ("0 0 0 0 0 0 0 x\n", "something else than numbers"),
         ("0 0 0 0 0 0 0 nan\n", "not finite"),
         ("0 0 0 0 0 0 0 0\n", "the quaternion of pose 1 has the length 0"),
-        ("1 0 0 0 0 1 0 0 0 0 7 0\n", "no rotations"),
+        ("1 0 0 0 0 1 0 0 0 0 7 0\n", "not rotations"),
         ("", "holds no poses"),
     ],
 )

@@ -101,8 +101,8 @@ def test_an_address_without_a_node_is_named_in_the_error():
     ("answer", "problem"),
     [
         (b"SSH-2.0-OpenSSH_9.6\r\n" + bytes(40), "no aero-planner node"),
-        (b"", "no room for another viewer, or is no node"),
-        (encode(Kind.CHANGE, {}), "is no node"),
+        (b"", "accepts no further viewer, or is not a node"),
+        (encode(Kind.CHANGE, {}), "is not a node"),
         (encode(Kind.HELLO, {}), "other settings than this program knows"),
         (encode(Kind.HELLO, {"planner": {"costs": {"new": 1}}, "onboard": {}}), "install the same release"),
         (encode(Kind.HELLO, {"planner": {}, "onboard": {"limits": {"new": 1}}}), "install the same release"),

@@ -1,4 +1,4 @@
-"""Ticks of a session once more, on a source of their own."""
+"""Repeating the ticks of a session on a separate source."""
 
 import numpy as np
 

@@ -18,7 +18,7 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
 _DRONE_MARGIN, _PATH_MARGIN = 0.6, 0.15
-"""Distances that obstacles must keep from the view of the drone and of its plan, to stay solid [m]."""
+"""Obstacles nearer than this to the line of sight to the drone, or to its plan, are drawn faint [m]."""
 Change = tuple[Any, str, Any]
 """Handle, property, new value. All changes of an update are computed first and then assigned together."""
 
@@ -188,7 +188,7 @@ def legend_entries(layers: Iterable[Layer], frame: Frame) -> list[ColorKey | Col
 
 
 class Lines:
-    """Line segments in a buffer that only grows, so that its size on the page seldom changes.
+    """Line segments in a buffer that only grows, so that its size on the page rarely changes.
 
     Unused rows repeat the last point: segments of length zero, which draw nothing. The thickness is in pixels, which
     keeps lines legible at any distance and costs half as much as a thickness in metres.
@@ -240,8 +240,12 @@ def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack((vertices[..., :-1, :], vertices[..., 1:, :]), axis=-2).reshape(-1, 2, 3)
 
 
-def to_see(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what no obstacle must hide: places [m], shape [n, 3], and the distance to keep from the view of each."""
+def view_targets(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the points that must stay visible and the clearance that each line of sight needs.
+
+    Returns:
+        Points [m], shape [n, 3], world frame, and clearances [m], shape [n].
+    """
     recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
     path = frame.plan.positions[int(frame.plan.best)] if recorded is None else recorded.path
     path = np.asarray(path, dtype=np.float64)

@@ -90,11 +90,11 @@ class FineCellLayer(Layer):
 class UnseenCellLayer(Layer):
     """Fine cells outside the field of view into which no surface is continued, on a sphere of 2 m.
 
-    The sensor does not see them now. Older sweeps may have; where they show nothing, the planner takes them for free.
+    The sensor does not see them now. Older sweeps may have; where they show nothing, the planner assumes free space.
     """
 
     name, title, on_by_default = "unseen_cells", "Unseen cells", False
-    keys = (ColorKey("unseen cells, taken for free", palette.UNSEEN),)
+    keys = (ColorKey("unseen cells, assumed free", palette.UNSEEN),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._patches = CellPatches(scene, "/unseen_cells", opacity=0.35)

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option, to_see
+from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option, view_targets
 from aero_viz.session.frame import Frame
 
 _MOST_POINTS = 24_000
 _STEP = 4096
-"""The size of the buffer is a multiple of this, so that it seldom changes."""
+"""The size of the buffer is a multiple of this, so that it rarely changes."""
 
 
 class CloudLayer(Layer):
@@ -62,7 +62,7 @@ class CloudLayer(Layer):
 
     def _unobstructed(self, points: NDArray[np.float32], frame: Frame) -> NDArray[np.float32]:
         """Return the points without those between a camera and the drone or its plan."""
-        places, margins = to_see(frame)
+        places, margins = view_targets(frame)
         keep = np.ones(len(points), dtype=bool)
         for eye in self.eyes:
             for place, margin in zip(places, margins, strict=True):

@@ -1,4 +1,4 @@
-"""Obstacles that the planner takes for moving."""
+"""Obstacles that the planner tracks as moving."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import viser.transforms
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, to_see
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, view_targets
 from aero_viz.scenes import Instances, Mesh, SightLines, World, world_instances, world_meshes
 from aero_viz.scenes.mesh import SHAPES, joined_mesh
 from aero_viz.scenes.obstacles import ObstacleId, find_obstacle
@@ -102,7 +102,7 @@ class ObstacleLayer(Layer):
     def _fade(self, frame: Frame) -> list[Change]:
         if self._sight is None:
             return []
-        targets, radii = to_see(frame)
+        targets, radii = view_targets(frame)
         found = [self._sight.blocked_by(eye, targets, radii) for eye in self.eyes]
         kinds = (*self._instances, "triangles")
         faded = {kind: np.unique(np.concatenate([_NO_ROWS, *(rows[kind] for rows in found)])) for kind in kinds}

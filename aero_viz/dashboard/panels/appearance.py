@@ -51,7 +51,7 @@ class AppearancePanel(Panel):
         threading.Thread(target=self._restore, args=(client,), name="aero-viz-appearance", daemon=True).start()
 
     def _restore(self, client: viser.ClientHandle) -> None:
-        """Use the theme that the visitor's browser remembers, on a thread of its own: the answer takes a while."""
+        """Use the theme that the visitor's browser remembers. Runs on a thread: the answer takes a while."""
         with contextlib.suppress(RuntimeError, TimeoutError):  # a visitor who has left, or whose browser keeps nothing
             if client.local_storage.get_item(_THEME, timeout=_ANSWER_MAX) == "light":
                 self._use(client, light=True)

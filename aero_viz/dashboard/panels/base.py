@@ -63,7 +63,7 @@ class Page:
     """Shows the newest frame again, after a change that brings no new frame."""
 
     def refresh_after(self, delay: float = 1.1 * Hold.SECONDS) -> None:
-        """Show the newest frame again in `delay` [s]. While time stands still, no later frame would."""
+        """Show the newest frame again in `delay` [s]. While the session is paused, no later frame would."""
         timer = threading.Timer(delay, self.refresh)
         timer.daemon = True
         timer.start()

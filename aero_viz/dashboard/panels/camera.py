@@ -35,7 +35,7 @@ _REACHES = (1.0, 0.8, 0.6, 0.45)
 _CLEARANCE = 0.15
 """Smallest distance of a first view from an obstacle [m]."""
 _SETTLE_TIME = 1.5
-"""Time for which a page that was just opened still moves its camera by itself [s]."""
+"""Time for which a page that was just opened still moves its own camera [s]."""
 
 
 Point = NDArray[np.float64]

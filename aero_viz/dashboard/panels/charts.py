@@ -13,18 +13,18 @@ import viser
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.history import CLEARANCE_MAX, COLUMNS, Event, Past
+from aero_viz.dashboard.history import COLUMNS, Event, Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.logs.flight_figures import LABELS, FlightFigures
+from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
 from aero_viz.session.frame import Frame
 
 _WIDTH, _HEIGHT = 300, 46
 """Size of one curve in the drawing [pixels]."""
 _PERIOD = 0.4
-"""Shortest time between two drawings while time advances [s]: a long flight takes long to draw."""
+"""Shortest time between two drawings while the session plays, since a long flight takes long to draw [s]."""
 _GAP = 0.25
 """Time without ticks from which a line is interrupted [s]; ten ticks if that is longer."""
 _GHOST_LINE = 'class="aero-ghost" stroke-dasharray="5 3"'
@@ -232,7 +232,7 @@ def _list(events: Sequence[Event], most: int = 6) -> str:
 
 
 def _fork(past: Past) -> str:
-    """Return the flight and its ghost in figures, one beside the other."""
+    """Return the figures of the flight and its ghost, side by side."""
     if not len(past.ghost):
         return ""
     names, what = _NAMES.get(past.ghost_name, (("A", "B"), f"A, {past.ghost_name}"))

@@ -17,8 +17,8 @@ from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
 _PIN_HINT = (
-    "Keep the present configuration as A. B is what the controls below say. Both plan every tick on which time stands "
-    "still: the rollouts of A are drawn in the colour of the ghost."
+    "Pin the present configuration as A; the controls below change B. While the session is paused, both plan its tick, "
+    "and the rollouts of A have the colour of the ghost."
 )
 _FLY_HINT = "A flies from this tick to its end, as the ghost; then B flies from the same tick, with the same noise."
 
@@ -37,7 +37,7 @@ class ComparePanel(Panel):
         )
         self._swap = gui.add_button(
             "Swap A and B", icon=viser.Icon.ARROWS_EXCHANGE, color="gray", visible=False,
-            hint="Pin B, and let the controls say A.",
+            hint="Pin B, and load A into the controls.",
         )  # fmt: skip
         self._stop = gui.add_button(
             "Stop comparing", icon=viser.Icon.PINNED_OFF, color="gray", visible=False, hint="Unpin A."
@@ -86,7 +86,7 @@ class ComparePanel(Panel):
         if a is not None:
             parts.append(tick_table(a, frame))
         else:
-            parts.append(markup.muted("A plans when time stands still."))
+            parts.append(markup.muted("A plans while the session is paused."))
         if len(past.ghost) and past.ghost_name == "A":
             is_flying = self._controls.comparison.is_flying
             progress = f"flying: {past.ghost[-1, 0]:.1f} s" if is_flying else "cut short"

@@ -33,7 +33,7 @@ _COPY = (
 class Baseline:
     """Preset that the page compares the configuration with: the one that was chosen last.
 
-    What the planner knows about a flight, see `config_for_flight`, is no difference from a preset.
+    What the planner knows about a flight, see `config_for_flight`, does not count as a difference from a preset.
     """
 
     name: str

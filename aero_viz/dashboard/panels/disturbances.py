@@ -1,4 +1,4 @@
-"""Wind and faults of the sensors as sliders while it flies, and arrows that move the drone while time stands still."""
+"""Sliders for wind and sensor faults during the flight, and arrows that move the drone while the session is paused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class DisturbancePanel(Panel):
     Args:
         page: page of the panel.
         controls: commands of the session; every change belongs to the tick at which it is made.
-        folder: folder of the controls, which is hidden for a source that is no flight.
+        folder: folder of the controls, which is hidden unless the source is a flight.
     """
 
     def __init__(self, page: Page, controls: SessionControls, folder: viser.GuiFolderHandle) -> None:
@@ -42,7 +42,7 @@ class DisturbancePanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched, self._dragged = Hold(), Hold()
-        hint = "Show arrows at the drone that move it. They are there while time stands still."
+        hint = "Show arrows that move the drone. They appear while the session is paused."
         self._drag = gui.add_checkbox("Drag the drone", False, hint=hint)
         self._sliders = [SliderControl(gui, info, float(info.default), end=_ENDS[info.path]) for info in LIVE]
         self._arrows = self.page.server.scene.add_transform_controls(

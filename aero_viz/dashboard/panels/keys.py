@@ -22,7 +22,7 @@ class Key:
     """The key as viser names it."""
     modifier: Any = None
     own: bool = False
-    """True if it concerns the visitor alone, so that one who looks on may use it."""
+    """True if it affects this visitor only, who then needs no control of the session."""
     argument: Any = None
     """Arguments of the action after the visitor."""
 

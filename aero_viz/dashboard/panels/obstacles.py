@@ -39,7 +39,7 @@ _ADDED_AT = (6.0, 3.0)
 """Offset of an added obstacle from the drone, towards the goal and to the left [m]."""
 _THROWN_FARTHER_THAN = 3.0
 """Least distance from the drone to a thrown obstacle [m]."""
-_ABSENT = "Open a scene or a world to change its obstacles: a recording holds none."
+_ABSENT = "Open a scene or a world to change its obstacles: a recording has none."
 _NOTHING = "Click an obstacle in the scene to select it."
 
 
@@ -77,16 +77,16 @@ class ObstaclePanel(Panel):
         hint = "Put a sphere where the drone is going to be at the end of its plan."
         self._throw = gui.add_button("Throw an obstacle", icon=viser.Icon.METEOR, hint=hint)
         self._kinds = gui.add_button_group("Add", tuple(_SIZES), hint="Add one ahead of the drone, on its left.")
-        hint = "Select an obstacle by a click in the scene, to move it by its arrows, to resize or to remove it."
+        hint = "Click an obstacle in the scene to select it; then move it by its arrows, resize or remove it."
         self._switch = gui.add_checkbox("Edit obstacles", False, hint=hint)
         self._name = gui.add_html(markup.note(_NOTHING), visible=False)
         self._center = gui.add_vector3("Centre", (0.0, 0.0, 0.0), step=0.5, visible=False, hint="x, y, z [m].")
-        hint = "Width, depth and height along its own axes [m]. Those of a round obstacle follow each other."
+        hint = "Width, depth and height along its own axes [m]. Diameters of a round obstacle change together."
         self._size = gui.add_vector3("Size", (1.0, 1.0, 1.0), step=0.1, visible=False, hint=hint)
         self._yaw = gui.add_number("Heading", 0.0, step=5.0, visible=False, hint="Rotation of the box about z [deg].")
         self._center.precision = self._size.precision = self._yaw.precision = 3
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
-        hint = "Take back, or make again, one change of the obstacles or of the parameters. Keys: Ctrl Z, Ctrl Shift Z."
+        hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl Z, Ctrl Shift Z."
         self._history = gui.add_button_group("History", ("Undo", "Redo"), hint=hint)
         hint = "Download the world as it is now, as JSON that `aero-viz fly` and Open path read."
         self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
@@ -148,8 +148,8 @@ class ObstaclePanel(Panel):
                 self._numbers.put(None)
 
     def _click(self, event: viser.SceneClickEvent) -> None:
-        # viser's outline around a clickable node under the mouse fails in a scene with fog, and a faint obstacle is no
-        # node of its own: the world is asked instead.
+        # No node is clickable: viser's outline around one under the mouse fails in a scene with fog, and a faint
+        # obstacle is not a separate node. The world finds the obstacle on the ray instead.
         frame = self.session.frame
         if frame is not None and frame.world is not None:
             key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction)

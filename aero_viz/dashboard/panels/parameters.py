@@ -146,7 +146,7 @@ class ParameterPanel(Panel):
     def _configure(
         self, rows: Sequence[ParameterRow], changes: dict[str, object], client: viser.ClientHandle | None
     ) -> None:
-        """Change some parameters; if the change is refused, show the values that stay, and the reason beside them."""
+        """Change some parameters; if the change is refused, show the values that stay, and the reason."""
         reason = ""
 
         def configure() -> None:

@@ -26,7 +26,7 @@ class PlaybackPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = Hold()
-        hint = "Let time run, or stop it. Parameters still change the plan while it stands. Key: Space."
+        hint = "Play or pause. Parameters change the plan while paused as well. Key: Space."
         self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint)
         if self.session.controls is not None:
             self._add_restart(gui)
@@ -55,9 +55,7 @@ class PlaybackPanel(Panel):
             self._seek(self.session.time_range[0])
 
     def _add_speed(self, gui: viser.GuiApi, controls: SessionControls) -> None:
-        speed = gui.add_dropdown(
-            "Speed", tuple(_SPEEDS), initial_value="1", hint="Source time that passes per wall time."
-        )
+        speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Source time per wall-clock time.")
 
         @speed.on_update
         async def _(event: viser.GuiEvent) -> None:

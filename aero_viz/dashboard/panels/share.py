@@ -78,7 +78,7 @@ class Files(Protocol):
 class SharePanel(Panel):
     """Writes the flight so far to a file for the visitor who asks, while the session goes on.
 
-    Its ticks are planned once more on a source of their own, so that changes of parameters and of the goal are in the
+    Its ticks are planned again on a separate source, so that changes of parameters and of the goal are in the
     file as they were.
     """
 

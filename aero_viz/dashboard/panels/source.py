@@ -38,7 +38,7 @@ _PROGRESS_PERIOD = 0.5
 class SourcePanel(Panel):
     """Opens scenes and recordings. If one cannot be opened, the page says so and the current source continues.
 
-    Files are read by a process of its own, one at a time, which anybody can cancel. Reasons that may quote a file are
+    A separate process reads the files, one at a time; anybody can cancel it. Reasons that may quote a file are
     written to the terminal only: the page may be seen by people who cannot read the file.
 
     Args:
@@ -78,7 +78,7 @@ class SourcePanel(Panel):
         self.opening = Opening(self._opened, seed, conditions)
         """Source that is open."""
         self._is_listed = False
-        """True while the list has been told of the open source."""
+        """True while the list shows the open source."""
         self._reader: ReaderProcess | None = None
         """Reader of the source that is being opened; None if there is none."""
         self._is_read = False

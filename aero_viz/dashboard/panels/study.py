@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # the page knows only the form of a study
     from aero_viz.evaluation.tune.stored_study import Importance, StoredStudy, StudyPoint, StudyView
 
 _PERIOD = 1.0
-"""Time between two looks at the study [s]."""
+"""Time between two polls of the study [s]."""
 _BUTTONS = 12
 """Largest number of points of the front that can be clicked."""
 _WIDTH, _HEIGHT = 300, 190
@@ -33,7 +33,7 @@ _CLICK = "[...document.querySelectorAll('button')].find(b => b.textContent.start
 
 
 class StudyPanel(Panel):
-    """Follows a study. A click on a point of its front makes the configuration B, beside the present one as A."""
+    """Follows a study. A click on a point of its front makes its configuration B and the present one A."""
 
     def __init__(self, page: Page, controls: SessionControls, study: StoredStudy) -> None:
         self._controls, self._study = controls, study
@@ -103,7 +103,7 @@ class StudyPanel(Panel):
         return self.update_without_frame()
 
     def _follow(self) -> None:
-        """Read the study again and again, as long as somebody looks on."""
+        """Poll the study while a visitor is on the page."""
         while not self._ended.wait(_PERIOD):
             if not self.page.server.get_clients():
                 continue

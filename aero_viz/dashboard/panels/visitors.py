@@ -10,7 +10,7 @@ from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 
-_HINT = "Control the session; whoever does now looks on from then on."
+_HINT = "Take control of the session. The visitor who holds it now can only watch afterwards."
 
 
 class VisitorPanel(Panel):

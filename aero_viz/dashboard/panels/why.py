@@ -21,9 +21,9 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
 _PERIOD = 0.7
-"""Shortest time between two explanations while time runs [s]: each plans once more."""
+"""Shortest time between two explanations while time runs [s]: each plans again."""
 _HINT = (
-    "Plan the present tick once more and split its costs. Then click an anchor, a guide, a rollout, a point or a cell "
+    "Plan the present tick again and split its costs. Then click an anchor, a guide, a rollout, a point or a cell "
     "in the scene, or a number below."
 )
 

@@ -25,13 +25,13 @@ _RESOLUTION = 256.0
 
 
 class _SharedCloudLayer(CloudLayer):
-    """The cloud with fewer points, of each sweep always the same ones: what stays the same is stored once."""
+    """The cloud with fewer points. Each sweep keeps the same ones, because unchanged data is stored only once."""
 
     name, title = CloudLayer.name, CloudLayer.title
 
     def thinned(self, cloud: Sweeps) -> NDArray[np.float32]:
         step = max(-(-cloud.point_count // _MOST_POINTS), 1)
-        step = 1 << (step - 1).bit_length()  # seldom another one while the cloud grows
+        step = 1 << (step - 1).bit_length()  # changes rarely while the cloud grows
         points = np.concatenate([np.zeros((0, 3), np.float32), *(sweep[::step] for sweep in cloud)])
         return points[np.isfinite(points[:, 0])]
 

@@ -1,4 +1,4 @@
-"""Causes for which flights of a benchmark failed: each failure is flown once more, alone, and explained."""
+"""Causes of the failures of a benchmark: each failed flight is flown again, alone, and explained."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from aero_viz.scenes import World
 
 
 def cause_of(world: World, reason: str, **options: Any) -> dict[str, Any]:
-    """Fly a failed flight once more and return its cause and obstacle, as fields of its record.
+    """Fly a failed flight again and return its cause and obstacle, as fields of its record.
 
     Args:
         world: where it was flown.

@@ -130,7 +130,7 @@ def run_benchmark(
             in which an object appears are not examined.
         executor: flies the batches; None flies one after the other in this process.
         progress: called as flights finish.
-        causes: fly each failure once more, alone, and explain it, except where an object appears.
+        causes: fly each failure again, alone, and explain it, except where an object appears.
 
     Raises:
         UserError: the folder holds other results, an option is out of range, or a file cannot be written.
@@ -292,7 +292,7 @@ def _explain(shard: _Shard, worlds: Sequence[World], records: list[dict[str, Any
 def _time_stages(shard: _Shard, worlds: Sequence[World]) -> dict[str, float]:
     """Return the times of the stages of a tick in the middle of the flights, as fields of a record [ms].
 
-    The flights begin once more, because timing the stages of the planner would delay those whose time counts.
+    The flights start again, because timing the stages of the planner would delay those whose time counts.
     """
     batch = _build(shard, worlds)
     for _ in range(_TIMED_TICK):

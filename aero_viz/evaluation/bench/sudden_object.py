@@ -64,7 +64,7 @@ def check_arrival(label: str, sudden: SuddenObject, world: World, rules: FlightR
 
 
 class SuddenObjects:
-    """Adds an object to each flight of a batch in the tick in which it is due.
+    """Adds an object to each flight of a batch at the tick at which it is due to appear.
 
     Args:
         batch: flights that have not begun.
@@ -133,7 +133,7 @@ def can_evade(distance: float, speed: float, *, vehicle: VehicleConfig, radius: 
     for direction in _DIRECTIONS:
         forward = np.maximum(speed - math.cos(direction) * change, 0.0).cumsum() * _STEP
         sideways = (math.sin(direction) * change).cumsum() * _STEP
-        ahead = distance - forward  # negative beside and behind the object
+        ahead = distance - forward  # negative next to and behind the object
         gap_x = np.maximum(np.maximum(ahead, -ahead - SIZE[0]), 0.0)
         gap_y = np.maximum(sideways - edge, 0.0)
         if np.hypot(gap_x, gap_y).min() > radius:

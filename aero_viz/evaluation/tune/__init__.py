@@ -3,7 +3,7 @@
 Candidates are proposed in generations, so that a GPU flies many at once. The worlds are divided into rungs. After each,
 candidates that are significantly worse than the best one are given up. Candidates are compared by the share of flights
 that arrive and, where that is equal, by the mean of the objective. Finally the best candidate and the incumbent fly in
-fresh worlds, because the winner of a search looks better in it than it is.
+fresh worlds, because the score of a search's winner is optimistic.
 """
 
 from __future__ import annotations

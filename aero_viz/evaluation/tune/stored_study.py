@@ -92,7 +92,7 @@ class StudyView:
 
 
 class StoredStudy:
-    """A study of `tune` in a storage, which is only read. Another process may fly it meanwhile.
+    """A study of `tune` in a storage, read only. Another process may be running it.
 
     Args:
         storage: URL of Optuna's storage.
@@ -117,7 +117,7 @@ class StoredStudy:
             self._study: optuna.Study = optuna.load_study(study_name=name, storage=storage)
         except UserError:
             raise
-        except Exception as error:  # SQLAlchemy and drivers of databases raise exceptions of their own
+        except Exception as error:  # SQLAlchemy and database drivers raise their own exceptions
             raise UserError(f"Cannot read the storage {storage} of Optuna: {first_line(error)}") from error
         self._where = f"The study {name!r} in {storage}"
         self._seen: Any = None

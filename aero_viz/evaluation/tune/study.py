@@ -66,7 +66,7 @@ def open_study(
             directions=[optuna.study.StudyDirection.MINIMIZE] * (len(objectives) + 1 if len(objectives) > 1 else 1),
             load_if_exists=True,
         )
-    except Exception as error:  # SQLAlchemy and drivers of databases raise exceptions of their own
+    except Exception as error:  # SQLAlchemy and database drivers raise their own exceptions
         raise UserError(f"Cannot open the storage {storage} of Optuna: {first_line(error)}") from error
     previous = study.user_attrs.get(DEFINITION)
     if previous is None:

@@ -181,9 +181,7 @@ class TuningResult:
         if self.best.trial is None:
             return ["No candidate was better than the incumbent."]
         if self.check is None:
-            return [
-                "Warning: the search was interrupted before the check, and its winner looks better in it than it is."
-            ]
+            return ["Warning: the search was interrupted before the check; the score of its winner is optimistic."]
         paired = self.check.paired
         comparison = (
             f"In fresh worlds only the best candidate arrives in {paired.only_b}, only the incumbent in "

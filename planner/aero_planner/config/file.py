@@ -51,7 +51,7 @@ class ConfigFile:
         """Parse a file.
 
         Raises:
-            ValueError: the file can't be read, is no configuration file, or repeats a key; names file and line.
+            ValueError: the file can't be read, is not a configuration file, or repeats a key; names file and line.
         """
         return cls(str(path), parse_entries(read_text(path), str(path)))
 

@@ -48,7 +48,7 @@ def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: 
 
     Args:
         old: Points [m], shape [P, 3], world frame.
-        new: Points of a later time, likewise.
+        new: Points of a later time, in the same form.
         position: Position of the drone [m], shape [3].
     """
     old_near, new_near = _near(old, position), _near(new, position)

@@ -13,7 +13,7 @@ _DROPS = 8  # index of the dropped datagrams in _SO_MEMINFO
 _MAX_SENDERS = 60  # jumps of the filter reach 255 instructions
 
 # Instructions of the classic Berkeley packet filter. The filter of a UDP socket sees the datagram from the UDP header
-# on, and the IPv4 header at an offset of its own.
+# on, and the IPv4 header at a separate negative offset.
 _LOAD_WORD, _LOAD_HALF, _JUMP_EQUAL, _RETURN = 0x20, 0x28, 0x15, 0x06
 _SOURCE_ADDRESS, _SOURCE_PORT = (-0x100000 + 12) & 0xFFFFFFFF, 0
 _WHOLE = 0xFFFFFFFF

@@ -98,7 +98,7 @@ class CommandSink(Protocol):
     def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         """Command a thrust F_t [N] and body rates omega [rad/s], shape [4], forward-left-up. Never blocks.
 
-        With an `attitude`, body to world, w x y z, shape [4], an autopilot that can control it turns to it by itself.
+        With an `attitude`, body to world, w x y z, shape [4], an autopilot that can control the attitude does so.
 
         Raises:
             ValueError: The command has another shape or is not finite; nothing was sent.

@@ -42,7 +42,7 @@ _GOAL = "SET_POSITION_TARGET_LOCAL_NED"
 _WANTED = (*StateReceiver.MESSAGES, "PARAM_VALUE", _GOAL)
 _PARAMETERS_MAX = 5000
 _FLOAT, _INTEGER = struct.Struct("<f"), struct.Struct("<i")
-_IGNORED_MAX = 20  # kinds of ignored messages that are told apart
+_IGNORED_MAX = 20  # kinds of ignored messages that are counted separately
 
 
 class MavlinkLink(MavlinkSender):

@@ -115,7 +115,7 @@ class PeriodicLoop:
 
 
 class LoopThreads:
-    """Runs loops in threads of their own, and makes all threads of the process release the interpreter often.
+    """Runs each loop in its own thread, and makes all threads of the process release the interpreter often.
 
     Args:
         loops: Loops by name.

@@ -32,7 +32,7 @@ _DRIFT_PERIOD = 0.7
 _HOVER_SPEED = 1.0
 """Speed up to which it is compared [m/s]."""
 _GROUND_PERIOD = 1.0
-"""Time between two looks for the ground in the cloud [s]."""
+"""Time between two searches for the ground in the cloud [s]."""
 _SPARE_SWEEPS = 64
 """Sweeps for which the planner has room beside those of its memory."""
 _STEP = 0.02

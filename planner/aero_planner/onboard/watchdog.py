@@ -28,7 +28,7 @@ _ROUNDING = 1e-6
 
 
 class Heartbeat(NamedTuple):
-    """Knowledge of the control loop at the end of a tick, or what was done in its place."""
+    """Knowledge of the control loop at the end of a tick, or of whoever acted in its place."""
 
     time: float
     """Start of the tick [s]."""
