@@ -86,7 +86,7 @@ class ReadingBudget:
         self._bytes -= count
         if self._bytes < 0:
             raise LimitExceeded(
-                f"compressed more than {EXPANSION_RATIO} times, which no recording is: only what precedes is used"
+                f"compressed more than {EXPANSION_RATIO} times, as no recording is: only the part read so far is used"
             )
 
     @property
@@ -101,5 +101,5 @@ class ReadingBudget:
         """Raise LimitExceeded if the time is up."""
         if self.is_late:
             raise LimitExceeded(
-                f"too costly to read, more than {self._seconds:.0f} s for its size: only what precedes is used"
+                f"too costly to read, more than {self._seconds:.0f} s for its size: only the part read so far is used"
             )

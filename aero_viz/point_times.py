@@ -17,7 +17,7 @@ _MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
 
 
 def time_field(formats: Mapping[str, str]) -> str | None:
-    """Return the name of the field that holds the time of a point, None without one.
+    """Return the name of the field that holds the time of a point, None if there is none.
 
     Args:
         formats: NumPy format of each field, such as "f4" or "<u4", by its name.

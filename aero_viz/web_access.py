@@ -96,7 +96,7 @@ class Access:
 
 
 def _only(headers: Headers, name: str) -> str | None:
-    """Return the value of a header; several values are none that can be trusted, and give an empty one."""
+    """Return the value of a header: None if it is missing, empty if it was sent more than once."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else "" if values else None
 

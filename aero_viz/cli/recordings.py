@@ -51,8 +51,8 @@ def convert(
     Args:
         file: Recording of any format that `play` reads.
         output: MCAP file to write; an existing one is replaced.
-        start: Leave out what precedes this time after the first message [s].
-        end: Leave out what follows this time after the first message [s].
+        start: Leave out messages before this time, counted from the first message [s].
+        end: Leave out messages after this time, counted from the first message [s].
         topics: Write these topics only.
         decimate: Keep every n-th point of each cloud.
         to: Format to write. Rerun opens MCAP itself; rrd says how it is converted.

@@ -48,7 +48,7 @@ class PageFlags:
 
     @property
     def foxglove_port(self) -> int | None:
-        """The port for Foxglove, None without it.
+        """The port for Foxglove; None if it is not served.
 
         Raises:
             UserError: more than one port was given, a number that is not a port, or an origin without a port.
@@ -78,7 +78,7 @@ class StudyFlags:
     """Database of the study, as a URL that Optuna understands."""
 
     def open(self) -> StoredStudy | None:
-        """Return the study, None without one.
+        """Return the study, or None if none was named.
 
         Raises:
             UserError: there is no such study, or it cannot be read.

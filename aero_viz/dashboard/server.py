@@ -270,7 +270,7 @@ class _LoopEvent(asyncio.Event):
         self._is_scheduled = False
 
     def set(self) -> None:
-        """Set the event now on its own loop, otherwise as soon as the loop runs."""
+        """Set the event: at once when called on its loop, otherwise as soon as the loop runs."""
         if asyncio._get_running_loop() is self._target_loop:
             self._is_scheduled = False
             super().set()

@@ -234,7 +234,7 @@ class Tour:
         self._session.pause()
 
     def _watch(self, stop: Stop, shutdown: threading.Event) -> None:
-        """Show the captions until the flight has ended or its time is over; RuntimeError if it stands still."""
+        """Show the captions until the flight has ended or its time is over; RuntimeError if it makes no progress."""
         moved, index, started = time.monotonic(), -1, time.monotonic()
         while not shutdown.wait(_PERIOD):
             frame = self._session.frame

@@ -34,7 +34,7 @@ class Visitors:
         return self._may_control.get(number, False)
 
     def join(self, number: int, *, may_control: bool) -> None:
-        """Add a visitor, unless that is done."""
+        """Add a visitor who has not joined yet."""
         if number not in self._may_control:
             with self._lock:
                 self._may_control[number] = may_control

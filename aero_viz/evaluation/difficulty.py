@@ -214,7 +214,7 @@ def _angle_over_length(guide: Points, length: float) -> float:
 
 
 def describe_world(world: World, *, radius: float) -> dict[str, Any]:
-    """Return whether a path exists among what stands, and the difficulty of that world, as plain values for JSON.
+    """Return whether a path exists among the static obstacles, and their difficulty, as plain values for JSON.
 
     The key is `passable`, followed by those of `Difficulty.to_dict`, which are None where there is no guide.
 

@@ -73,7 +73,7 @@ class Obstacles:
         return distance if times is None else np.minimum(distance, self._nearest_moving(positions, times)[0])
 
     def speed_of_nearest(self, position: Array, time: float) -> float | None:
-        """Return the speed of the nearest obstacle at a time in the plan [m/s]; None if that stands."""
+        """Return the speed of the nearest obstacle at a time in the plan [m/s]; None if it is static."""
         distance, row = self._nearest_moving(position, np.array(time))
         if self._moving is None or distance >= self.distance(position):
             return None

@@ -17,7 +17,7 @@ _SHARE = 0.1
 
 
 def obstacle_name(world: World | None, point: ArrayLike | None) -> str:
-    """Return the solid on whose surface a point of the cloud [m], [3], lies; a point of None is the ground."""
+    """Return the name of the solid on whose surface a point of the cloud [m], [3], lies; None is the ground."""
     if point is None:
         return "the ground"
     distance, name = (np.inf, "") if world is None else world.nearest(point)

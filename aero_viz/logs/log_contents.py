@@ -115,7 +115,7 @@ class LogContents:
         return content
 
     def config(self, version: int | None = None) -> PlannerConfig | None:
-        """Return the configuration of this version or, if there is none, the last one; None without any.
+        """Return the configuration of this version or, if there is none, the last one; None if the log has none.
 
         Raises:
             UserError: it is damaged.

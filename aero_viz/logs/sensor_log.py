@@ -42,7 +42,7 @@ _ACCELERATION_NOISE, _RATE_NOISE = 0.05, 0.002  # standard deviations [m/s^2], [
 
 @dataclasses.dataclass(frozen=True)
 class SensorLogOptions:
-    """Selection of what a sensor log holds."""
+    """Contents of a sensor log."""
 
     start: int = 1_700_000_000_000_000_000
     """Stamp of source time 0 [ns]."""

@@ -79,7 +79,7 @@ class CloudSequence(BagFile):
                 yield Message(self._channel, stamp, index, 0, b"")
                 continue
             if budget.is_late:
-                self.problems.append("too costly to read for its size: only what precedes is used")
+                self.problems.append("too costly to read for its size: only the part read so far is used")
                 return
             size, head = _layout(count)
             yield Message(self._channel, stamp, index, size, replace_stamp(head, stamp))
@@ -158,7 +158,7 @@ class CloudFiles(CloudSequence):
         return StampedCloud(stamp, points, times)
 
     def _read_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-        """Return points [n, 3] [m] and their times [n] as they are in the file, None without any."""
+        """Return points [n, 3] [m] and their times [n] as stored in the file, or None."""
         return (read_bin(path), None) if path.suffix.lower() == ".bin" else read_timed_points(path, self._process)
 
     def close(self) -> None:

@@ -62,7 +62,7 @@ def decompress_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
         raise UserError(
             f"{path} is {problem or 'empty inside'}, and nothing of it can be read: record or copy it again"
         )
-    return target, problem and f"{problem}; only what precedes the damage is used"
+    return target, problem and f"{problem}; only the data before the damage is used"
 
 
 def _pieces(source: BinaryIO) -> Iterator[bytes | str]:

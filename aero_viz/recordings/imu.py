@@ -30,7 +30,7 @@ class ImuSamples(NamedTuple):
 
 
 def read_imu(files: list[BagFile]) -> ImuSamples | None:
-    """Return the samples on the busiest topic of type sensor_msgs/Imu, None without any. Damaged ones are left out."""
+    """Return the intact samples on the busiest topic of type sensor_msgs/Imu, None if there are none."""
     rows: dict[str, list[tuple[float, ...]]] = {}
     stamps: dict[str, list[int]] = {}
     frames: dict[str, str] = {}

@@ -169,7 +169,7 @@ def _natural(file: Path) -> tuple[tuple[str, float], ...]:
 
 
 def _time_in_name(file: Path) -> int | None:
-    """Return the time since 1970 in a name [ns], None without one."""
+    """Return the time since 1970 in a name [ns], None if there is none."""
     found = _TIME_IN_NAME.search(file.stem)
     if found is None:
         return None

@@ -108,7 +108,7 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
         for _ in udp_payloads(path):  # ouster-sdk does not say that a capture is truncated
             pass
     if problem:
-        raise ValueError(f"damaged ({problem}): only what precedes is used")
+        raise ValueError(f"damaged ({problem}): only the data before the damage is used")
 
 
 def _spooled(file: BinaryIO) -> Iterator[StampedCloud]:

@@ -76,7 +76,9 @@ def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
         for packet in group:
             count += packet.count
             if count > SWEEP_POINTS_MAX:
-                raise ValueError(f"damaged, a sweep has more than {SWEEP_POINTS_MAX} points: what precedes is used")
+                raise ValueError(
+                    f"damaged, a sweep has over {SWEEP_POINTS_MAX} points: only the data before it is used"
+                )
             start = packet.stamp_ns if start is None else start
             points, _ = decode_points(packet.data_type, packet.payload)
             step = 1e9 * packet.interval / max(len(points) - 1, 1)
@@ -128,7 +130,7 @@ def _lvx2_packet(file: BinaryIO) -> LivoxPacket:
     size = _POINT_SIZES.get(kind)
     if length > _PACKAGE_MAX or size is None or length % size:
         raise ValueError(
-            f"damaged, a package claims {length} bytes of points of type {kind}: only what precedes is used"
+            f"damaged, a package claims {length} bytes of points of type {kind}: only the data before it is used"
         )
     payload = file.read(length)
     if len(payload) < length:
@@ -161,12 +163,12 @@ def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
             except StopIteration:
                 return
             except Exception as error:  # the decoder fails in many ways on damaged captures
-                raise ValueError(f"damaged ({one_line(error)}): only what precedes is used") from error
+                raise ValueError(f"damaged ({one_line(error)}): only the data before it is used") from error
             table: Any = np.asarray(points)
             offsets = table[:, decoder.PointField.time].astype(np.float64)
             start = float(offsets.min()) if len(offsets) else 0.0
             host = float(getattr(stamp, "host", stamp))
             if not math.isfinite(host + start):
-                raise ValueError("damaged, a time is not finite: only what precedes is used")
+                raise ValueError("damaged, a time is not finite: only the data before it is used")
             times = np.clip(np.round(1e9 * (offsets - start)), 0, _TIME_MAX).astype(np.uint32)
             yield StampedCloud(round(1e9 * (host + start)), table[:, :3].astype(np.float32), times)

@@ -46,7 +46,7 @@ def udp_payloads(path: Path) -> Iterator[Datagram]:
                 raise EOFError
             seconds, fraction, length, _ = struct.unpack(f"{order}4I", record)
             if length > _FRAME_MAX:
-                raise ValueError(f"damaged, a frame claims {length} bytes: only what precedes is used")
+                raise ValueError(f"damaged, a frame claims {length} bytes: only the data before it is used")
             frame = file.read(length)
             if len(frame) < length:
                 raise EOFError

@@ -70,7 +70,7 @@ class RecordedPoses:
         self.measured_velocity = False
         """True if the velocities were recorded, False if they are differences of the positions."""
         self.twists: Array | None = None
-        """Linear velocities as they were recorded [n, 3] [m/s], NaN where they are not; None without any."""
+        """Linear velocities as they were recorded [n, 3] [m/s], NaN where they are not; None if none were recorded."""
         if body_velocities is not None:
             twist = np.asarray(body_velocities, float).reshape(-1, 3)[order]
             self.twists = twist

@@ -49,7 +49,7 @@ def check_px4_log(path: Path) -> CheckReport:
 
 
 def _read_values(path: Path) -> tuple[dict[str, float], float | None]:
-    """Return the parameters at the end of a log, and the median of the estimated hover thrusts, None without any."""
+    """Return the parameters at the end of a log, and the median of the estimated hover thrusts or None."""
     log = load_ulog(path, [_HOVER_TOPIC])
     try:
         parameters = {name: float(value) for name, value in log.initial_parameters.items()}

@@ -117,7 +117,7 @@ class Recording:
         """Frame of the clouds."""
         self.pose_topic = source.topic if source else None
         self.pose_origin: Literal["", "recording", "file", "odometry"] = "recording" if source else ""
-        """Origin of the poses, empty without any."""
+        """Origin of the poses; empty if there are none."""
         self.poses: RecordedPoses | None = None
         """Motion of the body, None if no poses are recorded."""
         self.extrinsic: Transform = IDENTITY
@@ -176,7 +176,7 @@ class Recording:
 
     @property
     def damage(self) -> str | None:
-        """Sentence that names the playable sweeps found to be unreadable so far, None without any."""
+        """Sentence that names the playable sweeps found to be unreadable so far; None if there are none."""
         if not self.damaged_sweeps:
             return None
         counts = f"{len(self.damaged_sweeps)} of {len(self._entries)} sweeps"

@@ -126,7 +126,7 @@ class RecordingSource:
 
     @property
     def explanation(self) -> str | None:
-        """Sentence that names the sweeps found to be unreadable so far, None without any."""
+        """Sentence that names the sweeps found to be unreadable so far; None if there are none."""
         return self.recording.damage
 
     def observe(self) -> Observation:

@@ -77,7 +77,7 @@ class SqliteFile(BagFile):
         except LimitExceeded as error:
             self.problems.append(str(error))
         except (sqlite3.Error, ValueError) as error:
-            self.problems.append(f"damaged or truncated ({one_line(error)}); only what precedes the damage is used")
+            self.problems.append(f"damaged or truncated ({one_line(error)}); only the data before the damage is used")
 
     def _check_tables(self) -> None:
         """Raise ValueError unless the two tables of rosbag2 are plain tables."""

@@ -204,7 +204,7 @@ def _read_poses(
 def _without_outliers(
     name: str, times: Array, positions: Array, quaternions: Array, velocities: Array | None = None
 ) -> tuple[RecordedPoses, str]:
-    """Return the poses near the median position, and a notice about the others and about jumps, empty without any.
+    """Return the poses near the median position, and a notice about outliers and jumps, empty if there are none.
 
     Args:
         name: topic.

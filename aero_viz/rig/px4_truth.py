@@ -86,7 +86,7 @@ class TruthTracker:
 
     @property
     def newest(self) -> Truth:
-        """The newest true state; the vehicle stands before the first one."""
+        """The newest true state; before the first one, the vehicle is at rest."""
         return self._truths[-1] if self._truths else Truth(0.0, self._origin, np.zeros(3), self._turn)
 
     def at(self, time: float) -> Truth:

@@ -116,12 +116,28 @@ def fly_rig(
             )
         if process is None:
             autopilot = _simulated_autopilot(
-                world, config, onboard, mavlink_port, loss_time or 0.5, state_pair, lockstep, seed
+                world,
+                config,
+                onboard,
+                port=mavlink_port,
+                loss_time=loss_time or 0.5,
+                pair=state_pair,
+                lockstep=lockstep,
+                seed=seed,
             )
         else:
             onboard = onboard.replace({"mavlink.system": process.system})
             parameters = dict(px4_parameters or {}) | ({} if loss_time is None else {"COM_OF_LOSS_T": loss_time})
-            autopilot = _px4_autopilot(process, world, config, onboard, mavlink_port, parameters, lockstep, seed)
+            autopilot = _px4_autopilot(
+                process,
+                world,
+                config,
+                onboard,
+                port=mavlink_port,
+                parameters=parameters,
+                lockstep=lockstep,
+                seed=seed,
+            )
         close_autopilot = stack.enter_context(contextlib.ExitStack())
         close_autopilot.callback(autopilot.close)
         sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed, data_type=data_type)
@@ -158,6 +174,7 @@ def _simulated_autopilot(
     world: World,
     config: PlannerConfig,
     onboard: OnboardConfig,
+    *,
     port: int,
     loss_time: float,
     pair: bool,
@@ -185,6 +202,7 @@ def _px4_autopilot(
     world: World,
     config: PlannerConfig,
     onboard: OnboardConfig,
+    *,
     port: int,
     parameters: Mapping[str, float],
     lockstep: bool,

@@ -134,7 +134,7 @@ class ClearanceGrid:
         return bool(self.reachable(start, threshold=threshold, goal=goal)[self.index(goal)])
 
     def route(self, start: ArrayLike, goal: ArrayLike, *, threshold: float) -> NDArray[np.float64] | None:
-        """Return the corners of a short path from `start` to `goal` [n, 3] [m], n >= 2, or None without one.
+        """Return the corners of a short path from `start` to `goal` [n, 3] [m], n >= 2, or None if there is none.
 
         It is the shortest route over 26-connected points with distances of at least `threshold`, shortened: each corner
         is followed by the last point in its sight. Start and goal themselves need no such distance.

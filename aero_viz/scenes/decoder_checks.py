@@ -19,7 +19,7 @@ def check_count(declared: int, present: int, noun: str = "points") -> None:
 
 
 def read_header(path: Path, pattern: bytes, problem: str) -> tuple[bytes, int]:
-    """Return the header of a file and the number of bytes after it; raises ValueError with `problem` without one."""
+    """Return the header of a file and the number of bytes after it; raises ValueError(problem) if there is none."""
     with path.open("rb") as file:
         found = re.match(pattern, file.read(_HEADER_MAX))
     if found is None:

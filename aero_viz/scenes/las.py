@@ -39,7 +39,7 @@ class LasUnits(NamedTuple):
 
 
 def read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-    """Return the points of a LAS or LAZ file [n, 3] [m], and their times [n] as they are in it, None without any.
+    """Return the points of a LAS or LAZ file [n, 3] [m], and their times [n] as stored, or None.
 
     Points that are withheld or classified as noise are left out. Coordinates in feet are converted.
 

@@ -44,7 +44,7 @@ def decode(path: Path, content: str) -> Points:
 
 
 def decode_points(path: Path) -> tuple[Points, Times | None]:
-    """Return the finite points of a file [n, 3] [m], and their times [n] as they are in it, None without any.
+    """Return the finite points of a file [n, 3] [m], and their times [n] as stored, or None.
 
     Raises:
         Exception: as for `decode`.

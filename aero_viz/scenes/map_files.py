@@ -56,7 +56,7 @@ def read_points(path: str | Path, process: DecodingProcess | None = None) -> Poi
 
 
 def read_timed_points(path: Path, process: DecodingProcess) -> tuple[Points, NDArray[Any] | None]:
-    """Return the points of a file as `read_points` does, and their times [n] as they are in it, None without any.
+    """Return the points of a file as `read_points` does, and their times [n] as stored, or None.
 
     PCD, PLY, LAS and LAZ may have times; their unit is that of `aero_viz.point_times`.
     """

@@ -34,7 +34,7 @@ def check_motion(motion: NDArray[np.float64], cylinders: int) -> None:
     if len(motion) != cylinders:
         raise ValueError(
             f'"motion" has {len(motion)} rows for {cylinders} cylinders; give one row (vx, vy, span) per cylinder, '
-            "0, 0, 0 for one that stands."
+            "0, 0, 0 for a static one."
         )
     for row, (x, y, span) in enumerate(motion):
         speed = np.hypot(x, y)

@@ -25,7 +25,7 @@ _LZF_RATIO_MAX = 88  # a copy of 3 bytes yields at most 264
 
 
 def read_pcd(path: Path) -> tuple[Points, NDArray[Any] | None]:
-    """Return the points of a PCD file [n, 3] [m], and their times [n] as they are in it, None without any.
+    """Return the points of a PCD file [n, 3] [m], and their times [n] as stored, or None.
 
     Raises:
         Exception: the file is damaged; a ValueError has a text for the user.

@@ -17,7 +17,7 @@ _CODES |= {"float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8"}
 
 
 def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-    """Return the vertices of a PLY file [n, 3] [m], and their times [n] as they are in it, None without any.
+    """Return the vertices of a PLY file [n, 3] [m], and their times [n] as stored, or None.
 
     Raises:
         Exception: the file is damaged; a ValueError has a text for the user.

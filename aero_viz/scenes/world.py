@@ -60,7 +60,7 @@ class World:
         triangles: three corners per row, [n, 9]. Triangles form a surface without an inside; it is seen and hit from
             both sides.
         motion: horizontal velocity at time 0 [m/s] and span [m] of each cylinder, [n, 3]. A cylinder goes along its
-            velocity for the span, back to where it began, and so on; one without velocity stands. Empty if all stand.
+            velocity for the span, back to where it began, and so on; one without velocity is static. Empty if all are.
         numbers: per table, what identifies each row also after rows are removed, see `obstacles`; row numbers where a
             table has none. Not part of the JSON file.
 

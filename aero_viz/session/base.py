@@ -79,7 +79,7 @@ class SessionControls(Protocol):
         ...
 
     def unpin(self) -> Future[Any]:
-        """Compare nothing any more."""
+        """End the comparison."""
         ...
 
     def compare_with(self, config: PlannerConfig) -> Future[Any]:
@@ -198,7 +198,7 @@ class BaseSession(ABC):
         """Go to the frame at or before `time` [s]."""
 
     def catch_up(self) -> Future[Any]:
-        """Return a future that is done when the commands that were given before have been run."""
+        """Return a future that completes once all earlier commands have run."""
         return completed()
 
     def subscribe(

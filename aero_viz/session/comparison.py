@@ -86,7 +86,7 @@ class Comparison:
         self._events.publish(ComparisonEvent("pinned", self.pinned))
 
     def unpin(self) -> None:
-        """Compare nothing."""
+        """End the comparison."""
         self._clear()
         self.pinned = None
         self._events.publish(ComparisonEvent("unpinned", None))

@@ -50,7 +50,7 @@ class Motion:
         self.forget()
 
     def forget(self) -> None:
-        """Take all obstacles for standing ones until the next sweep."""
+        """Treat all obstacles as static until the next sweep."""
         self.arrays.newest.fill_(-1)
 
     def stamp(

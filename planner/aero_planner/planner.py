@@ -361,7 +361,7 @@ class Planner:
         return times
 
     def save_graph(self, path: str | os.PathLike[str]) -> Path:
-        """Save the launches of a plan for the C++ host; kernels are written to a folder beside the file.
+        """Save the launches of a plan for the C++ host; kernels are written to a folder next to the file.
 
         Arrays are bound by their names in `PlannerInputs` and `PlannerOutputs`, and "points", "params", "seed", "tick",
         "previous_controls", "previous_end", "previous_waypoint", "previous_time", "proven_stop_age", "place_count" and

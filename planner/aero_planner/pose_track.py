@@ -66,7 +66,7 @@ class PoseTrack:
 
     @property
     def newest_time(self) -> float:
-        """Time of the newest pose [s]; -inf without any."""
+        """Time of the newest pose [s]; -inf if there is none."""
         return float(self._rows[self._end - 1, 0]) if self._end else -np.inf
 
     def append(self, time: float, position: ArrayLike, quaternion: ArrayLike) -> bool:

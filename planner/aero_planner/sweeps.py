@@ -92,7 +92,7 @@ class Sweeps:
 
     @property
     def point_count(self) -> int:
-        """P, the number of points of all sweeps, those of older ones that are not kept included."""
+        """P, the number of points of all sweeps, including those that thinning drops."""
         return sum(map(len, self._sweeps))
 
 

@@ -165,7 +165,7 @@ class CameraPanel(Panel):
                 eye, look_at = self._views.find(mode if mode in VIEWS else "follow", frame)
                 changes += [(camera, "position", eye), (camera, "look_at", look_at)]
             elif mode != "free" and not np.array_equal(target, self._targets.get(number, target + 1.0)):
-                # Moving a camera also moves the point that it looks at. While the drone stands, the camera is left
+                # Moving a camera also moves the point that it looks at. While the drone is at rest, the camera is left
                 # alone: its position may be older than what the visitor's mouse does now.
                 eye = target + eye - camera.look_at
                 changes.append((camera, "position", eye))

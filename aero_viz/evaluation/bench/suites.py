@@ -290,8 +290,8 @@ def _moving() -> Benchmark:
     return Benchmark(
         "moving",
         "Moving obstacles",
-        "Pillars, 0.4 to 1.1 m wide, move back and forth over 5 to 15 m at 0.5 to 2 m/s, between and beside start and "
-        "goal. They keep their ways, so that one may hit a drone that stands still. The planner estimates their "
+        "Pillars, 0.4 to 1.1 m wide, move back and forth over 5 to 15 m at 0.5 to 2 m/s, between and next to start "
+        "and goal. They do not yield, so that one may hit a drone at rest. The planner estimates their "
         "motion, and knows the height of the ground.",
         tuple(rows),
         x_label="velocity limit [m/s]",

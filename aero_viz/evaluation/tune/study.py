@@ -128,7 +128,7 @@ def dump_flights(flights: Mapping[int, FlightResult]) -> dict[str, Any]:
 
 
 def load_flights(content: Mapping[str, Any]) -> dict[int, FlightResult]:
-    """Return what `dump_flights` has made plain."""
+    """Return the results of flights from what `dump_flights` has returned."""
     return {int(world): FlightResult(**values) for world, values in content.items()}
 
 

@@ -87,7 +87,7 @@ class StudyResults:
 
     @property
     def front(self) -> tuple[Candidate, ...]:
-        """Complete candidates that no other one beats in all that the search minimises."""
+        """Pareto front: the complete candidates that no other one beats in every value that the search minimises."""
         return tuple(pareto_front(self.complete, key=lambda candidate: candidate.values))
 
     @property

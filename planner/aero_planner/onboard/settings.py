@@ -259,7 +259,7 @@ class ResponseSettings(ParameterSection, section="response"):
 
 @dataclass(frozen=True)
 class TelemetrySettings(ParameterSection, section="telemetry"):
-    """Live view of the flight for the desk."""
+    """Live view of the flight for viewers on the ground."""
 
     enabled: bool = switch(True, "Serve the live plan to `aero-viz connect`.")
     host: str = text(

@@ -1,4 +1,4 @@
-"""The thrust of the vehicle as a factor of what its hover thrust says, estimated in flight."""
+"""The gain of the vehicle's thrust over what its hover thrust implies, estimated in flight."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from aero_planner.quaternions import rotate
 _log = logging.getLogger(__name__)
 
 _TIME_CONSTANT = 2.0
-"""Time in which an error of the factor falls to a third [s]."""
+"""Time in which an error of the gain falls to a third [s]."""
 _LARGEST = 1.5
-"""Largest factor; the smallest is its inverse."""
+"""Largest gain; the smallest is its inverse."""
 _MAX_ERROR = 0.5
 """Largest relative error of one measurement that is believed."""
 _MAX_INTERVAL = 0.1
@@ -28,11 +28,11 @@ _MIN_UPRIGHT = 0.8
 _MIN_THRUST = 0.3
 """Smallest thrust with which it is measured, as a fraction of the weight."""
 _NOTABLE = 0.1
-"""Change of the factor that is logged."""
+"""Change of the gain that is logged."""
 
 
 class ThrustEstimate:
-    """Estimates the factor from the vertical acceleration that commands have caused and that was predicted.
+    """Estimates the gain from the measured and the predicted vertical acceleration.
 
     Args:
         vehicle: Mass and gravity.
