@@ -1,4 +1,4 @@
-"""SIGTERM, which service managers and `timeout` send: it ends a verb as Ctrl-C does, so that each keeps what it has."""
+"""SIGTERM, which service managers and `timeout` send. It ends a command as Ctrl-C does, so that results are kept."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def install_handler() -> None:
 
 
 def is_terminating() -> bool:
-    """Return True once SIGTERM was received: the verb must not wait for anybody."""
+    """Return True once SIGTERM was received: the command must not wait for anybody."""
     return _received.is_set()
 
 

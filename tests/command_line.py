@@ -26,7 +26,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 
 
 def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    """Return the JSON object that a verb prints; the verb must succeed."""
+    """Return the JSON object that a command prints; the command must succeed."""
     code, text, error = run(capsys, *arguments, "--json")
     assert code == 0, error
     return json.loads(text)

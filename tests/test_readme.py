@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 from command_line import run
 
-from aero_viz.cli.verbs import VERBS
+from aero_viz.cli.commands import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 LINES = re.findall(r"^aero-viz (\w+)(?: (\w+))?(.*?)(?: #|$)", README, flags=re.MULTILINE)
-COMMANDS = [
-    (f"{verb} {second}", rest) if f"{verb} {second}" in VERBS else (verb, f"{second}{rest}")
-    for verb, second, rest in LINES
+USES = [
+    (f"{name} {second}", rest) if f"{name} {second}" in COMMANDS else (name, f"{second}{rest}")
+    for name, second, rest in LINES
 ]
 
 
@@ -33,11 +33,11 @@ def test_a_snippet_runs_and_prints_its_results_only(snippet: str, tmp_path: Path
 
 
 def test_every_command_exists_with_its_flags(capsys: pytest.CaptureFixture[str]):
-    assert {verb for verb, _ in COMMANDS} >= VERBS.keys() - {"score", "world", "doctor", "bench compare"}
-    for verb, arguments in COMMANDS:
-        _, text, _ = run(capsys, *verb.split(), "--help")
+    assert {name for name, _ in USES} >= COMMANDS.keys() - {"score", "world", "doctor", "bench compare"}
+    for name, arguments in USES:
+        _, text, _ = run(capsys, *name.split(), "--help")
         missing = [flag for flag in re.findall(r"--[a-z][a-z.-]*", arguments) if flag not in text]
-        assert not missing, (verb, missing)
+        assert not missing, (name, missing)
 
 
 @pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\((?!http)([^)#]+)\)", README))))

@@ -28,12 +28,12 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
     install_handler()
     try:
+        from aero_viz.cli.commands import COMMANDS
         from aero_viz.cli.parser import parse
         from aero_viz.cli.renamed_flags import replace_renamed_flags
-        from aero_viz.cli.verbs import VERBS
 
         current = replace_renamed_flags(sys.argv[1:] if arguments is None else arguments)
-        call = parse(VERBS, current, prog="aero-viz", description=_DESCRIPTION)
+        call = parse(COMMANDS, current, prog="aero-viz", description=_DESCRIPTION)
         from aero_planner.warp_init import init_warp
 
         init_warp()

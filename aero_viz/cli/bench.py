@@ -1,4 +1,4 @@
-"""The verb `aero-viz bench`."""
+"""The command `aero-viz bench`."""
 
 from __future__ import annotations
 

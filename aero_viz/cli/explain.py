@@ -1,4 +1,4 @@
-"""The verb `aero-viz explain`."""
+"""The command `aero-viz explain`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verbs about single flights: `aero-viz fly` and `score`."""
+"""The commands about single flights: `aero-viz fly` and `score`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verbs that serve the page: `aero-viz demo`, `play` and `connect`. `fly --no-headless` uses them, too."""
+"""The commands that serve the page: `aero-viz demo`, `play` and `connect`. `fly --no-headless` uses them, too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verbs on files of recordings: `aero-viz inspect` and `convert`."""
+"""The commands on files of recordings: `aero-viz inspect` and `convert`."""
 
 from __future__ import annotations
 

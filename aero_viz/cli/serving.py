@@ -1,4 +1,4 @@
-"""What all verbs that serve the page need: its flags, its address on the terminal, and shutdown by a signal."""
+"""What all commands that serve the page need: its flags, its address on the terminal, and shutdown by a signal."""
 
 from __future__ import annotations
 

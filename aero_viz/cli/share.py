@@ -1,4 +1,4 @@
-"""The verb `aero-viz share`."""
+"""The command `aero-viz share`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verbs `aero-viz snapshot`, `world`, `export`, `parameters` and `doctor`."""
+"""The commands `aero-viz snapshot`, `world`, `export`, `parameters` and `doctor`."""
 
 from __future__ import annotations
 

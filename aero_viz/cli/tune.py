@@ -1,4 +1,4 @@
-"""The verb `aero-viz tune`."""
+"""The command `aero-viz tune`."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class Opening:
 
     def command(self, *, closed_loop: bool) -> str:
         """Return the command that opens the same source: a flight, or else a recording."""
-        verb = "demo" if closed_loop else "play"
-        return shlex.join(["aero-viz", verb, self.spec, "--seed", str(self.seed)])
+        name = "demo" if closed_loop else "play"
+        return shlex.join(["aero-viz", name, self.spec, "--seed", str(self.seed)])
 
 
 @dataclass(frozen=True)

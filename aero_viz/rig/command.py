@@ -1,4 +1,4 @@
-"""The verb `aero-planner rig`: fly the onboard node against a simulated drone."""
+"""The command `aero-planner rig`: fly the onboard node against a simulated drone."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from aero_viz.rig.result import RigResult
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the verb and return the exit code. This is an entry point in the group "aero_planner.commands".
+    """Run the command and return the exit code. This is an entry point in the group "aero_planner.commands".
 
     Args:
-        arguments: arguments after the verb.
+        arguments: arguments after the command.
 
     Raises:
         ValueError: an argument is out of range, or pymavlink is missing; the message is one sentence.

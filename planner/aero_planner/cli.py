@@ -1,7 +1,7 @@
-"""The command line on the drone: `aero-planner run`, `preflight`, `export`, `config`, and verbs of other packages.
+"""The command line on the drone: `aero-planner run`, `preflight`, `export`, `config`, and commands of other packages.
 
-A package adds a verb by an entry point in the group "aero_planner.commands". The name of the entry point is the verb.
-Its value is a function that takes the arguments after the verb, a list of strings, and returns an exit code or None.
+A package adds a command by an entry point in the group "aero_planner.commands". The name of the entry point is that of
+the command. Its value is a function that takes the arguments after the name and returns an exit code or None.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from aero_planner.onboard.settings import OnboardConfig
 
 GROUP = "aero_planner.commands"
-"""Group of the entry points that add verbs."""
+"""Group of the entry points that add commands."""
 
-_VERBS = ("run", "preflight", "export", "config")
+_COMMANDS = ("run", "preflight", "export", "config")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,17 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from aero_planner.config.parameter import did_you_mean
 
         words = list(sys.argv[1:] if arguments is None else arguments)
-        added = {point.name: point for point in entry_points(group=GROUP) if point.name not in _VERBS}
-        verbs = [*_VERBS, *sorted(added)]
+        added = {point.name: point for point in entry_points(group=GROUP) if point.name not in _COMMANDS}
+        commands = [*_COMMANDS, *sorted(added)]
         if words and words[0] in added:
             return int(added[words[0]].load()(words[1:]) or 0)
-        if words and not words[0].startswith("-") and words[0] not in verbs:
+        if words and not words[0].startswith("-") and words[0] not in commands:
             raise ValueError(
-                f"there is no verb {words[0]!r}{did_you_mean(words[0], verbs)}; verbs: {', '.join(verbs)}."
+                f"there is no command {words[0]!r}{did_you_mean(words[0], commands)}; commands: {', '.join(commands)}."
             )
         parser = _parser(sorted(added))
         options = parser.parse_args(words)
-        if options.verb is None:
+        if options.command is None:
             parser.print_help()
             return 2
         code = options.call(options)
@@ -66,11 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
-    epilog = f"Verbs of other packages: {', '.join(added_verbs)}." if added_verbs else None
+def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
+    epilog = f"Commands of other packages: {', '.join(added_commands)}." if added_commands else None
     parser = argparse.ArgumentParser(prog="aero-planner", description="Fly with the AERO-MPPI planner.", epilog=epilog)
     parser.add_argument("--version", action="version", version=f"aero-planner {installed_version('aero-planner')}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
 
     files = argparse.ArgumentParser(add_help=False)
     files.add_argument(
@@ -94,7 +94,7 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
         "--log", type=Path, metavar="PATH", help="MCAP file to write, or folder for a file named after the date"
     )
 
-    run = verbs.add_parser(
+    run = commands.add_parser(
         "run", parents=[flight], help="fly when the pilot switches to OFFBOARD", description=_run.__doc__
     )
     run.add_argument("--seed", type=int, default=0, help="seed of the planner's noise (default: 0)")
@@ -102,7 +102,7 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
     run.add_argument("--json", action="store_true", help="print statistics as one JSON object at the end")
     run.set_defaults(call=_run)
 
-    preflight = verbs.add_parser(
+    preflight = commands.add_parser(
         "preflight", parents=[flight], help="check that everything is ready to fly", description=_preflight.__doc__
     )
     preflight.add_argument(
@@ -114,7 +114,7 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
     )
     preflight.set_defaults(call=_preflight)
 
-    export = verbs.add_parser("export", help="compile for a drone that has no compiler", description=_export.__doc__)
+    export = commands.add_parser("export", help="compile for a drone that has no compiler", description=_export.__doc__)
     export.add_argument("out", metavar="OUT[.tar]", help="folder or tar file to write")
     export.add_argument(
         "--config", default="default", help="preset or YAML file; it may contain the node's settings under 'onboard:'"
@@ -125,7 +125,7 @@ def _parser(added_verbs: Sequence[str]) -> argparse.ArgumentParser:
     export.add_argument("--cpu", action="store_true", help="compile for this machine's CPU")
     export.set_defaults(call=_export)
 
-    config = verbs.add_parser("config", help="show or validate a configuration")
+    config = commands.add_parser("config", help="show or validate a configuration")
     actions = config.add_subparsers(dest="action", required=True, metavar="ACTION")
     show = actions.add_parser("show", parents=[files], help="print every parameter in the form of a YAML file")
     show.set_defaults(call=_show)

@@ -9,7 +9,7 @@ import pytest
 from command_line import run, run_refused, terminal_text
 
 from aero_viz.cli import main
-from aero_viz.cli.verbs import VERBS
+from aero_viz.cli.commands import COMMANDS
 from tests.planner.interruption import interrupted_at_import
 
 
@@ -75,21 +75,21 @@ def test_a_mistake_in_a_flag_is_reported_by_tyro(
     assert all(message in error for message in messages), error
 
 
-def test_the_list_of_verbs_quotes_their_docstrings(capsys: pytest.CaptureFixture[str]):
+def test_the_list_of_commands_quotes_their_docstrings(capsys: pytest.CaptureFixture[str]):
     code, text, _ = run(capsys, "--help")
     assert code == 0
-    for name, verb in VERBS.items():
-        function = verb.load()
+    for name, command in COMMANDS.items():
+        function = command.load()
         assert function.__name__ == name.replace(" ", "_")
-        assert (function.__doc__ or "").partition("\n")[0] == verb.summary
-        assert f"  {name}" in text and verb.summary in text
+        assert (function.__doc__ or "").partition("\n")[0] == command.summary
+        assert f"  {name}" in text and command.summary in text
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_has_help_for_every_flag(capsys: pytest.CaptureFixture[str], verb: str):
-    code, text, error = run(capsys, *verb.split(), "--help")
-    assert (code, error) == (0, "") and f"usage: aero-viz {verb} " in text
-    assert VERBS[verb].summary in " ".join(text.split())
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_for_every_flag(capsys: pytest.CaptureFixture[str], command: str):
+    code, text, error = run(capsys, *command.split(), "--help")
+    assert (code, error) == (0, "") and f"usage: aero-viz {command} " in text
+    assert COMMANDS[command].summary in " ".join(text.split())
 
 
 def test_a_reader_that_closes_the_pipe_early_causes_no_error():

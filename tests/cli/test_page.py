@@ -1,4 +1,4 @@
-"""The verbs that serve the page, as processes. `aero-viz connect` is tested with the telemetry client."""
+"""The commands that serve the page, as processes. `aero-viz connect` is tested with the telemetry client."""
 
 import signal
 import socket

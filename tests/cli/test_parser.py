@@ -9,7 +9,7 @@ import pytest
 import tyro
 from command_line import terminal_text
 
-from aero_viz.cli.parser import Verb, parse
+from aero_viz.cli.parser import Command, parse
 from aero_viz.errors import UserError
 
 CALLS: list[tuple[object, ...]] = []
@@ -46,18 +46,18 @@ def wash(*, soap: str) -> None:
     CALLS.append(("wash", soap))
 
 
-VERBS = {"paint": Verb(lambda: paint, "Paint a wall."), "wash": Verb(lambda: wash, "Wash.")}
+COMMANDS = {"paint": Command(lambda: paint, "Paint a wall."), "wash": Command(lambda: wash, "Wash.")}
 
 
 def call(*arguments: str):
-    return parse(VERBS, arguments, prog="house", description="A house.")
+    return parse(COMMANDS, arguments, prog="house", description="A house.")
 
 
-def test_parsing_does_not_call_the_verb():
+def test_parsing_does_not_call_the_command():
     CALLS.clear()
-    verb = call("paint", "north", "--coats", "2", "--place", "1", "-2", "3e1")
+    command = call("paint", "north", "--coats", "2", "--place", "1", "-2", "3e1")
     assert CALLS == []
-    verb()
+    command()
     call("wash", "--soap", "hard")()
     assert CALLS == [("north", 2, (1.0, -2.0, 30.0), "red", None, None), ("wash", "hard")]
 
@@ -89,12 +89,12 @@ def test_tyro_reports_a_mistake_on_stderr(capsys: pytest.CaptureFixture[str], ar
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("paintt north", "there is no verb 'paintt' (did you mean 'paint'?); give one of paint, wash, or --help."),
-        ("", "a verb is missing; give one of paint, wash, or --help."),
-        ("--coats 2", "there is no verb '--coats'; give one of paint, wash, or --help."),
+        ("paintt north", "there is no command 'paintt' (did you mean 'paint'?); give one of paint, wash, or --help."),
+        ("", "a command is missing; give one of paint, wash, or --help."),
+        ("--coats 2", "there is no command '--coats'; give one of paint, wash, or --help."),
     ],
 )
-def test_a_wrong_verb_is_reported_in_one_sentence(arguments: str, message: str):
+def test_a_wrong_command_is_reported_in_one_sentence(arguments: str, message: str):
     with pytest.raises(UserError) as caught:
         call(*arguments.split())
     assert str(caught.value) == message

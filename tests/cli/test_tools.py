@@ -62,6 +62,6 @@ def test_mistakes_in_an_export_are_reported_in_one_line(
     assert not (tmp_path / "free").exists()
 
 
-def test_the_help_of_export_refers_to_the_planners_own_verb(capsys: pytest.CaptureFixture[str]):
+def test_the_help_of_export_refers_to_the_planners_own_command(capsys: pytest.CaptureFixture[str]):
     code, text, _ = run(capsys, "export", "--help")
     assert code == 0 and "the same as `aero-planner export`" in " ".join(text.split()) and "--arch" in text

@@ -180,9 +180,9 @@ def test_a_recorder_serves_and_logs_the_same_flight(session: Session, tmp_path: 
     assert counts["/plan"] == 2 and counts["/odometry"] == 4
 
 
-@pytest.mark.parametrize("verb", [("play",), ("demo", "pillars")])
-def test_the_verbs_serve_while_the_page_waits_and_end_with_ctrl_c(verb: tuple[str, ...]):
-    command = [sys.executable, "-m", "aero_viz", *verb, "--port", "0", "--foxglove", "0"]
+@pytest.mark.parametrize("arguments", [("play",), ("demo", "pillars")])
+def test_the_commands_serve_while_the_page_waits_and_end_with_ctrl_c(arguments: tuple[str, ...]):
+    command = [sys.executable, "-m", "aero_viz", *arguments, "--port", "0", "--foxglove", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -59,9 +59,9 @@ def test_import_is_light_and_leaves_cuda_alone():
     assert result.stdout == "[]\n" and result.stderr == ""
 
 
-def test_help_lists_the_verbs(call: Callable[..., Outcome]):
+def test_help_lists_the_commands(call: Callable[..., Outcome]):
     code, out, _ = call("--help")
-    assert code == 0 and all(verb in out for verb in ("run", "preflight", "config"))
+    assert code == 0 and all(command in out for command in ("run", "preflight", "config"))
     code, out, _ = call("run", "--help")
     assert code == 0 and "Never arms and never changes the mode" in " ".join(out.split())
     code, out, _ = call("--version")
@@ -100,7 +100,7 @@ def test_settings_may_come_from_a_separate_file(call: Callable[..., Outcome], tm
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (["rnu"], "there is no verb 'rnu' (did you mean 'run'?)"),
+        (["rnu"], "there is no command 'rnu' (did you mean 'run'?)"),
         (["run", "--config", "papr"], "'papr' is neither a preset (did you mean 'paper'?) nor a file"),
         (["run", "--config", "{bad}"], "bad.yaml, line 3: limits.plan_age is 9; it must be a number in [0.05, 2] s."),
         (["preflight", "--config", "{bad}"], "bad.yaml, line 3"),
@@ -141,35 +141,35 @@ def test_preflight_prints_a_table_or_json(call: Callable[..., Outcome], flight_f
     assert {check["name"] for check in content["checks"] if not check["ok"]} >= {"vehicle state", "LiDAR"}
 
 
-@pytest.mark.parametrize("verb", [["run"], ["preflight", "--listen", "0.1"]], ids=["run", "preflight"])
+@pytest.mark.parametrize("command", [["run"], ["preflight", "--listen", "0.1"]], ids=["run", "preflight"])
 def test_a_device_without_memory_is_reported(
-    call: Callable[..., Outcome], flight_file: Path, monkeypatch: pytest.MonkeyPatch, verb: list[str]
+    call: Callable[..., Outcome], flight_file: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
 ):
     def fail(*_: object) -> None:
         raise RuntimeError("Failed to allocate 2147483648 bytes on device 'cuda:0'")
 
     monkeypatch.setattr("aero_planner.planner.allocate", fail)
-    code, out, err = call(*verb, "--config", str(flight_file))
+    code, out, err = call(*command, "--config", str(flight_file))
     assert code == 2 and "plan" in out + err and "Failed to allocate 2147483648 bytes" in out + err
-    assert verb == ["run"] or "NOT ready to fly" in out
+    assert command == ["run"] or "NOT ready to fly" in out
 
 
 @pytest.fixture
 def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Installed package that adds verbs."""
-    (tmp_path / "other_verbs.py").write_text(
+    """Installed package that adds commands."""
+    (tmp_path / "other_commands.py").write_text(
         "def swim(arguments):\n    print('swims', *arguments)\n    return 7\n\n\ndef rest(arguments):\n    pass\n"
     )
-    folder = tmp_path / "other_verbs-1.0.dist-info"
+    folder = tmp_path / "other_commands-1.0.dist-info"
     folder.mkdir()
-    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: other-verbs\nVersion: 1.0\n")
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: other-commands\nVersion: 1.0\n")
     (folder / "entry_points.txt").write_text(
-        "[aero_planner.commands]\nswim = other_verbs:swim\nrest = other_verbs:rest\nbroken = absent_module:main\n"
+        "[aero_planner.commands]\nswim = other_commands:swim\nrest = other_commands:rest\nbroken = absent_module:main\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
 
 
-def test_other_packages_add_verbs(call: Callable[..., Outcome], other_package: None):
+def test_other_packages_add_commands(call: Callable[..., Outcome], other_package: None):
     assert call("swim", "--far", "3") == (7, "swims --far 3\n", "")
     assert call("rest")[0] == 0
     code, _, err = call("broken")

@@ -1,4 +1,4 @@
-"""The verb `aero-planner rig`: its arguments and its output."""
+"""The command `aero-planner rig`: its arguments and its output."""
 
 import numpy as np
 import pytest

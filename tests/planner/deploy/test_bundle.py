@@ -259,14 +259,14 @@ def test_the_command_line_reports_errors_in_one_line(
     other = tmp_path / "other.yaml"
     other.write_text("sampling:\n  samples: 64\n")
     flip(shutil.copytree(folder, tmp_path / "damaged"))
-    for verb in ("run", "preflight"):
+    for command in ("run", "preflight"):
         for arguments, problem in (
             (["--bundle", str(tmp_path / "absent.tar")], "absent.tar can't be read: No such file"),
             (["--bundle", str(tmp_path / "damaged")], "is damaged"),
             (["--bundle", "/dev/zero"], "is neither a folder nor a whole tar file"),
             (["--bundle", str(folder), "--config", str(other)], "the configuration says 64"),
         ):
-            assert main([verb, *arguments]) == 2
+            assert main([command, *arguments]) == 2
             lines = capsys.readouterr().err.strip().splitlines()
             assert len([line for line in lines if line.startswith("aero-planner: ")]) == 1
             assert problem in lines[-1] and lines[-1].endswith(".")

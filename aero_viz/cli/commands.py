@@ -1,0 +1,40 @@
+"""All commands of `aero-viz`. Their modules are imported only on use, which keeps `aero-viz --help` fast."""
+
+from __future__ import annotations
+
+import importlib
+
+from aero_viz.cli.parser import Command
+
+
+def _command(module: str, function: str, summary: str) -> Command:
+    return Command(lambda: getattr(importlib.import_module(f"aero_viz.cli.{module}"), function), summary)
+
+
+COMMANDS: dict[str, Command] = {
+    "demo": _command("page", "demo", "Fly a synthetic scene live in the browser."),
+    "play": _command("page", "play", "Run the planner on a recording, open loop, live in the browser."),
+    "connect": _command("page", "connect", "Show the live plan of a drone that runs `aero-planner run`."),
+    "inspect": _command("recordings", "inspect", "Show what a recording contains and which parts can be played."),
+    "compare": _command("compare", "compare", "Compare two flight logs: figures, parameters and conditions."),
+    "convert": _command("recordings", "convert", "Write a recording, or a part of it, as ROS 2 MCAP."),
+    "fly": _command(
+        "flights", "fly", "Fly through a scene or a world once, as fast as possible, and print the result."
+    ),
+    "score": _command("flights", "score", "Score a flight of any planner with the simulator's own metrics."),
+    "explain": _command("explain", "explain", "Explain why a flight did not arrive, from its log or by flying it."),
+    "bench": _command("bench", "bench", "Fly a benchmark and write its tables, plots and report."),
+    "bench compare": _command("bench", "bench_compare", "Compare two runs of a benchmark through the same worlds."),
+    "bench worlds": _command("bench", "bench_worlds", "Fly through all worlds in a folder and write a report."),
+    "tune": _command("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),
+    "snapshot": _command("tools", "snapshot", "Render a scene or a recording at a given time to a PNG file."),
+    "share": _command("share", "share", "Write a flight to one file: page, video, picture or log."),
+    "world": _command("tools", "world", "Write a world to a file for other programs."),
+    "world info": _command(
+        "tools", "world_info", "Describe a world: its obstacles, whether a path exists, and how difficult it is."
+    ),
+    "export": _command("tools", "export", "Compile all kernels ahead of time for a drone that has no compiler."),
+    "parameters": _command("tools", "parameters", "Print a Markdown table of every planner parameter."),
+    "doctor": _command("tools", "doctor", "Check this machine and print how to install what is missing."),
+}
+"""Commands by name, in the order of the help text."""
