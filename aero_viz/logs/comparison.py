@@ -16,6 +16,7 @@ from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
 from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
+from aero_viz.nested_values import leaves_by_path
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
 
@@ -147,7 +148,7 @@ def _flight(path: Path, contents: LogContents) -> LoggedFlight:
         columns=_columns(contents, world, config),
         outcome=contents.outcome or "cut short",
         config=config,
-        conditions=_flatten(settings),
+        conditions=leaves_by_path(settings),
     )
 
 
@@ -173,17 +174,6 @@ def _columns(contents: LogContents, world: World | None, config: PlannerConfig) 
         "plan_ms": np.array([plan.plan_ms for plan in plans]),
         "safe": np.array([float(np.count_nonzero(plan.clearance >= limit)) for plan in plans]),
         "best": np.array([float(plan.best) for plan in plans]),
-    }
-
-
-def _flatten(value: Any, name: str = "") -> dict[str, Any]:
-    """Return the leaves of nested dictionaries by path."""
-    if not isinstance(value, dict):
-        return {name: value}
-    return {
-        path: leaf
-        for key, child in value.items()
-        for path, leaf in _flatten(child, f"{name}.{key}" if name else key).items()
     }
 
 

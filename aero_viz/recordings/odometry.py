@@ -36,7 +36,6 @@ _RKO_DISTANCE = 0.3
 """Largest distance between matched points [m]: trunks and branches are thin."""
 _RKO_JERK = 100.0
 """A drone's acceleration changes faster than that of the vehicles for which the default was chosen [m/s^3]."""
-_SWEEP_WITHOUT_TIMES = 0.1
 _REST_TIME = 0.2
 """Time at the start over which the mean specific force is taken as gravity [s]."""
 _MAX_SPEED, _MAX_ACCELERATION = 40.0, 60.0

@@ -47,11 +47,6 @@ class Observation:
         return self.sweeps.points
 
     @property
-    def sweep_count(self) -> int:
-        """Number of sweeps in the cloud."""
-        return len(self.sweeps)
-
-    @property
     def actual_state(self) -> VehicleState:
         """The true state if it is known, otherwise the estimated one."""
         return self.true_state or self.state

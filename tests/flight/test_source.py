@@ -47,7 +47,7 @@ def assert_equal_flights(first, second):
 
 def test_first_observation(source):
     now = source.observe()
-    assert (now.time, now.sweep_count, source.outcome, source.info.period) == (0.0, 30, None, 0.02)
+    assert (now.time, len(now.sweeps), source.outcome, source.info.period) == (0.0, 30, None, 0.02)
     np.testing.assert_array_equal(now.state.position, [0.0, 0.0, 2.0])
     np.testing.assert_array_equal(now.goal.position, [45.0, 0.0, 2.0])
     assert now.points.dtype == np.float32 and np.isfinite(now.points).all() and len(now.points) > 1000

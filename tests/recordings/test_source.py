@@ -48,13 +48,13 @@ def test_sweeps_from_all_positions_coincide_in_the_world(source_of):
         count = min(int(o.time / 0.1 + 1e-6) + 1, 10)
         newest = 0.1 * min(int(o.time / 0.1 + 1e-6), 13)
         assert o.cloud_age == pytest.approx(o.time - newest, abs=1e-6)
-        assert o.sweep_count == count and o.points.shape == (200 * count, 3) and o.points.dtype == np.float32
+        assert len(o.sweeps) == count and o.points.shape == (200 * count, 3) and o.points.dtype == np.float32
         # The wall is at x = 5 m, wherever the drone was when it measured it.
         np.testing.assert_allclose(o.points[:, 0], 5.0, atol=1e-5)
 
 
 def test_number_of_sweeps_can_be_chosen(source_of):
-    assert play(source_of(bags.drive(), sweeps=3))[-1].sweep_count == 3
+    assert len(play(source_of(bags.drive(), sweeps=3))[-1].sweeps) == 3
     with pytest.raises(UserError, match="sweeps must be at least 1"):
         source_of(bags.drive(), sweeps=0)
 
@@ -64,14 +64,14 @@ def test_cloud_has_the_newest_sweeps_that_fit_whole(source_of):
     items = [bags.cloud(0.1 * k, bags.xyz(np.add(big, [k, 0, 0]))) for k in range(5)]
     items += [bags.pose_stamped(0.1 * k, [0, 0, 0]) for k in range(5)]
     o = play(source_of(items))[-1]
-    assert o.sweep_count == 2 and len(o.points) == 140_000 <= MAX_POINTS
+    assert len(o.sweeps) == 2 and len(o.points) == 140_000 <= MAX_POINTS
     assert set(np.unique(o.points[:, 0])) == {8.0, 9.0}
 
 
 def test_newest_sweep_is_used_even_if_it_exceeds_the_limit(source_of):
     big = np.tile(bags.wall(1000), (220, 1))
     o = play(source_of([bags.cloud(0, bags.xyz(big)), bags.pose_stamped(0, [0, 0, 0])]))[0]
-    assert o.sweep_count == 1 and len(o.points) == 220_000
+    assert len(o.sweeps) == 1 and len(o.points) == 220_000
 
 
 def fast_turn(pose_period: float):
@@ -190,7 +190,7 @@ def test_recording_without_poses_plays_at_the_origin(source_of):
     source = source_of([bags.cloud(0.1 * k, bags.xyz(bags.wall(seed=k))) for k in range(4)])
     assert any("no poses are recorded" in notice for notice in source.info.notices)
     seen = play(source)
-    assert len(seen) == 4 and seen[-1].sweep_count == 4
+    assert len(seen) == 4 and len(seen[-1].sweeps) == 4
     np.testing.assert_array_equal(seen[-1].state.quaternion, [1, 0, 0, 0])
     np.testing.assert_array_equal(seen[-1].goal.position, [15, 0, 0])
 

@@ -9,6 +9,7 @@ from typing import Any
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.result_folder import read_folder
 from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
+from aero_viz.nested_values import leaves_by_path
 from aero_viz.text_table import format_table
 
 _SAME = ("benchmark", "seed", "lidar", "simulation")
@@ -108,17 +109,10 @@ def _read(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int]
 def _differences(header_a: dict[str, Any], header_b: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     found = {}
     for key in ("config", "versions", "device"):
-        values_a, values_b = _flatten(header_a[key], key), _flatten(header_b[key], key)
+        values_a, values_b = leaves_by_path(header_a[key], key), leaves_by_path(header_b[key], key)
         names = {**values_a, **values_b}
         found.update({n: (values_a.get(n), values_b.get(n)) for n in names if values_a.get(n) != values_b.get(n)})
     return {name.removeprefix("config."): values for name, values in found.items()}
-
-
-def _flatten(value: Any, name: str) -> dict[str, Any]:
-    """Return the leaves of nested dictionaries by path."""
-    if not isinstance(value, dict):
-        return {name: value}
-    return {path: leaf for key, child in value.items() for path, leaf in _flatten(child, f"{name}.{key}").items()}
 
 
 def _cells(paired: PairedComparison) -> list[str]:
