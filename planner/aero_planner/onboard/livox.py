@@ -50,7 +50,7 @@ _RECEIVE_BUFFER = 4_000_000  # requested size [bytes]; the kernel may give less
 _PACKETS_PER_POLL = 256  # six times as many as arrive in a control period
 _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
 _DATAGRAM_MAX = 16_384  # [bytes]
-_TOLERATED = 20  # datagrams of strangers after which the kernel drops them
+_TOLERATED = 20  # datagrams of unknown senders after which the kernel drops them
 
 
 class Reject(enum.Enum):
@@ -231,7 +231,7 @@ class LivoxSource:
 
     @property
     def ignored(self) -> int:
-        """Number of datagrams that were dropped: of strangers, or for lack of room."""
+        """Number of datagrams that were dropped: from unknown senders, or for lack of room."""
         return self._ignored + count_drops(self._socket)
 
     def close(self) -> None:

@@ -147,8 +147,8 @@ class MavlinkLink(MavlinkSender):
         self._transport.close()
 
     @property
-    def strangers(self) -> int:
-        """Number of datagrams that were dropped unread: of strangers, or for lack of room."""
+    def dropped_datagrams(self) -> int:
+        """Number of datagrams that were dropped unread: from unknown senders, or for lack of room."""
         return self._transport.ignored
 
     def _receive(self) -> None:

@@ -14,7 +14,7 @@ from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 _log = logging.getLogger(__name__)
 
 _CHUNK = 4096
-_TOLERATED = 20  # datagrams of strangers after which the kernel drops them
+_TOLERATED = 20  # datagrams of unknown senders after which the kernel drops them
 _LOGGED_SENDERS = 5
 
 
@@ -36,7 +36,7 @@ class Transport(Protocol):
 
     @property
     def ignored(self) -> int:
-        """Number of datagrams that were dropped: of strangers, or for lack of room."""
+        """Number of datagrams that were dropped: from unknown senders, or for lack of room."""
         ...
 
     def receive(self) -> bytes | None:
@@ -94,7 +94,7 @@ class _Udp:
         self._peer = None if listen else (socket.gethostbyname(host), port)
         self._allowed = frozenset(socket.gethostbyname(name) for name in allowed)
         self._last_sender: tuple[str, int] | None = None
-        self._strangers: set[tuple[str, int]] = set()
+        self._unknown_senders: set[tuple[str, int]] = set()
         self._ignored = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -128,11 +128,11 @@ class _Udp:
         return b""
 
     def _refuse(self, sender: tuple[str, int]) -> None:
-        """Count a datagram of a stranger, name the first strangers in the log, and then let the kernel drop them."""
+        """Count a datagram of an unknown sender, log the first such senders, and later let the kernel drop them."""
         assert self._peer is not None
         self._ignored += 1
-        if sender not in self._strangers and len(self._strangers) < _LOGGED_SENDERS:
-            self._strangers.add(sender)
+        if sender not in self._unknown_senders and len(self._unknown_senders) < _LOGGED_SENDERS:
+            self._unknown_senders.add(sender)
             _log.warning("datagrams from %s:%d are ignored: the autopilot is at %s:%d", *sender, *self._peer)
         if self._ignored == _TOLERATED:
             filter_senders(self._socket, [self._peer, *((host, None) for host in self._allowed)])

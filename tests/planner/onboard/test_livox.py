@@ -215,7 +215,7 @@ def test_with_an_address_only_the_sensor_is_heard():
     source.close()
 
 
-def test_a_flood_of_strangers_leaves_room_for_the_sensor(caplog):
+def test_a_flood_from_unknown_senders_leaves_room_for_the_sensor(caplog):
     source = LivoxSource(0, host="127.0.0.1", sensor="127.0.0.2")
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,

@@ -193,7 +193,7 @@ def test_a_ground_station_is_obeyed_only_on_the_way_that_was_named(clock, port, 
     station.socket.close()
 
 
-def test_a_flood_of_strangers_reaches_neither_parser_nor_buffer(strict_link, port, clock):
+def test_a_flood_from_unknown_senders_reaches_neither_parser_nor_buffer(strict_link, port, clock):
     autopilot, stranger = Peer(port), Peer(port, 1, 1)
     autopilot.heartbeat()
     strict_link.poll()
@@ -204,7 +204,7 @@ def test_a_flood_of_strangers_reaches_neither_parser_nor_buffer(strict_link, por
     state_after(strict_link, autopilot, odometry((1, 2, 3)))
     np.testing.assert_allclose(strict_link.state.state.position, [1, -2, -3])  # the buffer had room for it
     assert strict_link.received == {"HEARTBEAT": 1, "ODOMETRY": 1} and strict_link.parser.bad == 0
-    assert strict_link.strangers == 2000
+    assert strict_link.dropped_datagrams == 2000
     autopilot.socket.close()
     stranger.socket.close()
 

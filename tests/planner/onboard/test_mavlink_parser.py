@@ -60,7 +60,7 @@ def test_only_wanted_messages_of_wanted_systems_are_decoded(sender):
 
 
 def test_a_frame_inside_another_one_is_not_a_message(sender):
-    """A stranger whose messages are forwarded cannot pose as the autopilot."""
+    """An unknown sender whose messages are forwarded cannot pose as the autopilot."""
     hidden = list(heartbeat(sender, 9)) + [0] * 128
     other = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     tunnel = bytes(mavlink.MAVLink_tunnel_message(0, 0, 0, 60, hidden[:128]).pack(other))

@@ -119,7 +119,7 @@ def test_beyond_loopback_the_sensors_address_is_required(host: str):
     open_lidar(named).close()
 
 
-def test_messages_of_strangers_are_a_warning(drone: Simulation):
+def test_messages_from_unknown_senders_are_a_warning(drone: Simulation):
     drone.link.ignored["goal from 255@autopilot"] = 3
     check = run_checks(drone)["ignored messages"]
     assert check.finding == "3 x goal from 255@autopilot" and not check.ok and not check.required
