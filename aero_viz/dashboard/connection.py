@@ -23,9 +23,9 @@ from aero_viz.dashboard.page_messages import (
     UploadPart,
     UploadStart,
     ValueMessage,
+    accepted_value,
     control_name,
     decode,
-    fit,
     is_own,
     replaces_earlier,
 )
@@ -164,7 +164,7 @@ class PageConnection(ServerConnection):
             raise ValueError("there is no such control")
         sent, fitted = message.updates.value, control.value
         try:
-            fitted = fit(control, sent)
+            fitted = accepted_value(control, sent)
         finally:
             if fitted != sent:
                 self._show_value(message.uuid, fitted)

@@ -42,7 +42,7 @@ class Link:
     """Parameters that differ from the default, by path."""
 
     @classmethod
-    def to(cls, opening: Opening, time: float, config: PlannerConfig) -> Link:
+    def to_moment(cls, opening: Opening, time: float, config: PlannerConfig) -> Link:
         """Return the link to a moment under a configuration."""
         default = PlannerConfig()
         values = {info.path: config.get(info.path) for info in PlannerConfig.parameters()}

@@ -220,19 +220,19 @@ def _numbers(message: PageMessage) -> Iterator[float]:
             yield from (number for item in value for number in (item if isinstance(item, tuple) else (item,)))
 
 
-def fit(control: Any, value: Any) -> Any:
+def accepted_value(control: Any, value: Any) -> Any:
     """Return the value that a control of viser takes if a page sets it to `value`; numbers are clamped to the bounds.
 
     Raises:
         ValueError: the value has another type, is not among the options, or the control is disabled.
     """
-    fitted = None if control.disabled else _fit(control, value)
+    fitted = None if control.disabled else _accepted(control, value)
     if fitted is None:
         raise ValueError("its value does not fit the control")
     return fitted
 
 
-def _fit(control: Any, value: Any) -> Any:
+def _accepted(control: Any, value: Any) -> Any:
     if isinstance(control, viser.GuiButtonHandle):
         return True if value is True else None
     if isinstance(control, viser.GuiCheckboxHandle):

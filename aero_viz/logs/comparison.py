@@ -85,7 +85,8 @@ class LogComparison:
     @property
     def figures(self) -> tuple[FlightFigures, FlightFigures]:
         """Figures of A and B."""
-        return FlightFigures.of(self.a.columns, self.a.outcome), FlightFigures.of(self.b.columns, self.b.outcome)
+        a, b = (FlightFigures.from_columns(flight.columns, flight.outcome) for flight in (self.a, self.b))
+        return a, b
 
     @property
     def conditions(self) -> dict[str, tuple[Any, Any]]:

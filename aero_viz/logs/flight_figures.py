@@ -32,7 +32,7 @@ class FlightFigures:
     unsafe_ticks: int
 
     @classmethod
-    def of(cls, columns: Mapping[str, NDArray[np.float64]], outcome: str) -> FlightFigures:
+    def from_columns(cls, columns: Mapping[str, NDArray[np.float64]], outcome: str) -> FlightFigures:
         """Return the figures of a flight.
 
         Args:

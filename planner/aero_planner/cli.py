@@ -186,7 +186,7 @@ def _preflight(options: argparse.Namespace) -> int:
         bundle = _open_bundle(options, stack)
         planner, onboard = _load_configs(options)
         if bundle is not None:
-            bundle.fit(planner, options.device)
+            bundle.activate(planner, options.device)
         report = preflight(
             planner, onboard, device=options.device, goal=options.goal, log=options.log, listen=options.listen,
             bundle=bundle, confirm=_confirm_changes if options.set else None,
@@ -250,7 +250,7 @@ def _run(options: argparse.Namespace) -> int:
         bundle = _open_bundle(options, stack)
         planner, onboard = _load_configs(options)
         if bundle is not None:
-            bundle.fit(planner, options.device)
+            bundle.activate(planner, options.device)
         from aero_planner.onboard.run import run_node
 
         statistics, has_ended = run_node(

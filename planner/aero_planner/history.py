@@ -47,7 +47,7 @@ class History:
     """Time since then, or since a place was remembered [s], shape [B]."""
 
     @classmethod
-    def of(cls, work: Workspace) -> History:
+    def from_workspace(cls, work: Workspace) -> History:
         """Return copies of the arrays of a workspace."""
         copies: list[Any] = [array.numpy().copy() for array in _arrays(work)]
         return cls(*copies)

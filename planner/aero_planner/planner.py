@@ -259,7 +259,7 @@ class Planner:
 
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
-        return History.of(self._work)
+        return History.from_workspace(self._work)
 
     def restore(self, history: History) -> None:
         """Continue from `history`. If it has another structure or batch, the planner is reset instead."""

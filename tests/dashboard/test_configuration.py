@@ -19,20 +19,20 @@ from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
 def test_differences_show_old_and_new_value_and_the_flags():
     config = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.brake": False})
-    html = differences(config, Baseline.of(PlannerConfig()))
+    html = differences(config, Baseline.from_config(PlannerConfig()))
     text = re.sub("<[^>]*>", " ", html)
     assert "5.0 → 7.5" in text and "True → False" in text
     assert "--costs.q-track 7.5" in text and "--candidates.brake False" in text
 
 
 def test_the_default_differs_in_nothing():
-    assert differences(PlannerConfig(), Baseline.of(PlannerConfig())) == ""
+    assert differences(PlannerConfig(), Baseline.from_config(PlannerConfig())) == ""
 
 
 def test_changes_of_another_preset_can_be_pasted_as_flags_and_as_a_file(tmp_path):
     paper = PlannerConfig.preset("paper")
     config = paper.replace({"costs.q_track": 7.5, "costs.shape": "quadratic", "candidates.brake": True})
-    html = differences(config, Baseline.of(paper))
+    html = differences(config, Baseline.from_config(paper))
     flags, text = (re.search(f'aero-{name}"[^>]*>([^<]*)<', html) for name in ("flags", "yaml"))
     assert flags is not None and text is not None
     assert flags[1].startswith("--config paper ") and "--costs.shape quadratic" in flags[1]

@@ -10,7 +10,7 @@ from aero_viz.session.source import Conditions
 def test_a_link_keeps_source_seed_time_conditions_and_configuration():
     config = PlannerConfig().replace({"costs.q_track": 8.5, "sampling.samples": 64, "costs.use_ground": False})
     conditions = Conditions(300, "full-sphere", {"noise.position": 0.1})
-    link = Link.to(Opening("maps/a b.json", 7, conditions), 4.24, config)
+    link = Link.to_moment(Opening("maps/a b.json", 7, conditions), 4.24, config)
     again = Link.parse(link.query)
     assert again is not None and again == link
     assert PlannerConfig().replace(again.config) == config

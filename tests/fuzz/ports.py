@@ -332,7 +332,7 @@ def _feed_bundle(path: Path) -> int:
                     else:
                         assert file.is_dir()
                 try:
-                    bundle.fit(PlannerConfig(), "cpu")
+                    bundle.activate(PlannerConfig(), "cpu")
                 except ValueError as error:
                     assert "export it again" in str(error)
             return 1

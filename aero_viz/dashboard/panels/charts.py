@@ -249,7 +249,7 @@ def flight_table(past: Past, names: tuple[str, str], *, ghost_state: str = "not 
         names: heading of the ghost and of the flight.
         ghost_state: outcome of a ghost that has none.
     """
-    ghost = FlightFigures.of(dict(zip(COLUMNS, past.ghost.T, strict=True)), past.ghost_outcome or ghost_state)
-    flight = FlightFigures.of(dict(zip(COLUMNS, past.rows.T, strict=True)), past.outcome or "flying")
+    ghost = FlightFigures.from_columns(dict(zip(COLUMNS, past.ghost.T, strict=True)), past.ghost_outcome or ghost_state)
+    flight = FlightFigures.from_columns(dict(zip(COLUMNS, past.rows.T, strict=True)), past.outcome or "flying")
     rows = [tuple(row) for row in zip(LABELS, ghost.texts(), flight.texts(), strict=True)]
     return markup.columns(("flight", *names), rows)

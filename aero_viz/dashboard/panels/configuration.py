@@ -40,7 +40,7 @@ class Baseline:
     config: PlannerConfig
 
     @classmethod
-    def of(cls, config: PlannerConfig) -> Baseline:
+    def from_config(cls, config: PlannerConfig) -> Baseline:
         """Return the preset that equals `config`, or the default."""
         names = PlannerConfig.presets()
         name = next((name for name in names if PlannerConfig.preset(name) == config), "default")
@@ -207,7 +207,7 @@ def differences(config: PlannerConfig, baseline: Baseline) -> str:
         return ""
     rows = [(PlannerConfig.find(path).title, f"{old} → {new}", path) for path, (old, new) in changed.items()]
     heading = markup.heading(f"differs from {baseline.name}", f"{len(changed)}")
-    start = Baseline.of(baseline.config)  # what the program knows by its name; a saved preset is written out
+    start = Baseline.from_config(baseline.config)  # what the program knows by its name; a saved preset is written out
     return markup.block(
         heading,
         markup.table(rows),

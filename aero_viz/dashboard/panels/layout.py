@@ -92,7 +92,7 @@ def build(
         actions["layer"] = layers.toggle
     if controls is not None:
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
-            baseline = Baseline.of(page.session.config)
+            baseline = Baseline.from_config(page.session.config)
             panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls, baseline)]
             panels.append(ParameterPanel(page, controls, baseline))
         if study is not None:

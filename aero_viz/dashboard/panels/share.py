@@ -115,7 +115,7 @@ class SharePanel(Panel):
     def _query(self) -> str:
         frame = self.session.frame
         time = 0.0 if frame is None else frame.time
-        return Link.to(self._sources.opening, time, self.session.config).query
+        return Link.to_moment(self._sources.opening, time, self.session.config).query
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         client.local_storage.set_item(_STORED, "")

@@ -49,7 +49,7 @@ _EXPORT_AGAIN = "export it again with 'aero-planner export'"
 
 @dataclass(eq=False)
 class Bundle:
-    """A bundle whose files match its manifest. `fit` checks that it suits this machine and configuration."""
+    """A bundle whose files match its manifest. `activate` checks that it suits this machine and configuration."""
 
     source: str
     """Path of the bundle, as named in errors."""
@@ -83,7 +83,7 @@ class Bundle:
         targets = [f"sm_{number}" for number in self.architectures] + (["CPU"] if self.cpu else [])
         return f"kernels for {', '.join(targets)}, Warp {self.warp}, exported {self.created}"
 
-    def fit(self, config: PlannerConfig, device: str) -> None:
+    def activate(self, config: PlannerConfig, device: str) -> None:
         """Make Warp load kernels from this bundle instead of its cache; call it before creating the first planner.
 
         Raises:
@@ -124,7 +124,7 @@ class Bundle:
             )
 
     def compiled(self) -> list[str]:
-        """Return the files that Warp has compiled since `fit`; empty if the bundle had every kernel."""
+        """Return the files that Warp has compiled since `activate`; empty if the bundle had every kernel."""
         present = (path for path in self.folder.rglob("*") if path.is_file())
         return sorted({path.relative_to(self.folder).as_posix() for path in present} - self.files)
 

@@ -53,7 +53,7 @@ def run_node(
         device, seed, threads: as for `Planner`.
         goal: position [m], shape [3], world frame; None if the goal arrives over the link.
         log: MCAP file to write, or folder for a file whose name is the date; None for no flight log.
-        bundle: bundle whose kernels are used, after `Bundle.fit`.
+        bundle: bundle whose kernels are used, after `Bundle.activate`.
 
     Returns:
         The statistics of the node, and whether all of its threads have ended.

@@ -69,7 +69,7 @@ def test_a_bundle_is_copied_and_the_copy_is_removed(folder: Path, temporary: Pat
         assert (bundle.folder / CUBIN).read_bytes()[:4] == b"\x7fELF"
         assert bundle.config_file.read_text() == "costs:\n  q_track: 7.5\n"
         assert not (bundle.folder / "graph").exists()  # not needed by a planner
-        bundle.fit(PlannerConfig(), "cpu")
+        bundle.activate(PlannerConfig(), "cpu")
         assert wp.config.kernel_cache_dir == str(bundle.folder / "kernels")
         assert bundle.compiled() == []
         (bundle.folder / "kernels/new.o").touch()
@@ -86,9 +86,9 @@ def test_tar_files_made_by_tar_are_read(folder: Path):
 
 def test_another_structure_is_refused_but_live_parameters_may_differ(folder: Path):
     with open_bundle(folder) as bundle:
-        bundle.fit(PlannerConfig().replace({"costs.q_track": 1.0}), "cpu")
+        bundle.activate(PlannerConfig().replace({"costs.q_track": 1.0}), "cpu")
         with pytest.raises(ValueError, match=r"is for sampling.samples = 128, the configuration says 64: export it"):
-            bundle.fit(PlannerConfig().replace({"sampling.samples": 64}), "cpu")
+            bundle.activate(PlannerConfig().replace({"sampling.samples": 64}), "cpu")
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_another_structure_is_refused_but_live_parameters_may_differ(folder: Pat
 def test_bundles_for_other_versions_and_processors_are_refused(folder: Path, fields: dict[str, object], problem: str):
     cache = wp.config.kernel_cache_dir
     with open_bundle(changed(folder, **fields)) as bundle, pytest.raises(ValueError, match=problem):
-        bundle.fit(PlannerConfig(), "cpu")
+        bundle.activate(PlannerConfig(), "cpu")
     assert wp.config.kernel_cache_dir == cache
 
 

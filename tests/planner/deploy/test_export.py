@@ -25,7 +25,7 @@ from aero_planner.deploy.bundle import open_bundle
 device, path, lost = sys.argv[1:]
 bundle = open_bundle(path) if path else None
 if bundle:
-    bundle.fit(PlannerConfig(), device)
+    bundle.activate(PlannerConfig(), device)
     for kernel in sorted(bundle.folder.rglob("*.o"))[: int(lost)]:
         kernel.unlink()
 state = VehicleState([0, 0, 2], [4, 0, 0], [1, 0, 0, 0])
