@@ -179,7 +179,7 @@ class LivoxSource:
         self.counters = PointCounters()
         self.rejects = dict.fromkeys(Reject, 0)
         self._sensor = None if sensor is None else socket.gethostbyname(sensor)
-        self._ignored = 0
+        self._refused = 0
         self._noise = _LIKELY_NOISE if keep_uncertain else _POSSIBLE_NOISE
         self._time = clock
         self._clock = HostClock()
@@ -230,19 +230,19 @@ class LivoxSource:
         return result
 
     @property
-    def ignored(self) -> int:
+    def dropped_datagrams(self) -> int:
         """Number of datagrams that were dropped: from unknown senders, or for lack of room."""
-        return self._ignored + count_drops(self._socket)
+        return self._refused + count_drops(self._socket)
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
     def _refuse(self, address: tuple[str, int]) -> None:
-        if self._ignored == 0:
+        if self._refused == 0:
             _log.warning("packets from %s:%d are ignored: the LiDAR is at %s", *address, self._sensor)
-        self._ignored += 1
-        if self._ignored == _TOLERATED and self._sensor is not None:
+        self._refused += 1
+        if self._refused == _TOLERATED and self._sensor is not None:
             filter_senders(self._socket, [(self._sensor, None)])
 
     def _admit(self, packet: LivoxPacket) -> float | None:

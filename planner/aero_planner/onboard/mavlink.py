@@ -149,7 +149,7 @@ class MavlinkLink(MavlinkSender):
     @property
     def dropped_datagrams(self) -> int:
         """Number of datagrams that were dropped unread: from unknown senders, or for lack of room."""
-        return self._transport.ignored
+        return self._transport.dropped_datagrams
 
     def _receive(self) -> None:
         """Read what has arrived, within the limits of one poll."""

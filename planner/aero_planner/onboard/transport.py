@@ -35,7 +35,7 @@ class Transport(Protocol):
         ...
 
     @property
-    def ignored(self) -> int:
+    def dropped_datagrams(self) -> int:
         """Number of datagrams that were dropped: from unknown senders, or for lack of room."""
         ...
 
@@ -95,7 +95,7 @@ class _Udp:
         self._allowed = frozenset(socket.gethostbyname(name) for name in allowed)
         self._last_sender: tuple[str, int] | None = None
         self._unknown_senders: set[tuple[str, int]] = set()
-        self._ignored = 0
+        self._refused = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
@@ -109,8 +109,8 @@ class _Udp:
         return None if self._peer is None else f"udpout:{self._peer[0]}:{self._peer[1]}"
 
     @property
-    def ignored(self) -> int:
-        return self._ignored + count_drops(self._socket)
+    def dropped_datagrams(self) -> int:
+        return self._refused + count_drops(self._socket)
 
     def receive(self) -> bytes | None:
         try:
@@ -130,11 +130,11 @@ class _Udp:
     def _refuse(self, sender: tuple[str, int]) -> None:
         """Count a datagram of an unknown sender, log the first such senders, and later let the kernel drop them."""
         assert self._peer is not None
-        self._ignored += 1
+        self._refused += 1
         if sender not in self._unknown_senders and len(self._unknown_senders) < _LOGGED_SENDERS:
             self._unknown_senders.add(sender)
             _log.warning("datagrams from %s:%d are ignored: the autopilot is at %s:%d", *sender, *self._peer)
-        if self._ignored == _TOLERATED:
+        if self._refused == _TOLERATED:
             filter_senders(self._socket, [self._peer, *((host, None) for host in self._allowed)])
 
     def accept_sender(self) -> None:
@@ -188,7 +188,7 @@ class _Serial:
             raise OSError(f"{self.peer} is not a serial device: {error.args[-1]}") from error
 
     @property
-    def ignored(self) -> int:
+    def dropped_datagrams(self) -> int:
         return 0
 
     def receive(self) -> bytes | None:

@@ -229,7 +229,7 @@ def test_a_flood_from_unknown_senders_leaves_room_for_the_sensor(caplog):
         sensor.sendto(by_hand([(2000, 0, 0)], [0]), ("127.0.0.1", source.port))
         (packet,) = source.poll()
     assert packet.points.tolist() == [[2.0, 0.0, 0.0]]
-    assert source.ignored == 20_000 and source.counters.bad == 0
+    assert source.dropped_datagrams == 20_000 and source.counters.bad == 0
     assert caplog.text.count("are ignored: the LiDAR is at 127.0.0.2") == 1
     source.close()
 
