@@ -165,6 +165,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
         (goal, read("goal_velocity"), read("goal_quaternion")),
         Obstacles(points, frame.observation.ground_height, config, plan.moving),
         places.astype(np.float64),
+        float(checkpoint.planner.place_nearest[0]),
     )
     states = (plan.positions, plan.velocities, plan.quaternions)
     x = Rollouts(*(array[:, 1:].astype(np.float64) for array in states))

@@ -110,6 +110,8 @@ class Problem:
     obstacles: Obstacles
     places: Array
     """Places without progress that were remembered [m], shape [n, 3]."""
+    nearest: float
+    """Distance to the goal when progress was last made [m]."""
 
 
 def step_times(positions: Array, config: PlannerConfig) -> Array:
@@ -140,7 +142,9 @@ def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: A
     at_end[0, ..., -1] = _blocked_cost(end, waypoint, problem)
     escape = problem.config.escape
     depth = np.maximum(escape.radius - np.linalg.norm(end[..., None, :] - problem.places, axis=-1), 0.0)
-    share = np.minimum(2.0 * np.linalg.norm(end - p_goal, axis=-1) / escape.radius, 1.0)
+    distance = np.linalg.norm(end - p_goal, axis=-1)
+    share = np.minimum(2.0 * distance / escape.radius, 1.0)
+    share *= np.clip(1.0 + (distance - problem.nearest) / escape.ahead, 0.0, 1.0)
     at_end[1, ..., -1] = escape.q_escape * share * depth.sum(axis=-1)
     return np.stack(
         (

@@ -112,6 +112,14 @@ def clipped_length(length: float, free: float, config: PlannerConfig) -> float:
     return min(length, max(free - config.escape.guide_margin, config.escape.guide_min))
 
 
+def escape_cost(p: Array, places: Array, nearest: float, goal: Array, config: PlannerConfig) -> float:
+    """Return the cost of a rollout that ends at p [3] for places [n, 3] and the least distance to the goal so far."""
+    c, distance = config.escape, float(np.linalg.norm(p - goal))
+    depth = np.maximum(c.radius - np.linalg.norm(places - p, axis=1), 0.0).sum()
+    ahead = np.clip(1.0 - (nearest - distance) / c.ahead, 0.0, 1.0)
+    return float(c.q_escape * depth * min(1.0, distance / (0.5 * c.radius)) * ahead)
+
+
 # 5. Guides.
 
 

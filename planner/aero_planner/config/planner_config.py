@@ -440,6 +440,12 @@ class EscapeConfig(ParameterSection, section="escape"):
         4.0, "m", 0.1, 20.0, "Radius of the neighbourhood of a remembered place. The goal has one of half this radius, "
         "in which the weight of all places fades out.",
     )  # fmt: skip
+    ahead: float = live(
+        2.0, "m", 0.01, 1e3, "Distance by which a rollout must end nearer to the goal than the drone has been, so that "
+        "the remembered places cost nothing there: it leads to a way out. Ends that are nearer by less cost a part. "
+        "1000 m: the places cost as much anywhere.",
+        label="Distance ahead without escape cost",
+    )  # fmt: skip
     rise: float = live(
         4.0, "", 1.0, 5.0, "Factor on the spacing of the rows of anchors, instead of anchors.slow_rise, for a slow "
         "drone near a remembered place: the way out may lead upward.",

@@ -39,8 +39,13 @@ def escape_depth(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
 
 @wp.func
 def escape_cost(p: wp.vec3, b: int, escape: Escape, params: Params) -> float:
-    """Return the cost of a rollout that ends at p: q_escape times its depth."""
-    return params.q_escape * escape_depth(p, b, escape, params)
+    """Return the cost of a rollout that ends at p: q_escape times its depth.
+
+    It fades out where p is nearer to the goal than the drone has been: what leads there is a way out, although it may
+    end within the neighbourhood of the places in front of a wall.
+    """
+    share = wp.clamp(1.0 + (wp.length(p - escape.goal[b]) - escape.nearest[b]) / params.ahead, 0.0, 1.0)
+    return params.q_escape * share * escape_depth(p, b, escape, params)
 
 
 @wp.func

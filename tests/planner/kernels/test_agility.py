@@ -91,6 +91,27 @@ def test_a_drone_without_progress_remembers_where_it_was(device: str):
     assert planner.history().place_count[0] == 0
 
 
+@pytest.mark.parametrize("ahead", [0.5, 2.0, 1000.0])
+def test_places_without_progress_cost_less_the_nearer_to_the_goal_a_rollout_ends(device: str, ahead: float):
+    case, planner = level(3.0), Planner(config_of(escape__ahead=ahead, costs__q_speed=0.0), device=device)
+
+    def plan(time: float) -> Plan:
+        state = VehicleState(case.position, case.velocity, case.quaternion, case.acceleration, time=time)
+        return planner.plan(state, Goal(case.goal), case.points)
+
+    for k in range(6):
+        plan(0.1 * k)
+    history = planner.history()
+    places, nearest = history.places[0, : history.place_count[0]].astype(np.float64), float(history.place_nearest[0])
+    last = plan(0.6)
+    ends = last.positions[:, -1].astype(np.float64)
+    expected = [reference.escape_cost(p, places, nearest, case.goal, planner.config) for p in ends]
+    np.testing.assert_allclose(last.stage2_cost - last.goal_cost, expected, rtol=1e-4, atol=0.02)
+    full = [reference.escape_cost(p, places, 0.0, case.goal, planner.config) for p in ends]
+    assert len(places) >= 2 and nearest == 3.0
+    assert (sum(expected) < 0.8 * sum(full)) == (ahead < 1000.0)
+
+
 @pytest.mark.parametrize("aside", [0.0, 1.0])
 def test_a_drone_that_has_passed_its_goal_comes_back(device: str, aside: float):
     """It makes no progress meanwhile, and must not keep away from the places of its way back."""
