@@ -170,7 +170,8 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     states = (plan.positions, plan.velocities, plan.quaternions)
     x = Rollouts(*(array[:, 1:].astype(np.float64) for array in states))
     distance = problem.obstacles.distance(x.positions, step_times(x.positions, config))
-    terms = stage2_terms(x, waypoints, problem, collision=collision_cost(distance, config))
+    controls, command = plan.controls.astype(np.float64), read("command")
+    terms = stage2_terms(x, controls, command, waypoints, problem, collision=collision_cost(distance, config))
     nearest, start_clearance = read("instance_scores")[:M, 1], float(read("state_terms")[0, -1, 3])
     safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
     is_safe = nearest >= np.float32(safe)
@@ -197,7 +198,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
             work.sample_clearance_cost.numpy()[:, instance_of, :K].astype(np.float64).transpose(0, 2, 1),
         ),
         start=(read("position"), read("velocity"), read("quaternion")),
-        control=(read("control"), read("command")),
+        control=(read("control"), command),
     )
 
 

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 STAGE2 = (
     "goal position", "goal height", "goal velocity", "goal attitude", "obstacles", "speed limit", "blocked path",
-    "escape",
+    "escape", "control jump",
 )  # fmt: skip
 """Names of the terms of S2: the parts of J_goal, J_col, and the options."""
 STAGE1 = ("guide tracking", "speed", "control effort", "control change", *STAGE2)
@@ -119,13 +119,17 @@ def step_times(positions: Array, config: PlannerConfig) -> Array:
     return config.sampling.dt * np.arange(1, positions.shape[-2] + 1)
 
 
-def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: Array | None = None) -> Array:
+def stage2_terms(
+    x: Rollouts, controls: Array, command: Array, waypoint: Array, problem: Problem, *, collision: Array | None = None
+) -> Array:
     """Return the terms `STAGE2` at each step, shape [terms, .., N]; their sum is S2.
 
     The blocked path and the escape term depend on the final state and count at the last step.
 
     Args:
         x: rollouts.
+        controls: F_t [N] and omega [rad/s], shape [.., N, 4].
+        command: control that is being flown, shape [4].
         waypoint: waypoint of the cost-to-go [m], shape [.., 3].
         problem: goal, obstacles and weights.
         collision: J_col at each step, shape [.., N]; None computes it.
@@ -146,6 +150,8 @@ def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: A
     share = np.minimum(2.0 * distance / escape.radius, 1.0)
     share *= np.clip(1.0 + (distance - problem.nearest) / escape.ahead, 0.0, 1.0)
     at_end[1, ..., -1] = escape.q_escape * share * depth.sum(axis=-1)
+    jump = np.zeros(x.positions.shape[:-1])
+    jump[..., 0] = c.q_control_jump * ((controls[..., 0, 1:] - command[1:]) ** 2).sum(axis=-1)
     return np.stack(
         (
             c.q_position * np.linalg.norm(x.positions - p_goal, axis=-1),
@@ -155,6 +161,7 @@ def stage2_terms(x: Rollouts, waypoint: Array, problem: Problem, *, collision: A
             collision,
             c.q_speed * excess**2,
             *at_end,
+            jump,
         )
     )
 
@@ -172,17 +179,12 @@ def stage1_terms(
     """Return the terms `STAGE1` at each step, shape [terms, .., N]; their sum is S1.
 
     Args:
-        x: rollouts.
-        controls: F_t [N] and omega [rad/s], shape [.., N, 4].
+        x, controls, command, waypoint, problem, collision: as in `stage2_terms`.
         guide: guide at the times of the states [m], shape [N, 3]; None for the previous plan, which has no J_track.
-        command: control that is being flown, shape [4].
-        waypoint, problem, collision: as in `stage2_terms`.
     """
     c = problem.config.costs
-    before = np.concatenate((np.broadcast_to(command, (*controls.shape[:-2], 1, 4)), controls[..., :-1, :]), axis=-2)
-    weight = np.full(controls.shape[-2], c.q_control_rate)
-    weight[0], weight[-1] = c.q_control_jump, 0.0
-    change = weight * ((controls - before) ** 2).sum(axis=-1)
+    change = np.zeros(controls.shape[:-1])
+    change[..., 1:-1] = c.q_control_rate * (np.diff(controls[..., :-1, :], axis=-2) ** 2).sum(axis=-1)
     effort = c.q_control * (controls**2).sum(axis=-1)
     effort[..., -1] = 0.0
     track = np.zeros(x.positions.shape[:-1])
@@ -190,7 +192,10 @@ def stage1_terms(
         track = c.q_track * np.linalg.norm(x.positions - guide, axis=-1)
     vnorm = c.q_vnorm * (x.velocities**2).sum(axis=-1)
     return np.concatenate(
-        (np.stack((track, vnorm, effort, change)), stage2_terms(x, waypoint, problem, collision=collision))
+        (
+            np.stack((track, vnorm, effort, change)),
+            stage2_terms(x, controls, command, waypoint, problem, collision=collision),
+        )
     )
 
 

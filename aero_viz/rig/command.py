@@ -152,6 +152,9 @@ def format_result(result: RigResult) -> str:
             f"setpoints: {gaps.count}, every {1e3 * gaps.mean:.1f} ms, jitter {1e3 * gaps.jitter:.2f} ms, "
             f"99 % within {1e3 * gaps.p99:.1f} ms, longest {1e3 * gaps.longest:.0f} ms, {gaps.missed} missed"
         )
+    if result.sign_changes is not None:
+        changes = ", ".join(f"{number:.1f}" for number in result.sign_changes)
+        lines.append(f"setpoints: {changes} sign changes per second in roll, pitch, yaw")
     if result.handover is not None:
         gone = result.handover
         tilt = math.degrees(gone.tilt)

@@ -17,7 +17,7 @@ from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.process import NodeProcess, raised_priority
 from aero_viz.rig.px4_autopilot import Px4Autopilot
-from aero_viz.rig.result import Event, Handover, RigResult, Trajectory, intervals_of
+from aero_viz.rig.result import Event, Handover, RigResult, Trajectory, intervals_of, sign_changes_of
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 
@@ -111,6 +111,7 @@ class RigFlight:
             refused=self._autopilot.refused,
             violations=self._autopilot.violations,
             intervals=None if self._faults else intervals_of(setpoints, period),
+            sign_changes=None if self._faults else sign_changes_of(setpoints),
             overruns=self._overruns,
             handover=self._handover,
             log=self._node.log(),

@@ -108,7 +108,7 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
         velocity_error=_rms(np.linalg.norm(error[:, 3:], axis=1)),
         tilt_error=_rms(tilt),
         rate_lags=tuple(_lag(times, wanted[:, k], rates[:, k]) for k in range(3)),  # type: ignore[arg-type]
-        sign_changes=tuple(_sign_changes(wanted[:, k]) / (end - begin) for k in range(3)),  # type: ignore[arg-type]
+        sign_changes=tuple(count_sign_changes(wanted[:, k]) / (end - begin) for k in range(3)),  # type: ignore[arg-type]
         saturated=float(((motors <= 1.0 - _SATURATED) | (motors >= _SATURATED)).any(axis=1).mean()),
         hover_thrust=_hover_thrust(topics, end),
     )
@@ -151,6 +151,7 @@ def _lag(times: NDArray[np.float64], wanted: NDArray[np.float64], measured: NDAr
         return math.nan
 
 
-def _sign_changes(values: NDArray[np.float64]) -> int:
-    signs = np.sign(values[np.abs(values) > _CHANGE])
+def count_sign_changes(rates: NDArray[np.float64]) -> int:
+    """Return how often the sign of a sequence of rates [rad/s], shape [n], changes; values near zero do not count."""
+    signs = np.sign(rates[np.abs(rates) > _CHANGE])
     return int((np.diff(signs) != 0).sum())

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.rig.offboard import Mode, Setpoint
-from aero_viz.rig.px4_log import Px4LogSummary
+from aero_viz.rig.px4_log import Px4LogSummary, count_sign_changes
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,8 @@ class RigResult:
     """Requests that only the pilot may make: arming, mode changes, stick inputs. The node must never send one."""
     intervals: Intervals | None
     """None with fewer than two setpoints, and when faults disturbed the flight."""
+    sign_changes: tuple[float, float, float] | None
+    """Changes of sign of the body rates that arrived in OFFBOARD, roll, pitch, yaw [1/s]; None where `intervals` is."""
     overruns: int
     """Number of simulation steps that began a whole step late, because the machine was too slow for real time."""
     log: list[str] = field(repr=False)
@@ -116,6 +118,21 @@ class RigResult:
             content[name] = dataclasses.asdict(value) if value else None
         content["px4_log"] = self.px4_log.to_dict() if self.px4_log else None
         return content
+
+
+def sign_changes_of(setpoints: Sequence[Setpoint]) -> tuple[float, float, float] | None:
+    """Return how often the signs of roll, pitch and yaw rate in OFFBOARD change [1/s], or None with fewer than two.
+
+    Args:
+        setpoints: setpoints in the order of their arrival.
+    """
+    obeyed = [setpoint for setpoint in setpoints if setpoint.mode is Mode.OFFBOARD and setpoint.rates is not None]
+    if len(obeyed) < 2:
+        return None
+    rates = np.array([setpoint.rates for setpoint in obeyed])
+    duration = obeyed[-1].time - obeyed[0].time
+    roll, pitch, yaw = (count_sign_changes(rates[:, axis]) / duration for axis in range(3))
+    return roll, pitch, yaw
 
 
 def intervals_of(setpoints: Sequence[Setpoint], period: float) -> Intervals | None:

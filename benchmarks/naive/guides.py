@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from benchmarks.naive.arrays import Arrays
-from benchmarks.naive.model import clamp_control, follow_command, rk4, rotate_back, rotation, yaw
+from benchmarks.naive.model import clamp_control, follow_command, remaining, rk4, rotate_back, rotation, yaw
 
 wp.set_module_options({"enable_backward": False})
 
@@ -53,15 +53,19 @@ def acceleration_at(a: Arrays, b: int, m: int, s: float) -> wp.vec3:
 
 
 @wp.func
-def follow_guide(a: Arrays, b: int, m: int, heading: float, nominal: wp.array3d(dtype=wp.vec4)):
-    """Write thrust and rates that follow a guide by differential flatness and turn evenly to `heading`."""
+def follow_guide(a: Arrays, b: int, m: int, heading: float, lag: float, nominal: wp.array3d(dtype=wp.vec4)):
+    """Write thrust and rates that follow a guide by differential flatness and turn evenly to `heading`.
+
+    The rates approach what the guide requires with a time constant `lag`, from the command in force.
+    """
     c = a.params[b]
     q0 = a.q0[b]
     steps = nominal.shape[2]
     difference = heading - yaw(q0)
     difference -= 2.0 * wp.PI * wp.floor(difference / (2.0 * wp.PI) + 0.5)
     yaw_rate = difference / (float(steps) * c.dt)
-    lead = 2.0 * c.rate_xy_lag
+    lead = 2.0 * c.rate_xy_lag + lag
+    before = a.command[b]
     control = a.control[b]
     q = q0
     for t in range(steps):
@@ -76,6 +80,9 @@ def follow_guide(a: Arrays, b: int, m: int, heading: float, nominal: wp.array3d(
             rate = wp.atan2(sine, z[2]) / (wp.max(sine, 1.0e-6) * (c.dt + lead))
             u = wp.vec4(wp.dot(force, rotation(q) * wp.vec3(0.0, 0.0, 1.0)), -rate * z[1], rate * z[0], yaw_rate)
         u = clamp_control(u, c)
+        for i in range(1, 4):
+            u[i] += remaining(lag, c.dt) * (before[i] - u[i])
+        before = u
         nominal[b, m, t] = u
         mean, control = follow_command(control, u, c.dt, c)
         _p, _v, q = rk4(wp.vec3(0.0, 0.0, 0.0), wp.vec3(0.0, 0.0, 0.0), q, mean, c)
@@ -143,4 +150,7 @@ def nominal_controls(a: Arrays):
     heading = yaw(a.q_goal[b])
     if m == a.brake_index:
         heading = yaw(a.q0[b])
-    follow_guide(a, b, m, heading, a.nominal)
+    lag = c.nominal_lag
+    if m == a.brake_index or m == a.previous_index:
+        lag = 0.0
+    follow_guide(a, b, m, heading, lag, a.nominal)

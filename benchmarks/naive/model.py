@@ -158,6 +158,15 @@ def speed_cost(v: wp.vec3, c: Params) -> float:
 
 
 @wp.func
+def jump_cost(u: wp.vec4, command: wp.vec4, c: Params) -> float:
+    """Return the cost of the jump of the body rates from the command in force to the first one of a plan."""
+    cost = float(0.0)
+    for i in range(1, 4):
+        cost += c.q_control_jump * (u[i] - command[i]) * (u[i] - command[i])
+    return cost
+
+
+@wp.func
 def collision_cost(d: float, c: Params) -> float:
     """Return J_col of one time step at clearance d."""
     if d >= c.distance_max:

@@ -14,6 +14,7 @@ from benchmarks.naive.model import (
     collision_cost,
     follow_command,
     goal_cost,
+    jump_cost,
     probe_position,
     rk4,
     speed_cost,
@@ -76,7 +77,7 @@ def rollouts(a: Arrays):
         if t > 0 and t < N - 1:
             S += c.q_control_rate * wp.dot(u - before, u - before)
         if t == 0:
-            S += c.q_control_jump * wp.dot(u - before, u - before)
+            S += jump_cost(u, before, c)
         before = u
         mean, control = follow_command(control, u, c.dt, c)
         p, v, q = rk4(p, v, q, mean, c)

@@ -6,7 +6,7 @@ import warp as wp
 
 from benchmarks.naive.arrays import BRAKING_CANDIDATES, Arrays
 from benchmarks.naive.guides import follow_guide, turned, write_guide
-from benchmarks.naive.model import PROBES, follow_command, goal_cost, probe_position, rk4, speed_cost, yaw
+from benchmarks.naive.model import PROBES, follow_command, goal_cost, jump_cost, probe_position, rk4, speed_cost, yaw
 from benchmarks.naive.mppi import collision_and_blocked, distance_to
 
 wp.set_module_options({"enable_backward": False})
@@ -29,7 +29,7 @@ def braking_candidates(a: Arrays):
         a.anchor[b, row] = a.position[b] + c.brake_reach * T * turned(a.velocity[b], angle)
         a.waypoint[b, row] = a.goal_position[b]
         write_guide(a, b, row, a.anchor[b, row], wp.vec3(0.0, 0.0, 0.0), c.dt)
-        follow_guide(a, b, row, yaw(a.q0[b]), a.controls)
+        follow_guide(a, b, row, yaw(a.q0[b]), 0.0, a.controls)
 
 
 @wp.kernel
@@ -77,7 +77,8 @@ def final_scores(a: Arrays):
     a.nearest[b, m] = least
     collision, to_go = collision_and_blocked(i, 0, N, a.waypoint[b, m], a.goal_position[b], c, a.positions, a.distance)
     a.J_col[b, m] = collision
-    a.S2[b, m] = a.J_goal[b, m] + collision + to_go + a.J_speed[b, m]
+    jump = jump_cost(a.controls[b, m, 0], a.command[b], c)
+    a.S2[b, m] = a.J_goal[b, m] + collision + to_go + a.J_speed[b, m] + jump
 
 
 @wp.kernel

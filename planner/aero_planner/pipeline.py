@@ -250,10 +250,12 @@ class Pipeline(LaunchSequence):
         score = self.record(
             selection.score_instances(self._tuning),
             (sizes.B, sizes.R, lanes),
-            inputs=[i.goal_position, self._params, r.escape, w.waypoints, o.positions, w.state_terms],
+            inputs=[
+                i.goal_position, w.command, self._params, r.escape, w.waypoints, o.controls, o.positions, w.state_terms,
+            ],
             outputs=[r.costs, w.instance_scores],
             block_dim=32,
-        )
+        )  # fmt: skip
         proof = self._evaluate_all_stops() if self._tuning.is_cuda else self._prove_stops()
         return [roll_out, evaluate, score, *proof]
 

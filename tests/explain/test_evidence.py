@@ -12,7 +12,12 @@ from aero_viz.explain.terms import STAGE1, STAGE2
 from aero_viz.explain.verdict import verdict
 from tests.explain.conftest import evidence_of
 
-FLIGHTS = (("forest", 60, 15, "default"), ("double_wall_trap", 36, 12, "default"), ("verticals", 80, 20, "paper"))
+FLIGHTS = (
+    ("forest", 60, 15, "default"),
+    ("double_wall_trap", 36, 12, "default"),
+    ("verticals", 80, 20, "paper"),
+    ("verticals", 40, 20, "px4"),
+)
 
 
 @pytest.mark.parametrize("flight", FLIGHTS)
@@ -34,7 +39,7 @@ def test_terms_add_up_to_the_costs_of_the_planner(flight):
 
 @pytest.mark.parametrize("flight", FLIGHTS)
 def test_the_planner_chooses_the_cheapest_safe_instance(flight):
-    prefers_safe = flight[-1] == "default"
+    prefers_safe = flight[-1] != "paper"
     for evidence in evidence_of(*flight):
         plan, best = evidence.frame.plan, int(evidence.frame.plan.best)
         if plan.status == PlanStatus.OK:

@@ -200,6 +200,35 @@ def roll_out(
     return Rollout(x[:, :3], x[:, 3:7], x[:, 7:])
 
 
+def follow_guide(
+    coefficients: Array, quaternion: Array, yaw_rate: float, command: Array, control: Array, config: PlannerConfig
+) -> Array:
+    """Return the nominal controls of an anchor, shape [N, 4], from the coefficients of its guide, shape [3, 6].
+
+    `command` is in force at first, and `control` in effect.
+    """
+    dt, N, v, lag = config.sampling.dt, config.sampling.steps, config.vehicle, config.sampling.nominal_lag
+    lead, q, controls = 2.0 * v.rate_xy_lag + lag, unit(quaternion), []
+    limits = np.array([v.rate_xy_max, v.rate_xy_max, v.rate_z_max])
+
+    def force(s: float) -> Array:
+        acceleration = coefficients[:, 2:] @ [k * (k - 1) * s ** (k - 2) for k in range(2, 6)]
+        return v.mass * np.add(acceleration, [0.0, 0.0, v.gravity])
+
+    for t in range(N):
+        x, y, z = rotation(q).T @ unit(force(min((t + 1) * dt + lead, N * dt)))
+        tilt = np.arctan2(np.hypot(x, y), z) / np.hypot(x, y) / (dt + lead)
+        thrust = np.clip(force((t + 0.5) * dt) @ rotation(q)[:, 2], v.thrust_min, v.thrust_max)
+        rates = np.clip([-tilt * y, tilt * x, yaw_rate], -limits, limits)
+        if lag > 0.0:
+            rates += np.exp(-dt / lag) * (command[1:] - rates)
+        command = np.concatenate(([thrust], rates))
+        mean, control = follow(control, command, dt, config)
+        q = rk4(np.concatenate((np.zeros(3), q, np.zeros(3))), mean, config)[3:7]
+        controls.append(command)
+    return np.array(controls)
+
+
 # Clearance and costs.
 
 
@@ -223,6 +252,11 @@ def J_ctrl(u: Array, config: PlannerConfig) -> float:
     """Return Q_c |u_t|^2 over t = 0..N-2 and Q_cd |u_t - u_{t-1}|^2 over t = 1..N-2: the last control is free."""
     change = u[1:-1] - u[:-2]
     return config.costs.q_control * (u[:-1] ** 2).sum() + config.costs.q_control_rate * (change**2).sum()
+
+
+def J_jump(u: Array, command: Array, config: PlannerConfig) -> float:
+    """Return q_control_jump |omega_0 - omega|^2 of the first control u of a plan and the command in force."""
+    return float(config.costs.q_control_jump * ((u[1:] - command[1:]) ** 2).sum())
 
 
 def J_goal(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, config: PlannerConfig) -> float:

@@ -11,7 +11,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig import Fault, fly_rig
 from aero_viz.rig.offboard import Mode, Setpoint
 from aero_viz.rig.process import NodeProcess
-from aero_viz.rig.result import intervals_of
+from aero_viz.rig.result import intervals_of, sign_changes_of
 from aero_viz.scenes import World
 
 pytestmark = pytest.mark.realtime
@@ -124,3 +124,12 @@ def test_intervals():
     # 30 ms misses one, 60 ms two.
     assert result.missed == 1 + 2
     assert intervals_of(setpoints[:1], 0.02) is None
+
+
+def test_sign_changes():
+    """A change counts in OFFBOARD, and beyond 0.05 rad/s."""
+    rates = [(0.1, 0.1, 0.04), (-0.1, 0.04, -0.04), (-0.2, -0.04, 0.04), (0.1, 0.2, -0.04), (-0.3, -0.06, 0.3)]
+    setpoints = [Setpoint(0.5 * i, 9.81, rate, None, Mode.OFFBOARD) for i, rate in enumerate(rates)]
+    before = Setpoint(-1.0, 9.81, (-1.0, -1.0, -1.0), None, Mode.HOLD)
+    assert sign_changes_of([before, *setpoints]) == pytest.approx((1.5, 0.5, 0.0))
+    assert sign_changes_of([before, setpoints[0]]) is None

@@ -17,7 +17,9 @@ from aero_viz.explain.verdict import closest, verdict
 
 Array = NDArray[np.float64]
 _TAB20 = palette.as_rgb((255 * matplotlib.colormaps["tab20"](np.arange(20))[:, :3]).astype(np.uint8))
-_COLORS: dict[str, Rgb] = dict(zip(STAGE1, [_TAB20[i] for i in (10, 11, 14, 15, 0, 1, 4, 5, 6, 8, 2, 12)], strict=True))
+_COLORS: dict[str, Rgb] = dict(
+    zip(STAGE1, [_TAB20[i] for i in (10, 11, 14, 15, 0, 1, 4, 5, 6, 8, 2, 12, 16)], strict=True)
+)
 _WIDTH, _HEIGHT = 290, 40
 _CONTROLS = (("thrust", "N"), ("roll rate", "rad/s"), ("pitch rate", "rad/s"), ("yaw rate", "rad/s"))
 

@@ -307,6 +307,11 @@ class SamplingConfig(ParameterSection, section="sampling"):
         "guide", ("guide", "hover"), "Initial nominal controls: from the guide, by differential flatness, or hover.",
         label="Nominal controls", group="Planning",
     )  # fmt: skip
+    nominal_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which the nominal body rates of an anchor approach those that its "
+        "guide requires, from those that are commanded; 0 as in the paper: at once.",
+        label="Lag of nominal rates", group="Planning",
+    )  # fmt: skip
     replan_period: float = live(
         0.02, "s", 0.001, 1.0, "Time between two plans, used if the vehicle states carry no time.",
         label="Replanning period", group="Planning",
@@ -351,8 +356,9 @@ class CostConfig(ParameterSection, section="costs"):
         label="Control change weight", symbol="Q_cd", group="Tracking and effort",
     )  # fmt: skip
     q_control_jump: float = live(
-        0.0, "", 0.0, 1e3, "Weight of the squared change from the control that is flown to the first one of the plan; "
-        "0 in the paper: plans may then jump from one to the next.",
+        0.0, "s^2/rad^2", 0.0, 1e3, "Weight of the squared jump from the body rates that are commanded to the first "
+        "ones of a plan, also in the selection among candidates; 0 as in the paper: plans may then jump from one to "
+        "the next.",
         label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
     q_speed: float = live(

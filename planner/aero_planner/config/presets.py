@@ -44,8 +44,10 @@ _PX4: dict[str, Value] = {
     "vehicle.rate_xy_lag": 0.07,
     "vehicle.rate_z_lag": 0.07,
     "sampling.variance_rate_z": 0.02,
+    "sampling.nominal_lag": 0.1,
     "costs.q_control_rate": 100.0,
-    "costs.q_control_jump": 200.0,
+    "costs.q_control_jump": 100.0,
+    "costs.q_height": 2.0,
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

@@ -30,12 +30,21 @@ def control_cost(u: wp.vec4, params: Params) -> float:
 
 @wp.func
 def control_rate_cost(u: wp.vec4, u_before: wp.vec4, weight: float) -> float:
-    """Return weight |u_t - u_{t-1}|^2: the second term of J_ctrl, with the weight Q_cd for t = 1..N-2.
-
-    For t = 0, u_{t-1} is the control that is flown, and the weight q_control_jump.
-    """
+    """Return weight |u_t - u_{t-1}|^2: the second term of J_ctrl, with the weight Q_cd for t = 1..N-2."""
     du = u - u_before
     return weight * wp.dot(du, du)
+
+
+@wp.func
+def jump_cost(u: wp.vec4, command: wp.vec4, weight: float) -> float:
+    """Return weight |omega_0 - omega|^2 from the command in force to the first one of a plan; its weight is
+    q_control_jump.
+
+    It is a part of S2, an option that the paper does not have. Jumps of the thrust are free: a price on them keeps a
+    drone climbing that has begun to.
+    """
+    du = u - command
+    return weight * (du[1] * du[1] + du[2] * du[2] + du[3] * du[3])
 
 
 @wp.func

@@ -100,7 +100,7 @@ def clamp_control(u: wp.vec4, params: Params) -> wp.vec4:
 
 
 @wp.func
-def _lag_share(lag: float, time: float) -> float:
+def lag_share(lag: float, time: float) -> float:
     """Return the share of a difference to the command that remains after `time`; 0 without a lag."""
     return wp.where(lag > 0.0, wp.exp(-time / wp.max(lag, 1.0e-6)), 0.0)
 
@@ -108,8 +108,8 @@ def _lag_share(lag: float, time: float) -> float:
 @wp.func
 def lag_shares(time: float, params: Params) -> wp.vec4:
     """Return the shares of the differences between commands and controls that remain after `time` [s]."""
-    xy = _lag_share(params.rate_xy_lag, time)
-    return wp.vec4(_lag_share(params.thrust_lag, time), xy, xy, _lag_share(params.rate_z_lag, time))
+    xy = lag_share(params.rate_xy_lag, time)
+    return wp.vec4(lag_share(params.thrust_lag, time), xy, xy, lag_share(params.rate_z_lag, time))
 
 
 @wp.func

@@ -10,6 +10,7 @@ from aero_planner.kernels.anchors import safe_anchor, time_since_plan
 from aero_planner.kernels.dynamics import (
     clamp_control,
     heading,
+    lag_share,
     lag_shares,
     lagged_control,
     mean_lag_shares,
@@ -102,8 +103,10 @@ def write_nominal(
     m: int,
     c: Quintic,
     q0: wp.vec4,
+    command: wp.vec4,
     control: wp.vec4,
     heading_goal: float,
+    lag: float,
     params: Params,
     nominal_controls: wp.array3d(dtype=wp.vec4),
 ):
@@ -115,6 +118,9 @@ def write_nominal(
 
     With a rate lag tau, the rates correct the attitude within dt + 2 tau instead of dt, which is the fastest correction
     that does not overshoot by more than 5 percent, and follow the axis that is required that much later.
+
+    With a `lag` [s] of these controls the body rates also approach what the guide requires from those of the `command`
+    in force, in place of jumping there, and correct the attitude that much later.
     """
     dt = params.dt
     steps = nominal_controls.shape[2]
@@ -124,7 +130,9 @@ def write_nominal(
     acting = control
     shares = lag_shares(dt, params)
     mean_shares = mean_lag_shares(shares, dt, params)
-    lead = 2.0 * params.rate_xy_lag
+    before = command
+    remaining = lag_share(lag, dt)
+    lead = 2.0 * params.rate_xy_lag + lag
     end = float(steps) * dt
     f_next = guide_acceleration(c, 0.5 * dt) + up
     z_next = wp.normalize(guide_acceleration(c, wp.min(dt + lead, end)) + up)
@@ -141,6 +149,8 @@ def write_nominal(
         if params.nominal != 0:
             u = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
         u = clamp_control(u, params)
+        u = lagged_control(u, before, wp.vec4(0.0, remaining, remaining, remaining))
+        before = u
         nominal_controls[b, m, t] = u
         mean = lagged_control(u, acting, mean_shares)
         acting = lagged_control(u, acting, shares)
@@ -298,6 +308,8 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         elif elapsed >= 0.0:
             write_shifted_controls(b, m, lane, LANES, elapsed, c, previous.controls, nominal_controls)
         elif lane == 0:
-            write_nominal(b, m, curve, q0, drone.control[b], heading_goal, c, nominal_controls)
+            # Braking is urgent and begins at once.
+            lag = wp.where(m < anchor_count, c.nominal_lag, 0.0)
+            write_nominal(b, m, curve, q0, drone.command[b], drone.control[b], heading_goal, lag, c, nominal_controls)
 
     return tuning.set_options(make_guides)

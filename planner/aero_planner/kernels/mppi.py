@@ -15,6 +15,7 @@ from aero_planner.kernels.costs import (
     control_cost,
     control_rate_cost,
     goal_cost,
+    jump_cost,
     speed_cost,
     track_cost,
     vnorm_cost,
@@ -182,9 +183,10 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
             p_next = guides[b, m, t_next + 1]
             for axis in range(4):
                 drawn_next[axis] = noise_table[t_next, axis, row]
-            # J_ctrl excludes the last control; the change to the first one has its own weight.
+            # J_ctrl excludes the last control, and the change to the first one, which has its own cost.
             counted = wp.where(t < steps - 1, 1.0, 0.0)
-            change_weight = wp.where(t > 0, counted * c.q_control_rate, c.q_control_jump)
+            change_weight = wp.where(t > 0, counted * c.q_control_rate, 0.0)
+            jump_weight = wp.where(t > 0, 0.0, c.q_control_jump)
             for j in range(WIDTH):
                 # AR(1) noise; the innovations are scaled so that its variance does not depend on the correlation.
                 e = c.correlation * wp.vec4(noise[0, j], noise[1, j], noise[2, j], noise[3, j]) + innovation * wp.vec4(
@@ -203,6 +205,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                     S[j]
                     + counted * control_cost(u_t, c)
                     + control_rate_cost(u_t, u_before, change_weight)
+                    + jump_cost(u_t, u_before, jump_weight)
                     + track * track_cost(p, p_guide, c)
                     + vnorm_cost(v, c)
                     + goal_cost(p, v, q, p_goal, v_goal, q_goal, c)

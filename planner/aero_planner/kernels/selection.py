@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit, safety_limit
-from aero_planner.kernels.costs import collision_cost, goal_cost, speed_cost
+from aero_planner.kernels.costs import collision_cost, goal_cost, jump_cost, speed_cost
 from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step
 from aero_planner.kernels.escape import Escape, escape_cost, remember_place
 from aero_planner.kernels.kernel_tuning import KernelTuning
@@ -166,11 +166,13 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
     def score_instances(
         # problem
         goal_position: wp.array(dtype=wp.vec3),
+        command: wp.array(dtype=wp.vec4),
         # configuration
         params: wp.array(dtype=Params),
         # in
         escape: Escape,
         waypoints: wp.array2d(dtype=wp.vec3),
+        controls: wp.array3d(dtype=wp.vec4),
         positions: wp.array3d(dtype=wp.vec3),
         state_terms: wp.array3d(dtype=wp.vec4),
         # out
@@ -205,7 +207,8 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
             costs.collision_cost[b, m] = J_col
             end = positions[b, m, steps]
             to_go = blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), c)
-            S2 = J_goal + J_col + J_speed + to_go + escape_cost(end, b, escape, c)
+            jump = jump_cost(controls[b, m, 0], command[b], c.q_control_jump)
+            S2 = J_goal + J_col + J_speed + jump + to_go + escape_cost(end, b, escape, c)
             costs.stage2_cost[b, m] = S2
             instance_scores[b, m] = wp.vec2(S2, nearest)
 

@@ -89,6 +89,37 @@ def test_nominal_controls_turn_the_nose_evenly_to_the_goal(device: str, seed: in
     np.testing.assert_allclose(nominal(planner)[..., 3], np.clip(turn / config.horizon, -limit, limit), atol=1e-5)
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+@pytest.mark.parametrize("preset", ["default", "px4"])
+def test_nominal_controls_follow_the_guide_from_the_command_in_force(device: str, preset: str, lag: float):
+    config, case = config_of(preset, sampling__nominal_lag=lag), random_case(3, tilt=0.3)
+    planner = Planner(config, device=device)
+    case.plan(planner)
+    plan = case.plan(planner)  # 0.02 s later
+    command, control = (getattr(planner.workspace, name).numpy()[0].astype(float) for name in ("command", "control"))
+    q_goal, R = case.full_goal()[2], reference.rotation(reference.unit(case.quaternion))
+    turn = 2.0 * np.arctan2(q_goal[3], q_goal[0]) - np.arctan2(R[1, 0], R[0, 0])
+    yaw_rate = ((turn + np.pi) % (2 * np.pi) - np.pi) / config.horizon
+    assert np.abs(command[1:3]).max() > 0.1
+    for m in range(config.anchor_count):
+        coefficients = plan.guide_coefficients[m].astype(np.float64)
+        expected = reference.follow_guide(coefficients, case.quaternion, yaw_rate, command, control, config)
+        np.testing.assert_allclose(nominal(planner)[m], expected, atol=2e-3)
+
+
+def test_the_lag_of_nominal_rates_spares_the_braking_guide(device: str):
+    """It begins at once, and the rates of the anchors near the command in force."""
+    case, first = random_case(0), {}
+    for lag in (0.0, 0.2):
+        planner = Planner(config_of(sampling__nominal_lag=lag), device=device)
+        kinds = case.plan(planner).kinds
+        first[lag] = nominal(planner)[:, 0, 1:]
+    brake = kinds.index("brake")
+    np.testing.assert_array_equal(first[0.2][brake], first[0.0][brake])
+    # The command before the first plan is to hover.
+    assert np.abs(first[0.2][:15]).max() <= 3.0 * (1.0 - np.exp(-0.05 / 0.2)) + 1e-6 < np.abs(first[0.0][:15]).max()
+
+
 def test_nominal_controls_respect_the_limits(device: str):
     config = config_of(vehicle__rate_xy_max=1.0, vehicle__rate_z_max=0.2, vehicle__thrust_max=12.0)
     planner = Planner(config, device=device)

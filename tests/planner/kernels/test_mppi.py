@@ -97,8 +97,10 @@ def test_J_ctrl_leaves_the_last_control_free(device: str, q_control: float, q_ra
     np.testing.assert_allclose(plan.stage1_cost, expected, rtol=1e-5)
 
 
-def test_the_jump_from_the_flown_control_is_weighted(device: str):
+def test_the_jump_of_the_rates_counts_in_both_stages(device: str):
+    """It counts for each sample, and in the selection for each instance."""
     config = config_of(costs__q_control=0.0, costs__q_control_rate=0.5, costs__q_control_jump=2.0, **ONLY_CONTROLS)
+    config = config.replace({"escape.q_escape": 0.0})
     planner = Planner(config, device=device)
     flown = random_case(0).plan(planner).command[0].astype(np.float64)
     plan = random_case(1).plan(planner)  # 0.02 s later, within the first step
@@ -106,11 +108,14 @@ def test_the_jump_from_the_flown_control_is_weighted(device: str):
     u = sampled_controls(planner, plan).astype(np.float64)
     expected = np.array(
         [
-            [reference.J_ctrl(u[m, :, k], config) + 2.0 * ((u[m, 0, k] - flown) ** 2).sum() for k in range(16)]
+            [reference.J_ctrl(u[m, :, k], config) + reference.J_jump(u[m, 0, k], flown, config) for k in range(16)]
             for m in range(17)
         ]
     )
     np.testing.assert_allclose(plan.stage1_cost, expected, rtol=1e-5)
+    jumps = np.array([reference.J_jump(u_0, flown, config) for u_0 in plan.controls[:, 0].astype(np.float64)])
+    assert jumps.max() > 1.0
+    np.testing.assert_allclose(plan.stage2_cost, jumps, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("temperature", [0.1, 50.0])
