@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_viz.flight import FlightBatch, FlightRules
+from aero_viz.flight import FlightBatch, FlightRules, VehicleModel
+from aero_viz.rig.px4_log import count_sign_changes
+from aero_viz.rig.rig import PX4_RESPONSE
 from aero_viz.scenes import scene
 from benchmarks.smoothness import Commands, fly, main, summarize
 
@@ -24,6 +26,20 @@ def test_the_commands_of_every_tick_are_kept():
     commands = fly(FlightBatch([scene("random_clutter")], config=PlannerConfig.preset("fast-cpu"), rules=rules))
     assert len(commands.heights) >= 10 and commands.flying.all()
     assert len(np.unique(commands.controls[:, 0, 0])) > 5 and len(np.unique(commands.heights)) > 5
+
+
+def test_px4s_preset_commands_fewer_changes_of_sign():
+    """With the lags of a drone with PX4, a free choice among guides that begin at once changes signs twice as often."""
+    smooth = PlannerConfig.preset("px4").replace({"vehicle.speed_limit": 5.0, "sampling.samples": 32})
+    free = smooth.replace({"costs.q_control_jump": 0.0, "sampling.nominal_lag": 0.0})
+    vehicle, rules = VehicleModel.from_config(smooth, **PX4_RESPONSE), FlightRules(time_limit=2.5)
+    changes = []
+    for config in (smooth, free):
+        commands = fly(
+            FlightBatch([scene("forest", seed=seed) for seed in (0, 1)], config=config, vehicle=vehicle, rules=rules)
+        )
+        changes.append(sum(count_sign_changes(commands.controls[:, b, axis]) for b in (0, 1) for axis in (1, 2)))
+    assert changes[0] < 0.5 * changes[1], changes
 
 
 def test_a_change_without_a_value_is_reported():
