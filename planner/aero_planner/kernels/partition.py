@@ -121,7 +121,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         groups = (count + WIDTH - 1) // WIDTH
         for group in range(worker + thread, groups, stride):
             if wp.static(tuning.is_cuda):
-                waiting = 0  # as it is: a constant index keeps the point in registers
+                waiting = int(0)  # as it is: a constant index keeps the point in registers
             start = group * WIDTH
             not_finite = int(0)
             for j in range(wp.min(WIDTH, count - start)):
