@@ -33,7 +33,7 @@ def test_a_snippet_runs_and_prints_its_results_only(snippet: str, tmp_path: Path
 
 
 def test_every_command_exists_with_its_flags(capsys: pytest.CaptureFixture[str]):
-    assert {name for name, _ in USES} >= COMMANDS.keys() - {"score", "world", "doctor", "bench compare"}
+    assert {name for name, _ in USES} >= COMMANDS.keys() - {"score", "world export", "doctor", "bench compare"}
     for name, arguments in USES:
         _, text, _ = run(capsys, *name.split(), "--help")
         missing = [flag for flag in re.findall(r"--[a-z][a-z.-]*", arguments) if flag not in text]

@@ -29,7 +29,7 @@ COMMANDS: dict[str, Command] = {
     "tune": _command("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),
     "snapshot": _command("tools", "snapshot", "Render a scene or a recording at a given time to a PNG file."),
     "share": _command("share", "share", "Write a flight to one file: page, video, picture or log."),
-    "world": _command("tools", "world", "Write a world to a file for other programs."),
+    "world export": _command("tools", "world_export", "Write a world to a file for other programs."),
     "world info": _command(
         "tools", "world_info", "Describe a world: its obstacles, whether a path exists, and how difficult it is."
     ),

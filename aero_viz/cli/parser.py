@@ -50,7 +50,9 @@ def parse(
         raise SystemExit(0)
     if first.startswith("--tyro-"):  # shell completion
         return _parse_with_all(commands, arguments, prog=prog)
-    mistake = f"there is no command {first!r}{did_you_mean(first, commands)}" if first else "a command is missing"
+    is_group = any(name.startswith(f"{first} ") for name in commands)
+    given = " ".join(arguments[: 2 if is_group else 1])
+    mistake = f"there is no command {given!r}{did_you_mean(given, commands)}" if given else "a command is missing"
     raise UserError(f"{mistake}; give one of {', '.join(commands)}, or --help.")
 
 

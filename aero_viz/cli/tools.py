@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
@@ -80,8 +80,7 @@ def _viewpoint(camera: str) -> str | tuple[list[float], list[float]]:
     return numbers[:3], numbers[3:]
 
 
-def world(
-    action: tyro.conf.Positional[Literal["export"]],
+def world_export(
     world: WorldName,
     output: OutputPath,
     *,
@@ -92,7 +91,6 @@ def world(
     """Write a world to a file for other programs.
 
     Args:
-        action: The only action is export.
         world: Scene, such as forest, or file of a world (JSON), point-cloud map or mesh.
         output: .pcd, .ply or .npy file for points on the world's surfaces, or .json file for the world itself.
         spacing: Spacing of the points [m].
