@@ -57,7 +57,9 @@ class ControlSnapshot:
 
 
 class Replanner:
-    """Owns the planner and the cloud. All methods but `add_arrival` are called from one thread.
+    """Owns the planner and the cloud.
+
+    The control loop calls `add_arrival`, `take_ground_height` and `take_drift`; the planning thread calls `plan_once`.
 
     Args:
         planner: The planner.
@@ -107,7 +109,7 @@ class Replanner:
         return self._sweeps.dropped
 
     def add_arrival(self, arrival: VehicleSample | PointPacket) -> None:
-        """Add a state or points for the next plan. Called by the control loop."""
+        """Add a state or points for the next plan."""
         self._arrivals.append(arrival)
 
     def warm_up(self) -> float:
