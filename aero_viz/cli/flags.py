@@ -196,7 +196,7 @@ class RecordingFlags:
     """Estimate the motion from the sweeps: auto does so where no poses are recorded, by rko-lio with an IMU and by
     kiss-icp without; the named methods also replace recorded poses. The result is cached."""
     extrinsic: OptionalSix = None
-    """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of what is recorded."""
+    """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of the recorded ones."""
     mask: OptionalSix = None
     """Leave out the points in a box in the body's frame, from its lower to its upper corner [m]."""
 

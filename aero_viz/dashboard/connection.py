@@ -1,4 +1,4 @@
-"""The websocket of one client: passes on what a page may send, and drops everything else."""
+"""The websocket of one client. It passes on the messages that a page may send, and drops all others."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class PageConnection(ServerConnection):
                 self._warn(f"A message is ignored, since no page sends it: {error}.")
 
     async def _receive(self, is_text: bool | None) -> None:
-        """Add what is handled next to `_admitted`, if it is time for that; ValueError if no page sends it."""
+        """Add the messages to handle next to `_admitted`, if any are due; ValueError if no page sends them."""
         self._received += 1
         if self._received % _MESSAGES_IN_A_ROW == 0:
             await asyncio.sleep(0)  # websockets does not yield as long as messages wait

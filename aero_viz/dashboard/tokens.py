@@ -31,7 +31,7 @@ class Tokens:
         self._cookie = f"aero_viz_{port}"
 
     def query(self, role: Role) -> str:
-        """Return what follows the address in the link of a role."""
+        """Return the part of a role's link after the address."""
         return f"/?token={self._values[role]}"
 
     def role(self, path: str, headers: Headers) -> Role | None:

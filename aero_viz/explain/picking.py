@@ -1,4 +1,4 @@
-"""Find what a click in the scene means: an instance, a point of the cloud or a cell; and where a point came from."""
+"""Meaning of a click in the scene: an instance, a point of the cloud or a cell; and where a point came from."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from aero_viz.session.frame import Frame
 Array = NDArray[np.float64]
 
 _INSTANCE_ANGLE, _POINT_ANGLE = 0.02, 0.01
-"""Largest angles between the click and what it means [rad]."""
+"""Largest angles between the click and its target [rad]."""
 _LEFT_OUT = 0.02
 """Difference in range from which a point is nearer than the nearest one of its cell [m]."""
 _FINER = 4
@@ -33,7 +33,7 @@ class Picked:
 
 
 def pick(frame: Frame, origin: ArrayLike, direction: ArrayLike, *, cells: bool = False) -> Picked | None:
-    """Return what lies on a ray from the eye; None if nothing does.
+    """Return the target on a ray from the eye; None if there is none.
 
     Anchors, rollouts and guides come before points, and these before cells.
 

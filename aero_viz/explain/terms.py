@@ -37,7 +37,7 @@ class Rollouts:
 
 
 class Obstacles:
-    """Distances as the planner measures them: to the filtered cloud, what moves, the ground and the band of heights.
+    """Distances as the planner measures them: to filtered cloud, moving obstacles, ground and the band of heights.
 
     Args:
         points: filtered cloud [m], shape [P, 3].

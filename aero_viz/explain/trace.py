@@ -1,4 +1,4 @@
-"""The end of a flight, as it was flown: what a post-mortem looks at."""
+"""The end of a flight, as it was flown: the input of a post-mortem."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class FlightTrace:
 
 
 def _small(frame: Frame) -> Frame:
-    """Return a frame without what takes megabytes: the samples, and the joined cloud that others have asked for."""
+    """Return a frame without its largest parts: the samples, and the joined cloud if it was read."""
     seen = frame.observation
     whole = len(seen.sweeps) - seen.sweeps.thinned if seen.sweeps.thinned else None
     observation = dataclasses.replace(seen, sweeps=Sweeps(seen.sweeps, whole=whole, arrivals=seen.sweeps.arrivals))

@@ -79,7 +79,7 @@ def _unsafe(evidence: Evidence, instance: int) -> str:
 
 
 def _difference(evidence: Evidence, instance: int, best: int) -> str:
-    """Return by what an instance costs more, such as "412 more for obstacles between 0.60 and 0.90 s"."""
+    """Return the terms by which an instance costs more, such as "412 more for obstacles between 0.60 and 0.90 s"."""
     gap = evidence.terms[:, instance] - evidence.terms[:, best]
     by_term = gap.sum(axis=1)
     term = int(by_term.argmax())

@@ -125,7 +125,7 @@ def _lidar(frame: Frame) -> LidarModel:
 
 
 def _occluders(worlds: list[World | None], eyes: Array, directions: Array, distance: Array) -> list[str]:
-    """Return the name of what hides a place from each eye, each in its world; empty if nothing does."""
+    """Return the name of the obstacle that hides a place from each eye, each in its world; empty if none does."""
     known = [world for world in worlds if world is not None]
     if len(known) < len(worlds):
         return [""] * len(eyes)

@@ -1,4 +1,4 @@
-"""Knowledge of the planner of a simulated flight: the field of view, the delay, and the top of the airspace."""
+"""Facts that the planner of a simulated flight knows: the field of view, the delay, and the top of the airspace."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _FACTS = ("partition.view_min", "partition.view_max", "vehicle.delay", "costs.he
 def config_for_drone(
     config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None
 ) -> PlannerConfig:
-    """Return `config` with what is known about a flight where it has the default values.
+    """Return `config` with the facts of a flight in place of default values.
 
-    This is the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The delay
-    is the latency, plus the time constant of the body rates unless `config` models their lag. The top counts since a
-    flight that leaves the bounds is lost, and a LiDAR does not see them. As the height of the ground, it only counts
-    with costs.use_ground.
+    The facts are the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The
+    delay is the latency, plus the time constant of the body rates unless `config` models their lag. The planner must
+    know the top because a flight that leaves the bounds is lost, and a LiDAR does not see them. Like the height of the
+    ground, the top is used only with costs.use_ground.
     """
     default = PlannerConfig()
     roll, pitch, _ = lidar.mount_angles
@@ -37,7 +37,7 @@ def config_for_drone(
 
 
 def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
-    """Return `config` with what is known about a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
+    """Return `config` with the facts of a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
     if not flight.closed_loop or "lidar" not in flight.settings:
         return config
     lidar, vehicle = LidarModel(**flight.settings["lidar"]), VehicleModel(**flight.settings["drone"])
@@ -45,12 +45,12 @@ def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfi
 
 
 def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
-    """Return `config` with the default values where it has what `config_for_flight` sets: the inverse of that."""
+    """Return `config` with default values in place of the facts of a flight: the inverse of `config_for_flight`."""
     default = PlannerConfig()
     known = config_for_flight(config.replace({path: default.get(path) for path in _FACTS}), flight)
     return config.replace({path: default.get(path) for path in _FACTS if config.get(path) == known.get(path)})
 
 
 def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: SourceInfo) -> PlannerConfig:
-    """Return `config` with what is known about the flight `after` where it has what was known about `before`."""
+    """Return `config` with the facts of the flight `after` in place of those of `before`."""
     return config_for_flight(config_without_facts(config, before), after)

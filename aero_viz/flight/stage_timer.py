@@ -23,7 +23,7 @@ class StageTimer:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time of what happens in the context to a stage."""
+        """Add the time spent in the context to a stage."""
         if self._device.is_cuda:
             started, ended = (wp.Event(self._device, enable_timing=True) for _ in range(2))
             self._device.stream.record_event(started)

@@ -1,4 +1,4 @@
-"""One client of the server for Foxglove: what it has subscribed to, and the messages that wait for it."""
+"""One client of the server for Foxglove, its subscriptions, and the messages that wait for it."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class FlightReplay(RecordingSource):
         self._plans: list[RecordedPlan] = []
         self._world: World | None = None
         self._changes: list[tuple[float, World]] = []
-        """Times of changes of the world [s], and what it was from then on."""
+        """Times of changes of the world [s], and the world from then on."""
         self._ending = ""
         settings: dict[str, Any] = {}
         notices = ["Recorded flight: goal and plans are those of the log."]

@@ -194,7 +194,7 @@ class ChunkedFile(BagFile):
 
     @abstractmethod
     def _scan(self, types: Collection[str]) -> Iterator[Message]:
-        """Yield what `scan` does. Raises LimitExceeded where the budget ends."""
+        """Yield the messages of `scan`. Raises LimitExceeded where the budget ends."""
 
     def read(self, position: ChunkPosition) -> bytes:
         """Return the message at a position found by `scan`. Raises ValueError if its chunk is damaged."""

@@ -37,7 +37,7 @@ _ODOMETRY_TOPICS = ("/odometry", "/tf")
 
 @dataclasses.dataclass(frozen=True)
 class ConvertReport:
-    """A report on what was written."""
+    """Report on the file that was written."""
 
     path: str
     messages: int

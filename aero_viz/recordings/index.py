@@ -14,7 +14,7 @@ from aero_viz.recordings.storage import Storage, open_storage, readable
 
 
 def index_recording(path: str | Path) -> bytes:
-    """Return what the pass over all messages of a recording finds, for `open_indexed`.
+    """Return the results of the pass over all messages of a recording, for `open_indexed`.
 
     Raises:
         UserError: the recording cannot be played.

@@ -1,4 +1,4 @@
-"""A report on the contents of a recording and on what of it can be played."""
+"""Report on the contents of a recording, and on the parts that can be played."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Motion(NamedTuple):
     ms_per_sweep: float
     """Median time of a registration [ms]."""
     problems: tuple[str, ...]
-    """Signs of failure and drift, and what was assumed, one sentence each."""
+    """Signs of failure and drift, and assumptions, one sentence each."""
 
     def poses(self) -> RecordedPoses:
         """Return the motion as recorded poses."""
@@ -219,7 +219,7 @@ class _RkoLio:
 
 @contextlib.contextmanager
 def _silent_stdout() -> Iterator[None]:
-    """Discard what the native libraries print, which would end up between the lines of a report."""
+    """Discard the output of the native libraries, which would appear between the lines of a report."""
     sys.stdout.flush()
     kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     try:
@@ -233,7 +233,7 @@ def _silent_stdout() -> Iterator[None]:
 
 @cache
 def _silence_exit() -> None:
-    """Discard what rko-lio prints when the process ends."""
+    """Discard the output of rko-lio when the process ends."""
 
     def discard() -> None:
         sys.stdout.flush()

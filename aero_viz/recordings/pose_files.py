@@ -115,7 +115,7 @@ def _read_table(path: Path, file: BinaryIO) -> NDArray[np.float64]:
 
 
 def read_in_process(function: Callable[[Path], T], path: Path) -> T:
-    """Return what a function reads from a file, called in a separate process: hostile logs take gigabytes.
+    """Return the result of a function that reads a file, called in a separate process: hostile logs take gigabytes.
 
     Raises:
         UserError: the file cannot be read within the limits; the text names it.

@@ -57,7 +57,7 @@ class _SlowPlanner:
 
 
 class _LogLines(logging.Handler):
-    """Keeps what the node logs."""
+    """Keeps the lines that the node logs."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -172,7 +172,7 @@ class LockstepNode:
         self._logger.setLevel(self._level)
 
     def step(self, now: float) -> None:
-        """Do what is due at the time `now` [s]."""
+        """Run the loops that are due at the time `now` [s]."""
         if now >= self._next_control:
             self._next_control = max(self._next_control + self._control_period, now)
             if self.runs and self.lives and self.node is not None:

@@ -27,7 +27,7 @@ class PeriodicMessage:
         self.period = period
 
     def take_due(self, now: float) -> list[Any]:
-        """Return what must be sent at the time `now` [s]."""
+        """Return the messages that are due at the time `now` [s]."""
         if now < self._next:
             return []
         self._next = max(self._next + self.period, now)

@@ -283,7 +283,7 @@ class Px4Autopilot:
             self._side_of_px4.sendto(data, (HOST, self._px4.companion_port))
 
     def _observe(self, message: Any) -> None:
-        """Note what the node sends to PX4."""
+        """Record the messages that the node sends to PX4."""
         d, name = self._dialect, message.get_type()
         self._companion_heard_at = min(self._companion_heard_at, self._now)
         if name == "SET_ATTITUDE_TARGET":

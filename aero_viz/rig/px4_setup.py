@@ -27,7 +27,7 @@ _POLL_PERIOD = 0.02  # [s]
 def set_parameters(
     px4: Px4Process, onboard: OnboardConfig, vehicle: VehicleConfig, values: Mapping[str, float]
 ) -> list[ParameterChange]:
-    """Set what preflight wants to be set, and other parameters; return the changes.
+    """Set the parameters that preflight requires, and others; return the changes.
 
     Args:
         px4: a PX4 that is starting.

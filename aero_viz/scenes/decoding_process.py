@@ -25,7 +25,7 @@ class DecodingProcess:
         self._process = ReaderProcess(is_kept=True)
 
     def decode(self, path: Path, content: str) -> NDArray[np.float64]:
-        """Return what `aero_viz.scenes.map_decoders.decode` returns for the same arguments.
+        """Return the result of `aero_viz.scenes.map_decoders.decode`.
 
         Raises:
             OSError: there is no such file.
@@ -34,7 +34,7 @@ class DecodingProcess:
         return self._run(path, _decode, content)
 
     def decode_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-        """Return what `aero_viz.scenes.map_decoders.decode_points` returns for the same argument.
+        """Return the result of `aero_viz.scenes.map_decoders.decode_points`.
 
         Raises:
             OSError, ValueError: as for `decode`.
@@ -106,7 +106,7 @@ def _solids(path: Path, pixel: float | None) -> Solids:
 
 @contextmanager
 def _one_sentence() -> Iterator[None]:
-    """Turn whatever a damaged file leads a parser to into a UserError."""
+    """Turn any error of a parser that reads a damaged file into a UserError."""
     try:
         yield
     except MemoryError:

@@ -134,7 +134,7 @@ def _decode(path: Path, noun: str, content: str, process: DecodingProcess | None
 
 @contextmanager
 def _named(path: Path, noun: str) -> Iterator[None]:
-    """Check that there is a file with content, and turn what keeps it from being read into a UserError."""
+    """Check that there is a file with content, and turn errors of reading it into a UserError."""
     try:
         with open_user_file(path) as file:
             is_empty = not file.read(1)

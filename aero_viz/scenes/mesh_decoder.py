@@ -1,4 +1,4 @@
-"""Triangles from files, decoded by trimesh, which loads truncated files in silence: what is declared is counted."""
+"""Triangles from files, decoded by trimesh, which silently loads truncated files: declared counts are checked."""
 
 from __future__ import annotations
 

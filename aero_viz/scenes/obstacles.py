@@ -124,7 +124,7 @@ def find_obstacle(world: World, identity: ObstacleId) -> ObstacleKey | None:
 
 
 def _numbers(world: World, kind: str) -> NDArray[np.int64]:
-    """Return what identifies each row of a table."""
+    """Return the identity of each row of a table."""
     return world.numbers.get(kind, np.arange(len(getattr(world, kind)), dtype=np.int64))
 
 

@@ -1,4 +1,4 @@
-"""Undo and redo of changes of a world. As a change belongs to its tick, the world of a tick decides what is undone."""
+"""Undo and redo of changes of a world. A change belongs to its tick, so the world of a tick decides which is undone."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ class _Sizes(NamedTuple):
 
 
 class Motion:
-    """Finds what moves among the obstacles of each drone.
+    """Finds the moving obstacles around each drone.
 
     Args:
         inputs: inputs of the planner, which say when and where a sweep arrives if the caller does not.

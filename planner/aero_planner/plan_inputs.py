@@ -1,4 +1,4 @@
-"""Checks of what a caller passes to `Planner.plan`, before anything is launched."""
+"""Checks of the arguments of `Planner.plan`, before anything is launched."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def _use_temporary_cache(error: OSError) -> None:
 
 @contextlib.contextmanager
 def _silent_stderr() -> Iterator[None]:
-    """Discard what native code writes to stderr."""
+    """Discard the output of native code on stderr."""
     try:
         saved = os.dup(2)
     except OSError:  # stderr is closed, as a service's may be

@@ -109,7 +109,7 @@ class Layer:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self.available = True
-        """True if the source provides what the layer draws."""
+        """True if the source provides the data that the layer draws."""
         self.eyes: Sequence[NDArray[np.float64]] = ()
         """Positions of the cameras of all visitors [m], each of shape [3], world frame."""
         self.history: FlightHistory | None = None
@@ -139,7 +139,7 @@ class Layer:
         root.visible = self._root.visible  # it may have changed meanwhile, on another thread
 
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
-        """Drop what belongs to visitors who have left."""
+        """Drop the state of visitors who have left."""
         for number in set(self._own_roots) - set(clients):
             self._own_roots.pop(number, None)
 
@@ -166,7 +166,7 @@ class Layer:
         raise NotImplementedError
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
-        """Return the changes that show what is fixed for another source."""
+        """Return the changes that show the constants of another source."""
         return []
 
     def update(self, frame: Frame) -> list[Change]:

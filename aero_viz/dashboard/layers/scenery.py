@@ -1,4 +1,4 @@
-"""Obstacles, ground and recorded path: what is fixed for a source."""
+"""Obstacles, ground and recorded path: the constants of a source."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from aero_viz.dashboard.server import configure_theme
 
 _THEME = "theme"
 _ANSWER_MAX = 60.0
-"""Longest wait for what a browser remembers [s]."""
+"""Longest wait for a browser's stored value [s]."""
 _TABS = """
 if (!window.aeroTabs) {
   window.aeroTabs = new Set();

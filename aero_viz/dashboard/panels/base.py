@@ -28,7 +28,7 @@ TYPING_DELAY = 0.2
 
 
 class Hold:
-    """Keeps what a user has just changed from being overwritten with what the session had before."""
+    """Keeps a value that a user has just changed from being overwritten with the session's previous one."""
 
     SECONDS = 1.0
     """Longest time of a hold [s]."""
@@ -42,7 +42,7 @@ class Hold:
         self.began = time.monotonic()
 
     def end(self) -> None:
-        """Hold no longer, so that the page shows what the session has."""
+        """Hold no longer, so that the page shows the session's values."""
         self.began = -self.SECONDS
 
     def __bool__(self) -> bool:
@@ -75,7 +75,7 @@ class Page:
             controls.set_samples(any(layer.needs_samples and layer.visible for layer in self.layers.values()))
 
     def config_for_flight(self, config: PlannerConfig) -> PlannerConfig:
-        """Return `config` with what the planner knows about the flight that is shown."""
+        """Return `config` with the facts of the flight that is shown."""
         frame = self.session.frame
         return config if frame is None else config_for_flight(config, frame.source)
 
@@ -112,16 +112,16 @@ class Panel:
         raise NotImplementedError
 
     def welcome(self, client: viser.ClientHandle) -> None:
-        """Create what belongs to a new visitor alone, with `client.gui`."""
+        """Create the elements of a new visitor, with `client.gui`."""
 
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
-        """Drop what belongs to visitors who have left."""
+        """Drop the elements of visitors who have left."""
 
     def close(self) -> None:
         """Stop the panel's threads."""
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
-        """Return the changes that show what is fixed for another source."""
+        """Return the changes that show the constants of another source."""
         return []
 
     def update_without_frame(self) -> list[Change]:

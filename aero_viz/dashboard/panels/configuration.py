@@ -178,7 +178,7 @@ class ConfigurationPanel(Panel):
         self._onboard = onboard
 
     def _config(self) -> PlannerConfig:
-        """Return the configuration without what is known about this flight: another one has other facts."""
+        """Return the configuration without the facts of this flight, which do not apply to another one."""
         frame = self.session.frame
         return self.session.config if frame is None else config_without_facts(self.session.config, frame.source)
 
@@ -201,7 +201,7 @@ class ConfigurationPanel(Panel):
 
 
 def differences(config: PlannerConfig, baseline: Baseline) -> str:
-    """Return what differs from a preset as HTML: labels, old and new values, and the text of flags and of a file."""
+    """Return the differences from a preset as HTML: labels, old and new values, and the text of flags and of a file."""
     changed = baseline.config.differences(config)
     if not changed:
         return ""

@@ -68,5 +68,5 @@ if (!window.aeroKeys) {
 
 
 def rows() -> list[tuple[str, str]]:
-    """Return each key and what it does."""
+    """Return each key and its effect."""
     return [(key.shown, key.label) for key in KEYS]

@@ -182,7 +182,7 @@ class SourcePanel(Panel):
         self._open_in_thread(self._reader, spec, options, client)
 
     def open_link(self, link: Link, client: viser.ClientHandle | None) -> None:
-        """Open what a link names, and go to its time with its configuration, in the background."""
+        """Open the source of a link, and go to its time with its configuration, in the background."""
         with self._lock:
             if self._reader is not None:
                 notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
@@ -259,7 +259,7 @@ class SourcePanel(Panel):
         return False
 
     def _plan_as_known(self, before: Frame | None, source: Source) -> None:
-        """Let the planner know what is known about another flight; nothing is known about a recording."""
+        """Give the planner the facts of another flight; a recording has none."""
         if before is None:
             return
         known = config_for_next_flight(self.session.config, before=before.source, after=source.info)

@@ -120,7 +120,7 @@ class StudyPanel(Panel):
             self._controls.compare_with(self._config(self._candidates[index])).result()
 
     def _config(self, point: StudyPoint) -> PlannerConfig:
-        """Return the configuration of a candidate, with what is known about the present flight."""
+        """Return the configuration of a candidate, with the facts of the present flight."""
         return self.page.config_for_flight(point.config)
 
 

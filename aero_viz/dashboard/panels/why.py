@@ -29,7 +29,7 @@ _HINT = (
 
 
 class WhyPanel(Panel):
-    """Costs by term over all instances, and the card of what is selected. It works only while it is switched on."""
+    """Costs by term over all instances, and the card of the selection. It works only while it is switched on."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self._replan = Replanner()
@@ -138,7 +138,7 @@ class WhyPanel(Panel):
 
 
 def _recorded(frame: Frame) -> list[str]:
-    """Return what a log holds of the plan that was flown, and what it lacks."""
+    """Return the parts of the flown plan that a log holds, and those that it lacks."""
     if frame.source.recorded_plan is None or (plan := frame.source.recorded_plan(frame.time)) is None:
         return []
     text = (

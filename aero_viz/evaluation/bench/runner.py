@@ -309,7 +309,7 @@ def _generate_world(name: str, count: int | None, seed: int) -> World:
 
 @lru_cache(maxsize=4096)
 def _describe(world: World, radius: float) -> dict[str, Any]:
-    """Return what a record says about a world, for a drone of this radius [m]."""
+    """Return the fields of a record that describe a world, for a drone of this radius [m]."""
     return describe_world(world, radius=radius)
 
 

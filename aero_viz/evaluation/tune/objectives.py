@@ -44,5 +44,5 @@ def front_values(flights: Sequence[FlightResult], objectives: Sequence[Objective
 
 
 def measure(flight: FlightResult, objective: Objective) -> float:
-    """Return what an objective measures of a flight that arrives, in its unit; more clearance is better."""
+    """Return the value of an objective for a flight that arrives, in its unit; more clearance is better."""
     return abs(_COSTS[objective](flight))

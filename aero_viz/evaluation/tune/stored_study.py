@@ -61,7 +61,7 @@ class StudyPoint:
 
 @dataclass(frozen=True)
 class Importance:
-    """Share of a parameter in what sets the best quarter of the candidates apart; the shares add up to 1."""
+    """Share of a parameter in the difference between the best quarter of the candidates and the rest; the sum is 1."""
 
     path: str
     share: float
@@ -127,7 +127,7 @@ class StoredStudy:
         self.read()
 
     def read(self) -> StudyView:
-        """Return what has been flown so far; the same object if nothing has changed.
+        """Return the results so far; the same object if nothing has changed.
 
         Raises:
             UserError: the storage cannot be read any more, or the study is damaged.

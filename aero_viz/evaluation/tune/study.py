@@ -128,7 +128,7 @@ def dump_flights(flights: Mapping[int, FlightResult]) -> dict[str, Any]:
 
 
 def load_flights(content: Mapping[str, Any]) -> dict[int, FlightResult]:
-    """Return the results of flights from what `dump_flights` has returned."""
+    """Return the results of flights, the inverse of `dump_flights`."""
     return {int(world): FlightResult(**values) for world, values in content.items()}
 
 

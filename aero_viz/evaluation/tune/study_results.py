@@ -52,7 +52,7 @@ class Problem:
         return {world: flight_cost(flight, self.objectives[0]) for world, flight in flights.items()}
 
     def values(self, flights: Sequence[FlightResult]) -> list[float]:
-        """Return what the search minimises."""
+        """Return the values that the search minimises."""
         if len(self.objectives) == 1:
             return [statistics.fmean(flight_cost(flight, self.objectives[0]) for flight in flights)]
         return front_values(flights, self.objectives)
@@ -67,7 +67,7 @@ class StudyResults:
 
     @classmethod
     def read(cls, study: optuna.Study, problem: Problem) -> StudyResults:
-        """Return what has been flown so far.
+        """Return the results so far.
 
         Raises:
             KeyError, TypeError, ValueError: the study was changed by another program.

@@ -208,7 +208,7 @@ def format_config(config: PlannerConfig) -> str:
 
 
 def format_changes(config: PlannerConfig, *, preset: str = "default") -> str:
-    """Return the text of a configuration file with only what differs from a preset."""
+    """Return the text of a configuration file with only the differences from a preset."""
     lines = [] if preset == "default" else [f"preset: {preset}"]
     section = ""
     for path in PlannerConfig.preset(preset).differences(config):

@@ -142,7 +142,7 @@ class Bundle:
 
 
 def open_bundle(path: str | os.PathLike[str]) -> Bundle:
-    """Check a bundle, a folder or a tar file, and copy what a planner needs.
+    """Check a bundle, a folder or a tar file, and copy the files that a planner needs.
 
     Raises:
         ValueError: the bundle can't be read, has another format, is damaged or incomplete, or is too large (more than
@@ -249,7 +249,7 @@ def _chunks(file: IO[bytes], size: int) -> Iterator[bytes]:
 
 
 def _check(folder: Path, copy: Path, source: str) -> Bundle:
-    """Compare a folder with its manifest, and copy what a planner needs to `copy`."""
+    """Compare a folder with its manifest, and copy the files that a planner needs to `copy`."""
     manifest = _read_manifest(folder)
     files: dict[str, Any] = _field(manifest, "files", dict)
     if CONFIG not in files:

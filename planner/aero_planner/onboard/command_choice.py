@@ -1,4 +1,4 @@
-"""The choice of what the control loop sends: the plan, or commands that stop or hold the drone."""
+"""The choice of the command that the control loop sends: from the plan, or to stop or hold the drone."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class CommandChoice:
     def choose(
         self, now: float, reaction: Reaction, state: State, inputs: Inputs, motion: MotionState | None
     ) -> Command | None:
-        """Return what to send at `now` [s]; None to send nothing."""
+        """Return the command to send at `now` [s]; None to send nothing."""
         limits = self._config.limits
         if reaction is not Reaction.HOLD:
             self._hold = None

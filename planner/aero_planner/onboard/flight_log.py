@@ -37,7 +37,7 @@ _LINES_SPACING = 0.098
 
 
 class FlightLog(Observer):
-    """Writes what the node saw and did, on its own thread.
+    """Writes the inputs and decisions of the node, on its own thread.
 
     Topics:
         /odometry, /tf: Vehicle states, at most 50 per second.

@@ -1,4 +1,4 @@
-"""The memory through which the failsafe process learns what the node does: its newest heartbeat, and the reply."""
+"""Shared memory between node and failsafe process: the node's newest heartbeat, and the reply."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ class HeartbeatMemory:
         self._STATUS.pack_into(self._memory, 2 * self._SIZE, braking_since, True, interventions)
 
     def read_status(self) -> ReaderStatus:
-        """Return, to the writer, what the reader has reported."""
+        """Return, to the writer, the status that the reader has reported."""
         braking_since, running, interventions = self._STATUS.unpack_from(self._memory, 2 * self._SIZE)
         return ReaderStatus(bool(running), 0 < braking_since == self._number, interventions)
 

@@ -1,4 +1,4 @@
-"""Preflight checks of what autopilot and LiDAR send."""
+"""Preflight checks of the data that autopilot and LiDAR send."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def check_inputs(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], object] = time.sleep,
 ) -> list[Check]:
-    """Listen to autopilot and LiDAR and check what they send.
+    """Listen to autopilot and LiDAR and check their data.
 
     Args:
         link: Connection to the autopilot; nothing is commanded.

@@ -53,7 +53,10 @@ class PointSource(Protocol):
         ...
 
     def poll(self) -> list[PointPacket]:
-        """Return what has arrived since the last call, oldest first. Never blocks; never raises for bad data."""
+        """Return the points that have arrived since the last call, oldest first.
+
+        Never blocks; never raises for bad data.
+        """
         ...
 
     def close(self) -> None:
@@ -110,7 +113,7 @@ class VehicleLink(CommandSink, Protocol):
     """Connection to an autopilot. `send` and `poll` may be called from different threads."""
 
     thrust_gain: float
-    """True thrust divided by what the vehicle's thrust model says; `send` divides by it."""
+    """True thrust divided by that of the vehicle's thrust model; `send` divides by it."""
 
     @property
     def state(self) -> VehicleSample | None:
@@ -133,7 +136,7 @@ class VehicleLink(CommandSink, Protocol):
         ...
 
     def poll(self) -> None:
-        """Read what has arrived. Never blocks; never raises for bad data."""
+        """Read the messages that have arrived. Never blocks; never raises for bad data."""
         ...
 
     def close(self) -> None:

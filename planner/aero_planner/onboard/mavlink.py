@@ -128,7 +128,10 @@ class MavlinkLink(MavlinkSender):
         return self._transport.peer
 
     def poll(self) -> None:
-        """Read what has arrived, and send a heartbeat when one is due. Never blocks; never raises for bad data."""
+        """Read the messages that have arrived, and send a heartbeat when one is due.
+
+        Never blocks; never raises for bad data.
+        """
         if not self._polling.acquire(blocking=False):
             return  # another thread is polling
         try:
@@ -152,7 +155,7 @@ class MavlinkLink(MavlinkSender):
         return self._transport.dropped_datagrams
 
     def _receive(self) -> None:
-        """Read what has arrived, within the limits of one poll."""
+        """Read the messages that have arrived, within the limits of one poll."""
         deadline = time.thread_time() + _POLL_TIME
         for _ in range(_DATAGRAMS_PER_POLL):
             data = self._transport.receive()

@@ -158,7 +158,7 @@ class Node:
         return self._goals.goal
 
     def statistics(self) -> dict[str, Any]:
-        """Return how well deadlines are met and what was lost, as plain numbers."""
+        """Return figures on deadlines, failures and losses, as plain values."""
         plans = 1e3 * np.array(self._replanner.durations)
         counters = self._lidar.counters
         return {
@@ -188,7 +188,7 @@ class Node:
     # --- one step of each thread ---
 
     def control_once(self) -> Reaction:
-        """Read what has arrived, decide, and send a command; return the decision."""
+        """Read the inputs that have arrived, decide, and send a command; return the decision."""
         now = self._clock()
         loop_age = self._watchdog.silence(now)
         self._link.poll()

@@ -1,4 +1,4 @@
-"""Log lines that say what is missing for READY."""
+"""Log lines with the reasons for which the node is not READY."""
 
 from __future__ import annotations
 

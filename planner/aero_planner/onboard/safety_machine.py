@@ -37,7 +37,7 @@ class StateChange:
 
 
 class SafetyMachine:
-    """The safety state and what has to be remembered to decide on the next one.
+    """The safety state, and the memory that is needed to decide on the next one.
 
     Args:
         limits: See `LimitSettings`.
@@ -67,7 +67,7 @@ class SafetyMachine:
         return () if self.inputs is None else find_faults(self.inputs, self._limits)
 
     def missing(self) -> tuple[Cause, ...]:
-        """Return what keeps the drone from flying a plan: the faults and, before a take-over, what READY needs."""
+        """Return the causes that prevent flying: the faults and, before a take-over, those that prevent READY."""
         if self.inputs is None or self.state in COMMANDING:
             return self.active_faults()
         not_ready = [cause for cause in NOT_READY if cause_applies(cause, self.inputs, self._limits)]

@@ -355,7 +355,7 @@ def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, Onb
 
 
 def flight_config_from_name(name_or_path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
-    """Return a preset with the default settings of the node or, if there is none of this name, what a file holds.
+    """Return a preset with the default settings of the node or, if there is none of this name, the content of a file.
 
     Raises:
         ValueError: there is neither, or the file is wrong; lists the presets.

@@ -40,7 +40,7 @@ class Transport(Protocol):
         ...
 
     def receive(self) -> bytes | None:
-        """Return the next part of what has arrived, oldest first; None if there is nothing left.
+        """Return the next part of the received data, oldest first; None if there is nothing left.
 
         It is empty if it came from neither the peer, once that is known, nor an allowed address.
         """
