@@ -167,7 +167,8 @@ class StateReceiver:
         velocity = np.array([message.vx, message.vy, message.vz])
         attitude = integrate_rates(attitude, rates, stamp - attitude_stamp)
         estimate = EstimatorState(stamp, position, velocity, attitude, rates)
-        is_reset = self._estimate is not None and is_estimator_reset(self._estimate, estimate)
+        before = self._estimate
+        is_reset = before is not None and _is_usable(position, velocity) and is_estimator_reset(before, estimate)
         resets = self._detected_resets + is_reset
         if self._set_state(("LOCAL_POSITION_NED", resets), time, position, velocity, attitude):
             self._estimate, self._detected_resets = estimate, resets
@@ -191,8 +192,7 @@ class StateReceiver:
         p, v, q = world_from_ned(position), world_from_ned(velocity), attitude_from_ned(attitude)
         if time is None:
             return self._drop(f"{origin[0]} with an inconsistent time stamp")
-        # Written so that NaN fails.
-        if not (np.abs(p).max() <= COORDINATE_LIMIT and np.abs(v).max() <= COORDINATE_LIMIT):
+        if not _is_usable(p, v):
             return self._drop(f"{origin[0]} that is not finite or beyond {COORDINATE_LIMIT:g}")
         if self.sample is not None and time <= self.sample.time:
             return False
@@ -220,6 +220,12 @@ class StateReceiver:
     def _drop(self, reason: str) -> bool:
         self.dropped[reason] = self.dropped.get(reason, 0) + 1
         return False
+
+
+def _is_usable(position: NDArray[np.float64], velocity: NDArray[np.float64]) -> bool:
+    """Return True if no coordinate of position or velocity, shape [3] each, is beyond the limit or NaN."""
+    # Written so that NaN fails.
+    return bool(np.abs(position).max() <= COORDINATE_LIMIT and np.abs(velocity).max() <= COORDINATE_LIMIT)
 
 
 def _largest_std(covariance: Sequence[float]) -> float:

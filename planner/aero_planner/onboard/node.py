@@ -292,7 +292,7 @@ class Node:
 
     def _gather_inputs(self, now: float, loop_age: float) -> tuple[Inputs, MotionState | None]:
         latest, sample, goal = self._link.state, self._sample, self.goal
-        if (measured := self._replanner.take_drift()) is not None:
+        if sample is not None and (measured := self._replanner.take_drift(sample.resets)) is not None:
             self._drift.add(now, *measured)
             self._drift_correction.add(now, *measured)
         self._drift.update(now)

@@ -95,7 +95,7 @@ class Replanner:
         self._floor = config.limits.fence_height_min
         self._ground: tuple[int, float] | None = None  # reset counter and height of a new measurement
         self._next_ground = self._next_drift = -np.inf
-        self._drift: tuple[Drift, float] | None = None
+        self._drift: tuple[int, Drift, float] | None = None  # reset counter, a new measurement and its interval
         self._schedule = schedule
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
@@ -141,7 +141,7 @@ class Replanner:
             self._next_drift = start + _DRIFT_PERIOD
             older, newer, interval = self._sweeps.halves()
             drift = measure_drift(older, newer, snapshot.motion.position)
-            self._drift = None if drift is None else (drift, interval)
+            self._drift = None if drift is None else (self._resets, drift, interval)
         if start >= self._next_ground:  # last, so that no plan waits for it
             self._next_ground = start + _GROUND_PERIOD
             newest = Sweeps(list(cloud)[cloud.thinned :])
@@ -203,10 +203,14 @@ class Replanner:
         measured, self._ground = self._ground, None
         return measured[1] if measured is not None and measured[0] == resets else None
 
-    def take_drift(self) -> tuple[Drift, float] | None:
-        """Return the drift of the estimate and its interval [s], if it was measured since the last call."""
+    def take_drift(self, resets: int) -> tuple[Drift, float] | None:
+        """Return the drift of the estimate and its interval [s], if it was measured since the last call.
+
+        Args:
+            resets: Present number of the estimator's resets; a drift from before the last one is not returned.
+        """
         measured, self._drift = self._drift, None
-        return measured
+        return measured[1:] if measured is not None and measured[0] == resets else None
 
     def _count_failure(self, message: str) -> None:
         self.failures += 1

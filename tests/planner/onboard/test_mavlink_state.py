@@ -119,6 +119,19 @@ def test_a_jump_without_reset_counter_is_a_reset(link, autopilot, clock):
     assert [*seen, link.state.resets] == [0, 0, 0, 1, 2, 2, 3]
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("x", "vx"), [(math.nan, 0.0), (math.inf, math.inf)])
+def test_a_position_that_is_not_finite_is_dropped_and_is_no_reset(link, autopilot, clock, x, vx):
+    level, still = (1, 0, 0, 0), (0, 0, 0)
+    for k, (north, speed) in enumerate([(0.0, 0.0), (x, vx), (0.0, 0.0)]):
+        clock.now += 0.02
+        time = 5.0 + 0.02 * k
+        place = local_position((north, 0, 0), (speed, 0, 0), time)
+        state_after(link, autopilot, attitude(level, still, time), place)
+    assert link.dropped == {"LOCAL_POSITION_NED that is not finite or beyond 1e+06": 1}
+    assert link.state.resets == 0
+
+
 def test_states_carry_host_time_and_never_go_back(link, autopilot, clock):
     for k, delay in enumerate([0.004, 0.001, 0.009]):
         clock.now = 100.0 + 0.02 * k + delay
