@@ -13,8 +13,6 @@ from aero_planner.onboard.dead_reckoning import MotionState
 
 # The height is not lost with the position: the autopilot has a barometer, and a LiDAR sees little that tells it.
 _HORIZONTAL = np.array([1.0, 1.0, 0.0])
-_GAIN = 0.6
-"""Weight of a new measurement against those before it, because a single one errs by up to 0.1 m/s."""
 _MEMORY = 2.0
 """Time after which the last measurement no longer counts [s]."""
 
@@ -31,17 +29,23 @@ class DriftCorrection:
 
     def clear(self) -> None:
         """Forget all measurements, because the origin of the world frame has moved."""
+        self._newest: NDArray[np.float64] = np.zeros(3)  # newest measurement [m/s]
         self._velocity: NDArray[np.float64] = np.zeros(3)
         self._displacement: NDArray[np.float64] = np.zeros(3)
         self._measured = -math.inf
         self._last: float | None = None  # time of the last corrected motion
 
     def add(self, time: float, drift: Drift, interval: float) -> None:
-        """Add a drift that was measured at `time` [s] over an interval [s]."""
+        """Add a drift that was measured at `time` [s] over an interval [s].
+
+        A single measurement may be wrong by 0.1 m/s. Of two in a row, the smaller one counts along each axis, and none
+        if their signs differ.
+        """
         velocity = drift.displacement / interval * _HORIZONTAL
-        gain = _GAIN if time - self._measured <= _MEMORY else 1.0
-        self._velocity = self._velocity + gain * (velocity - self._velocity)
-        self._measured = time
+        before = self._newest if time - self._measured <= _MEMORY else np.zeros(3)
+        agreed = np.sign(velocity) * np.minimum(np.abs(velocity), np.abs(before))
+        self._velocity = np.where(velocity * before > 0.0, agreed, 0.0)
+        self._newest, self._measured = velocity, time
 
     def apply(self, motion: MotionState, *, lost: bool) -> MotionState:
         """Return the motion without the drift since the position was lost, or as it is while it is not lost.

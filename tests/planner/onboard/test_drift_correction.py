@@ -19,9 +19,10 @@ def drift(velocity: ArrayLike) -> Drift:
 
 @pytest.fixture
 def lost() -> DriftCorrection:
-    """A correction whose position is lost at 0 s, with a measured drift of 0.2 m/s to the left at 0.5 s."""
+    """A correction whose position is lost at 0 s; at 0.5 s, a drift of 0.2 m/s to the left was measured twice."""
     correction = DriftCorrection()
     correction.apply(motion(0.0), lost=True)
+    correction.add(0.3, drift((0.0, 0.2, 0.0)), INTERVAL)
     correction.add(0.5, drift((0.0, 0.2, 0.0)), INTERVAL)
     return correction
 
@@ -44,9 +45,21 @@ def test_a_measured_height_is_not_used(lost: DriftCorrection):
     np.testing.assert_allclose(lost.apply(motion(0.7), lost=True).velocity, [0.0, -0.2, 0.0])
 
 
-def test_measurements_are_averaged(lost: DriftCorrection):
-    lost.add(0.7, drift((0.1, 0.2, 0.0)), INTERVAL)
-    np.testing.assert_allclose(lost.apply(motion(0.8), lost=True).velocity, [-0.06, -0.2, 0.0])
+@pytest.mark.parametrize(
+    ("newest", "expected"), [((0.1, 0.3, 0.0), 0.2), ((0.1, 0.05, 0.0), 0.05), ((0.1, -0.2, 0.0), 0.0)]
+)
+def test_of_two_measurements_in_a_row_the_smaller_one_counts(lost: DriftCorrection, newest: ArrayLike, expected: float):
+    lost.add(0.7, drift(newest), INTERVAL)
+    np.testing.assert_allclose(lost.apply(motion(0.8), lost=True).velocity, [0.0, -expected, 0.0])
+
+
+@pytest.mark.parametrize("time", [0.5, 3.0])
+def test_a_single_measurement_does_not_count(lost: DriftCorrection, time: float):
+    if time < 2.0:
+        lost.clear()
+        lost.apply(motion(0.4), lost=True)
+    lost.add(time, drift((0.3, 0.2, 0.0)), INTERVAL)
+    np.testing.assert_array_equal(lost.apply(motion(time), lost=True).velocity, 0.0)
 
 
 def test_an_old_measurement_no_longer_counts(lost: DriftCorrection):

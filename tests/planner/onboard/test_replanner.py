@@ -17,7 +17,7 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 def walls() -> NDArray[np.float32]:
     """Return points on two walls and the floor of a room of 10 m x 10 m x 4 m [m], shape [P, 3], world frame."""
     points = np.random.default_rng(0).uniform((-5.0, -5.0, 0.0), (5.0, 5.0, 4.0), (30_000, 3))
-    points[0::3, 0], points[1::3, 1], points[2::3, 2] = 5.0, -5.0, 0.0
+    points[0::3, 0], points[1::3, 1], points[2::3, 2] = 4.8, -5.3, -0.1  # not at the borders of voxels
     return points.astype(np.float32)
 
 
