@@ -2,6 +2,8 @@
 .PHONY: help demo test test-lowest test-beside test-lowest-files test-lowest-alone check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
+# The tests start hundreds of programs. Each would compile all that it imports, which takes longer than most of the tests.
+unexport PYTHONDONTWRITEBYTECODE
 # Tests that drive a browser or watch the clock run alone, most others two files at a time. What runs beside them, at low
 # priority, uses the processor time that they leave.
 ALONE := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py tests/session/test_node_client.py \
