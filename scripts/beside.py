@@ -14,7 +14,9 @@ import tempfile
 import threading
 from pathlib import Path
 
-LOWEST_PRIORITY = 19
+# Where Linux weighs whole sessions against each other, niceness counts only within one.
+START = '{ echo 19 >/proc/self/autogroup; } 2>/dev/null; exec nice -n19 make --no-print-directory "$1"'
+"""Shell command that runs a target at the lowest priority."""
 
 
 def main() -> int:
@@ -23,7 +25,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with tempfile.TemporaryFile() as log:
         beside = subprocess.Popen(
-            ["nice", f"-n{LOWEST_PRIORITY}", "make", "--no-print-directory", target], cwd=Path(__file__).parents[1],
+            ["sh", "-c", START, "sh", target], cwd=Path(__file__).parents[1],
             stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
         printer = threading.Thread(target=print_when_ended, args=(beside, log.fileno()), daemon=True)

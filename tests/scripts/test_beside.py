@@ -12,6 +12,8 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "beside.py"
 MAKEFILE = """
 slow:
 \t@echo begin; sleep 0.3; nice; echo end
+session:
+\t@cat /proc/self/autogroup
 wrong:
 \t@echo broken; false
 endless:
@@ -36,6 +38,11 @@ def test_the_target_runs_at_low_priority_and_its_output_stays_together(script: P
     done = run(script, "slow", "echo command >&2; sleep 0.1")
     assert done.returncode == 0
     assert done.stdout == "begin\n19\nend\n" and done.stderr == "command\n"
+
+
+def test_the_session_of_the_target_has_low_priority_where_linux_weighs_sessions(script: Path):
+    if Path("/proc/self/autogroup").exists():
+        assert run(script, "session", "true").stdout.endswith("nice 19\n")
 
 
 def test_the_exit_code_is_that_of_the_command_or_of_the_target(script: Path):
