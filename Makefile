@@ -1,18 +1,20 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-lowest test-beside test-lowest-files test-lowest-alone check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-clock test-compiling test-lowest test-lowest-files test-lowest-clock check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 # The tests start hundreds of programs. Each would compile all that it imports, which takes longer than most of the tests.
 unexport PYTHONDONTWRITEBYTECODE
-# Tests that drive a browser or watch the clock run alone, most others two files at a time. What runs beside them, at low
-# priority, uses the processor time that they leave.
-ALONE := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py tests/session/test_node_client.py \
-	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
+# Tests that drive a browser run alone, those that mostly wait for the clock two at a time, most others two files at a
+# time. What runs beside them, at low priority, uses the processor time that they leave.
+BROWSER := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py
+CLOCK := tests/session/test_node_client.py tests/planner/onboard/test_failsafe_process.py \
+	tests/planner/onboard/test_node_life.py
 # Tests that compile most of the time, and watch no clock.
 COMPILING := tests/planner/deploy tests/planner/kernels tests/planner/test_cpp_host.py
 # A busy machine can delay a browser or a clock beyond what a test waits for: at most three of them get a second attempt.
 SECOND_ATTEMPT := --reruns 1 --max-suite-reruns 3 --rerun-show-tracebacks
-TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder $(addprefix --ignore=,$(ALONE))
+TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder
+OTHERS := $(TWO_FILES) $(addprefix --ignore=,$(BROWSER) $(CLOCK))
 
 help:            ## show this help
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 14
@@ -27,20 +29,23 @@ demo: setup      ## fly through the forest in the browser
 	@.venv/bin/aero-viz demo $(ARGS)
 
 test: setup-dev  ## run all checks and tests
-	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(TWO_FILES) $(addprefix --ignore=,$(COMPILING)))
-	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-beside $(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(ALONE))
-	$(if $(ARGS),,@$(MAKE) --no-print-directory test-lowest-alone)
+	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(OTHERS) $(addprefix --ignore=,$(COMPILING)))
+	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files $(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(BROWSER))
+	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-compiling $(MAKE) -j2 -Otarget test-clock test-lowest-clock)
 
-test-beside: test-lowest-files
-	$(PYTHON_BIN) -m pytest $(COMPILING)
+test-clock:
+	$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(CLOCK)
 
-test-lowest: test-lowest-files $(if $(ARGS),,test-lowest-alone)  ## run the planner's tests with the lowest versions that its wheel allows
+test-compiling:
+	$(PYTHON_BIN) -m pytest $(TWO_FILES) $(COMPILING)
+
+test-lowest: test-lowest-files $(if $(ARGS),,test-lowest-clock)  ## run the planner's tests with the lowest versions that its wheel allows
 
 test-lowest-files: setup-dev
-	@$(PYTHON_BIN) scripts/lowest.py $(or $(ARGS),$(TWO_FILES))
+	@$(PYTHON_BIN) scripts/lowest.py $(or $(ARGS),$(OTHERS))
 
-test-lowest-alone: setup-dev
-	@$(PYTHON_BIN) scripts/lowest.py $(filter tests/planner/%,$(ALONE))
+test-lowest-clock: setup-dev
+	@$(PYTHON_BIN) scripts/lowest.py $(filter tests/planner/%,$(CLOCK))
 
 check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .
