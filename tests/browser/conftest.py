@@ -6,18 +6,32 @@ import pytest
 from playwright.sync_api import Browser
 
 from aero_planner import PlannerConfig
-from tests.browser.desk import Desk, open_desk
+from tests.browser.desk import COARSE, Desk, open_desk
 
 
 @pytest.fixture(scope="module")
 def desk(browser: Browser) -> Iterator[Desk]:
     """1 s into the forest with the literal planner of the paper: 15 instances. Shared by the tests of a module."""
-    with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper")) as desk:
+    with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper"), resolution=COARSE) as desk:
         yield desk
+
+
+@pytest.fixture(scope="module")
+def quick_desk(browser: Browser) -> Iterator[Desk]:
+    """A paused flight through the forest of which only the drone is visible, which is quick to draw."""
+    with open_desk(browser, ticks=10, resolution=COARSE, layers=["drone"]) as desk:
+        yield desk
+
+
+@pytest.fixture
+def restored_desk(quick_desk: Desk) -> Desk:
+    """0.2 s into the forest, on a page that the tests of a module share; see `Desk.restore` for what they share."""
+    quick_desk.restore()
+    return quick_desk
 
 
 @pytest.fixture
 def fresh_desk(browser: Browser) -> Iterator[Desk]:
     """0.2 s into the forest, for one test. Only the drone is visible, which is quick to draw."""
-    with open_desk(browser, ticks=10, layers=["drone"]) as desk:
+    with open_desk(browser, ticks=10, resolution=COARSE, layers=["drone"]) as desk:
         yield desk

@@ -29,6 +29,8 @@ from tests.browser.pictures import Image, differing, project, rollouts_drawn
 
 LEFT, RIGHT = 330, 355
 """Columns at either side of the page that panels cover [pixels]."""
+COARSE = 0.25
+"""Resolution of a page of whose scene no test takes a screenshot. It is drawn in a third of the time."""
 TIMEOUT = 90.0
 """Longest wait for anything [s]. It is only reached when a test fails, also on a machine that is busy."""
 
@@ -58,6 +60,24 @@ class Desk:
         """The configuration with what the planner knows about the flight on the page."""
         assert self.session.frame is not None
         return config_for_flight(config, self.session.frame.source)
+
+    def restore(self) -> None:
+        """Fly the first 10 ticks through the forest again, and show the drone alone in the first view of the page.
+
+        The fields that say what to open next keep what was typed into them.
+        """
+        session = self.session
+        session.pause()
+        session.set_speed(1.0)
+        session.configure(PlannerConfig())
+        session.set_source(FlightSource(scene("forest", seed=0))).result()
+        session.step(9).result()
+        assert session.frame is not None and session.frame.index == 9 and session.frame.config == PlannerConfig()
+        self.dashboard.show_only(["drone"])
+        self.open_tab("Fly")
+        self.click("follow")
+        self.page.evaluate("document.querySelectorAll('.mantine-Notification-root button').forEach(b => b.click())")
+        self.wait_for(lambda: self.page.locator(".mantine-Notification-root").count() == 0, "no notifications")
 
     def click(self, name: str) -> None:
         """Click the button with this name."""
@@ -192,17 +212,20 @@ class Desk:
         )
 
 
-def visit(browser: Browser, url: str, *, size: tuple[int, int] = (1000, 700)) -> Page:
+def visit(browser: Browser, url: str, *, size: tuple[int, int] = (1000, 700), resolution: float = 1.0) -> Page:
     """Open a page in a browser profile of its own, which closes with it."""
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.set_default_timeout(1e3 * TIMEOUT)
-    page.goto(with_fixed_resolution(url))
+    page.goto(with_resolution(url, resolution))
     return page
 
 
-def with_fixed_resolution(url: str) -> str:
-    """Return the address of the page at a fixed resolution: viser lowers that of a page that is drawn slowly."""
-    return f"{url}{'&' if '?' in url else '?'}fixedDpr=1"
+def with_resolution(url: str, resolution: float = 1.0) -> str:
+    """Return the address of the page with a fixed resolution of the scene [points per pixel of the page].
+
+    Without it, viser lowers the resolution of a page that is drawn slowly.
+    """
+    return f"{url}{'&' if '?' in url else '?'}fixedDpr={resolution:g}"
 
 
 @contextlib.contextmanager
@@ -213,6 +236,7 @@ def open_desk(
     ticks: int,
     config: PlannerConfig | None = None,
     size: tuple[int, int] = (1000, 600),
+    resolution: float = 1.0,
     layers: Sequence[str] | None = None,
     opener: Opener = open_source,
     opened: str = "",
@@ -227,6 +251,7 @@ def open_desk(
         ticks: number of ticks before the page opens.
         config: configuration of the planner; None is the default.
         size: width and height of the page.
+        resolution: resolution of the scene; `COARSE` is drawn quickly.
         layers: names of the visible layers; None shows those that are on by default.
         opener: opens other sources.
         opened: name of the source for the opener; by default that of the forest.
@@ -258,7 +283,7 @@ def open_desk(
     page.on("console", lambda message: desk.console.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: desk.console.append(str(error)))
     try:
-        page.goto(with_fixed_resolution(dashboard.url))
+        page.goto(with_resolution(dashboard.url, resolution))
         desk.wait_for(lambda: bool(dashboard.server.get_clients()), "the page to connect")
         yield desk
     finally:

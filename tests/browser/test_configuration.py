@@ -19,8 +19,8 @@ def upload(desk: Desk, path: Path) -> None:
     chooser.value.set_files(path)
 
 
-def test_a_downloaded_file_restores_its_configuration_when_uploaded(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_a_downloaded_file_restores_its_configuration_when_uploaded(restored_desk, tmp_path):
+    desk = restored_desk
     saved = desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
     desk.open_tab("Tune")
     desk.open_folder("File", "Download YAML")
@@ -50,8 +50,8 @@ def test_onboard_settings_survive_an_upload_and_a_download(fresh_desk, tmp_path)
     assert planner.costs.q_track == 8.5 and onboard.thrust.hover_thrust == 0.42
 
 
-def test_presets_and_resets_set_the_configuration_that_they_name(fresh_desk):
-    desk = fresh_desk
+def test_presets_and_resets_set_the_configuration_that_they_name(restored_desk):
+    desk = restored_desk
     desk.session.configure(DEFAULT)
     desk.open_tab("Tune")
     preset = desk.control("Preset").locator("input").first
@@ -83,7 +83,8 @@ def test_presets_and_resets_set_the_configuration_that_they_name(fresh_desk):
     ],
     ids=["no YAML", "unknown name", "out of bounds", "unknown section of the node", "empty", "no text"],
 )
-def test_a_malformed_file_is_refused_with_a_reason(desk, tmp_path, content, words):
+def test_a_malformed_file_is_refused_with_a_reason(restored_desk, tmp_path, content, words):
+    desk = restored_desk
     before, version = desk.session.config, desk.session.frame.config_version
     path = tmp_path / "bad.yaml"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -96,8 +97,8 @@ def test_a_malformed_file_is_refused_with_a_reason(desk, tmp_path, content, word
     desk.dismiss(notice)
 
 
-def test_applying_the_structure_form_rebuilds_the_planner(fresh_desk):
-    desk = fresh_desk
+def test_applying_the_structure_form_rebuilds_the_planner(restored_desk):
+    desk = restored_desk
     assert desk.session.frame.plan.stage1_cost.shape[1] == 128
     desk.open_tab("Tune")
     desk.open_folder("Structure", "Samples K")

@@ -7,17 +7,16 @@ from pathlib import Path
 import pytest
 
 from aero_viz.dashboard.panels.keys import rows
-from tests.browser.desk import Desk, visit
+from tests.browser.desk import COARSE, Desk, visit
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "flights.md"
 
 
 @pytest.fixture
-def desk(fresh_desk: Desk) -> Desk:
+def desk(restored_desk: Desk) -> Desk:
     """A paused flight; the mouse has been in the scene last."""
-    fresh_desk.page.get_by_role("tab", name="Tune").wait_for()
-    fresh_desk.page.mouse.click(500, 200)
-    return fresh_desk
+    restored_desk.page.mouse.click(500, 200)
+    return restored_desk
 
 
 def test_ctrl_z_undoes_a_change_of_a_parameter_and_ctrl_shift_z_redoes_it(desk):
@@ -48,7 +47,7 @@ def test_arrows_step_without_turning_the_camera_and_the_space_bar_plays_and_pres
 def test_keys_do_nothing_in_a_field_or_on_a_slider(desk):
     before, count = desk.session.frame, len(desk.session.frame.world.spheres)
     field = desk.control("Path").locator("input")
-    field.click()
+    field.fill("")
     desk.page.keyboard.type(" T.,2")
     assert field.input_value() == " T.,2"
     desk.open_tab("Tune")
@@ -98,7 +97,7 @@ def test_the_command_palette_lists_every_key_and_runs_what_is_chosen(desk):
 
 
 def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_layers(desk, browser):
-    second = visit(browser, desk.dashboard.url)
+    second = visit(browser, desk.dashboard.url, resolution=COARSE)
     second.get_by_text("You look on; your camera").wait_for()
     before = desk.session.frame
     second.mouse.click(500, 200)

@@ -9,7 +9,7 @@ from playwright.sync_api import Browser
 from aero_viz.catalog import open_source
 from aero_viz.reader_process import Reader, read_here
 from aero_viz.session.source import Conditions, Source
-from tests.browser.desk import Desk, open_desk
+from tests.browser.desk import COARSE, Desk, open_desk
 
 
 def open_slowly(spec: str, /, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
@@ -21,7 +21,7 @@ def open_slowly(spec: str, /, *, seed: int, read: Reader = read_here, conditions
 @pytest.fixture
 def slow_desk(browser: Browser) -> Iterator[Desk]:
     """A page on which every source takes long to open."""
-    with open_desk(browser, ticks=1, layers=["drone"], opener=open_slowly) as desk:
+    with open_desk(browser, ticks=1, resolution=COARSE, layers=["drone"], opener=open_slowly) as desk:
         yield desk
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aero_viz.dashboard import palette
-from tests.browser.desk import visit
+from tests.browser.desk import COARSE, visit
 from tests.browser.pictures import Image, count, differing
 
 
@@ -79,8 +79,8 @@ def test_a_logarithmic_slider_shows_values_and_sets_them(desk):
     desk.wait_for(lambda: float(number.input_value()) == 0.1, "the temperature before")
 
 
-def test_the_step_pause_restart_and_time_controls_work(fresh_desk):
-    desk = fresh_desk
+def test_the_step_pause_restart_and_time_controls_work(restored_desk):
+    desk = restored_desk
     desk.dashboard.show_only(["rollouts", "drone"])  # quick to draw
     index = desk.session.frame.index
     desk.click("+10")
@@ -118,8 +118,8 @@ def test_the_step_pause_restart_and_time_controls_work(fresh_desk):
     assert desk.console == []
 
 
-def test_the_page_follows_play_pause_and_steps_from_elsewhere(fresh_desk):
-    desk = fresh_desk
+def test_the_page_follows_play_pause_and_steps_from_elsewhere(restored_desk):
+    desk = restored_desk
     desk.dashboard.show_only(["drone"])
     desk.session.play()
     desk.page.get_by_role("button", name="Pause", exact=True).wait_for()
@@ -131,8 +131,8 @@ def test_the_page_follows_play_pause_and_steps_from_elsewhere(fresh_desk):
     desk.wait_for(lambda: time in status_text(desk), "the panels to follow a step from elsewhere")
 
 
-def test_a_wrong_path_is_reported_and_the_source_stays(fresh_desk):
-    desk = fresh_desk
+def test_a_wrong_path_is_reported_and_the_source_stays(restored_desk):
+    desk = restored_desk
     source = desk.session.source
     desk.control("Path").locator("input").fill("/nowhere/at-all.mcap")
     desk.click("Open path")
@@ -151,7 +151,7 @@ def test_a_wrong_path_is_reported_and_the_source_stays(fresh_desk):
 def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(fresh_desk, browser):
     desk = fresh_desk
     desk.dashboard.show_only(["rollouts", "drone"])
-    second = visit(browser, desk.dashboard.url)
+    second = visit(browser, desk.dashboard.url, resolution=COARSE)
     desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "the second client")
     desk.click("Play")
     second.get_by_role("button", name="Pause", exact=True).wait_for()

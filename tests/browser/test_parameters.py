@@ -8,7 +8,7 @@ from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard.preset_store import PresetStore
-from tests.browser.desk import Desk, open_desk
+from tests.browser.desk import COARSE, Desk, open_desk
 
 
 @pytest.fixture
@@ -16,7 +16,9 @@ def tune(browser, tmp_path, monkeypatch):
     """The tab with the parameters; presets are saved in a folder of the test."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     config = small_config().replace({"sampling.samples": 128})
-    with open_desk(browser, small_source(), ticks=3, size=(1280, 720), config=config, layers=["drone"]) as desk:
+    with open_desk(
+        browser, small_source(), ticks=3, size=(1280, 720), config=config, resolution=COARSE, layers=["drone"]
+    ) as desk:
         desk.open_tab("Tune")
         desk.parameter("costs.q_track").wait_for()
         yield desk
@@ -100,7 +102,7 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser)
     desk.wait_for(lambda: preset.input_value() == "narrow gap", "it to be the preset")
     assert PresetStore().load("narrow gap").config == saved
 
-    with open_desk(browser, small_source(), ticks=2, size=(1280, 720), layers=["drone"]) as tomorrow:
+    with open_desk(browser, small_source(), ticks=2, size=(1280, 720), resolution=COARSE, layers=["drone"]) as tomorrow:
         session: Any = tomorrow.session
         tomorrow.open_tab("Tune")
         tomorrow.choose("Preset", "narrow gap")

@@ -8,8 +8,8 @@ from aero_viz.dashboard.links import Link
 from tests.browser.pictures import count
 
 
-def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(restored_desk, tmp_path):
+    desk = restored_desk
     desk.session.configure({"costs.q_track": 8.0})
     desk.session.step(3).result()
     desk.open_folder("Share", "Web page")
@@ -22,8 +22,8 @@ def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(fresh_d
     assert desk.session.frame.index == before + 1
 
 
-def test_the_picture_shows_the_scene_and_the_panels(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_the_picture_shows_the_scene_and_the_panels(restored_desk, tmp_path):
+    desk = restored_desk
     desk.dashboard.show_only(["drone", "rollouts"])
     desk.open_folder("Share", "Picture")
     path = desk.download("Picture", tmp_path)
@@ -34,8 +34,8 @@ def test_the_picture_shows_the_scene_and_the_panels(fresh_desk, tmp_path):
     assert count(image[:, width - 350 :], palette.PANEL[7]) > 0.3 * 350 * height, "the panel"
 
 
-def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(fresh_desk):
-    desk = fresh_desk
+def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restored_desk):
+    desk = restored_desk
     desk.session.configure({"costs.q_track": 8.0})
     desk.session.seek(0.1).result()
     desk.open_folder("Share", "Copy link")
@@ -57,8 +57,8 @@ def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(fresh_d
     assert again is not None and np.isclose(again.time, 0.1)
 
 
-def test_a_link_of_another_page_brings_no_pictures_and_no_markup_onto_the_page(fresh_desk):
-    desk, requested = fresh_desk, []
+def test_a_link_of_another_page_brings_no_pictures_and_no_markup_onto_the_page(restored_desk):
+    desk, requested = restored_desk, []
     desk.page.on("request", lambda request: requested.append(request.url))
     desk.page.goto(desk.dashboard.url + "?source=%21%5Ba%5D%28http%3A//127.0.0.1%3A9/x%29%3Ch1%3Efree%20prize%3C/h1%3E")
     desk.page.get_by_text("![a](http://127.0.0.1:9/x)<h1>free prize</h1>").wait_for()

@@ -28,8 +28,8 @@ def solids(desk: Desk) -> np.ndarray:
     return desk.render(np.add(position, (-4.0, 0.0, 3.0)), np.add(position, (4.0, 0.0, 0.0)))
 
 
-def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(restored_desk, tmp_path):
+    desk = restored_desk
     forest = solids(desk)
     choose(desk, "pillars")
     desk.page.get_by_text("A room with 6 pillars").wait_for()
@@ -57,8 +57,8 @@ def test_another_scene_and_a_world_from_a_file_are_chosen_in_the_page(fresh_desk
     assert desk.dashboard.failures == 0
 
 
-def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
-    desk = fresh_desk
+def test_a_seed_that_is_opened_flies_as_on_the_command_line(restored_desk):
+    desk = restored_desk
     desk.session.play()
     field = desk.control("Seed").locator("input")
     desk.enter(field, "3")
@@ -72,8 +72,8 @@ def test_a_seed_that_is_opened_flies_as_on_the_command_line(fresh_desk):
     np.testing.assert_array_equal(desk.session.frame.trail, path)
 
 
-def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(restored_desk, tmp_path):
+    desk = restored_desk
     wall = np.array([[5.0, -3.0, -10.0, 5.0, 3.0, -10.0, 5.0, 0.0, -4.0]])
     ground = np.array([[5.0, 0.0, -10.5, 60.0, 60.0, 1.0, 0.0]])
     ends = np.array([[0.0, 0.0, -8.0], [10.0, 0.0, -8.0]])
@@ -88,8 +88,8 @@ def test_a_mesh_is_seen_from_both_sides_and_its_ground_height_is_known(fresh_des
     assert desk.dashboard.failures == 0
 
 
-def test_a_world_whose_start_is_in_an_obstacle_explains_why_it_ends_at_once(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_a_world_whose_start_is_in_an_obstacle_explains_why_it_ends_at_once(restored_desk, tmp_path):
+    desk = restored_desk
     path = tmp_path / "stuck.json"
     World("stuck", np.zeros(3), np.array([9.0, 0.0, 0.0]), spheres=np.array([[0.1, 0.0, 0.0, 0.5]])).save(path)
     desk.control("Path").locator("input").fill(str(path))
@@ -196,8 +196,8 @@ def test_a_seed_typed_just_before_the_click_counts(fresh_desk):
         desk.wait_for(lambda: desk.session.frame.source.name == f"forest-100-{seed}", f"forest {seed}")  # noqa: B023
 
 
-def test_a_source_that_is_opened_after_a_flight_has_ended_plays(fresh_desk, tmp_path):
-    desk = fresh_desk
+def test_a_source_that_is_opened_after_a_flight_has_ended_plays(restored_desk, tmp_path):
+    desk = restored_desk
     World("near", np.array([0.0, 0.0, 2.0]), np.array([0.2, 0.0, 2.0])).save(tmp_path / "near.json")
     desk.control("Path").locator("input").fill(str(tmp_path / "near.json"))
     desk.click("Open path")

@@ -16,7 +16,7 @@ from aero_viz.evaluation.tune import FlightOptions, ParameterRange, SearchOption
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
-from tests.browser.desk import TIMEOUT, open_desk, visit
+from tests.browser.desk import COARSE, TIMEOUT, open_desk, visit
 
 
 def world() -> World:
@@ -41,7 +41,9 @@ def test_a_point_of_the_front_becomes_b_and_the_page_follows_the_study(browser, 
     front = {point.trial: point for point in study.read().points if point.on_front}
     source = small_source(goal=7.0)
     present = config_for_flight(small_config(), source.info)
-    with open_desk(browser, source, ticks=5, config=present, layers=["drone"], size=(1000, 900), study=study) as desk:
+    with open_desk(
+        browser, source, ticks=5, config=present, resolution=COARSE, layers=["drone"], size=(1000, 900), study=study
+    ) as desk:
         session: Any = desk.session
         desk.open_tab("Study")
         desk.page.get_by_text("8 of 8 candidates, 9 flights").wait_for()
@@ -84,7 +86,7 @@ def test_tune_serves_the_page_while_it_flies(browser, tmp_path: Path) -> None:
         assert process.stdout and process.stderr
         address = re.search(r"AERO-Viz shows poles.json at (\S+)", process.stderr.readline())
         assert address
-        page = visit(browser, address[1], size=(1000, 900))
+        page = visit(browser, address[1], size=(1000, 900), resolution=COARSE)
         page.get_by_role("tab", name="Study").click()
 
         def count() -> int:
