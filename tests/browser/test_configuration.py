@@ -126,8 +126,7 @@ def test_a_structural_number_typed_just_before_apply_is_used(fresh_desk, way):
     desk.open_folder("Structure", "Samples K")
     number = desk.parameter("sampling.samples").locator("input")
     for samples in (64, 96):
-        number.click(click_count=3)
-        number.press_sequentially(f"{samples}")
+        desk.type_number(number, samples)
         if way == "Enter":
             number.press("Enter")
             desk.page.wait_for_timeout(100)

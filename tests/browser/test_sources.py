@@ -189,9 +189,7 @@ def test_enter_opens_a_path_and_the_list_shows_what_is_open(fresh_desk, tmp_path
 def test_a_seed_typed_just_before_the_click_counts(fresh_desk):
     desk = fresh_desk
     for seed in (17, 23):
-        field = desk.control("Seed").locator("input")
-        field.click(click_count=3)
-        field.press_sequentially(f"{seed}")
+        desk.type_number(desk.control("Seed").locator("input"), seed)
         desk.page.get_by_role("button", name="Open", exact=True).click()
         desk.wait_for(lambda: desk.session.frame.source.name == f"forest-100-{seed}", f"forest {seed}")  # noqa: B023
 
@@ -211,25 +209,19 @@ def test_a_source_that_is_opened_after_a_flight_has_ended_plays(restored_desk, t
     desk.wait_for(lambda: desk.session.playing, "the flight to start")
 
 
-def type_number(desk: Desk, label: str, value: str) -> None:
-    field = desk.control(label).locator("input")
-    field.click(click_count=3)
-    field.press_sequentially(value)
-
-
 def test_a_scene_is_opened_with_the_obstacles_lidar_noise_and_wind_of_the_page(fresh_desk):
     desk = fresh_desk
     obstacles = desk.control("Obstacles").locator("input")
     assert obstacles.input_value() == "100", "the forest's own"
-    type_number(desk, "Obstacles", "40")
+    desk.type_number(desk.control("Obstacles").locator("input"), 40)
     desk.choose("LiDAR", "spinning64")
     desk.open_folder("Noise and wind", "Gust speed w [m/s]")
-    type_number(desk, "Position error [m]", "0.05")
-    type_number(desk, "Gust speed w [m/s]", "2")
+    desk.type_number(desk.control("Position error [m]").locator("input"), 0.05)
+    desk.type_number(desk.control("Gust speed w [m/s]").locator("input"), 2)
     desk.page.get_by_role("button", name="Open", exact=True).click()
     desk.refusal("set drone.drag too").wait_for()
     assert desk.session.frame.source.name == "forest-100-0"
-    type_number(desk, "Drag k [1/s]", "0.3")
+    desk.type_number(desk.control("Drag k [1/s]").locator("input"), 0.3)
     desk.page.get_by_role("button", name="Open", exact=True).click()
     desk.wait_for(lambda: desk.session.frame.source.name == "forest-40-0", "a forest of 40 trees")
     settings = desk.session.frame.source.settings
