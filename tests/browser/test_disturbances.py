@@ -16,7 +16,7 @@ TITLES = {info.path: f"{info.title} now" for info in LIVE}
 @pytest.fixture(scope="module")
 def desk(browser):
     """A flight through the forest, paused."""
-    with open_desk(browser, ticks=10, size=(1280, 800), layers=["drone"]) as desk:
+    with open_desk(browser, ticks=10, size=(1280, 800), resolution=0.5, layers=["drone"]) as desk:
         desk.open_tab("World")
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0

@@ -11,7 +11,7 @@ from tests.browser.desk import Desk, open_desk
 @pytest.fixture(scope="module")
 def desk(browser):
     """A page with the arrows that move the goal, shared by the tests of this module."""
-    with open_desk(browser, ticks=10, size=(1280, 720), layers=["goal", "drone"]) as desk:
+    with open_desk(browser, ticks=10, size=(1280, 720), resolution=0.5, layers=["goal", "drone"]) as desk:
         desk.checkbox("Drag the goal").click()
         yield desk
         assert desk.console == []

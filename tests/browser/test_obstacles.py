@@ -16,7 +16,7 @@ GROUND = (600.0, 650.0)
 @pytest.fixture(scope="module")
 def page(browser):
     """A flight through the forest with its obstacles and the tab that changes them."""
-    with open_desk(browser, ticks=10, size=(1280, 720), layers=["obstacles", "drone"]) as desk:
+    with open_desk(browser, ticks=10, size=(1280, 720), resolution=0.5, layers=["obstacles", "drone"]) as desk:
         desk.open_tab("World")
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0

@@ -56,7 +56,7 @@ def test_a_full_disk_is_named(browser, tmp_path):
     del browser
     (tmp_path / "a.png").symlink_to("/dev/full")
     with pytest.raises(UserError, match=r"a\.png cannot be written: No space left on device\.$"):
-        snapshot(FlightSource(scene("forest", seed=0)), path=tmp_path / "a.png", **ARGUMENTS)
+        snapshot(FlightSource(scene("forest", seed=0)), path=tmp_path / "a.png", size=(160, 100))
 
 
 @pytest.mark.parametrize(
