@@ -46,8 +46,8 @@ _PX4: dict[str, Value] = {
     "sampling.variance_rate_z": 0.02,
     "sampling.nominal_lag": 0.1,
     "costs.q_control_rate": 100.0,
-    "costs.q_control_jump": 100.0,
-    "costs.q_height": 2.0,
+    "costs.q_control_jump": 60.0,
+    "costs.q_height": 3.0,
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
