@@ -110,7 +110,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
             count = cloud.shell_ends[counters, last]
             if worker + thread == 0:
                 wp.atomic_add(worker_dropped, worker, b, cloud.shell_ends[counters, SHELLS])
-        nearly_square = 1.0001 * range_max * range_max
+        range_squared = 1.0001 * range_max * range_max  # with a margin for rounding
         dx = Reals()
         dy = Reals()
         dz = Reals()
@@ -121,7 +121,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         groups = (count + WIDTH - 1) // WIDTH
         for group in range(worker + thread, groups, stride):
             if wp.static(tuning.is_cuda):
-                waiting = int(0)  # as it is: a constant index keeps the point in registers
+                waiting = int(0)  # it is 0 already; a constant index keeps the point in registers
             start = group * WIDTH
             not_finite = int(0)
             for j in range(wp.min(WIDTH, count - start)):
@@ -136,7 +136,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                 if ordered:
                     waiting += 1
                 else:
-                    waiting += wp.where(wp.dot(d, d) <= nearly_square, 1, 0)
+                    waiting += wp.where(wp.dot(d, d) <= range_squared, 1, 0)
                     # d - d is NaN for a component that is not finite; the squared range may overflow for finite points.
                     not_finite += wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, 0, 1)
             add_count(worker_dropped, worker, b, not_finite)
