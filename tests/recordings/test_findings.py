@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from command_line import run, run_json
 
+from aero_planner import PlannerConfig
 from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate, rotation_matrix
 from aero_viz.catalog import shipped_recordings
 from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
@@ -34,8 +35,9 @@ class Flight(NamedTuple):
 
 def fly(folder: Path, *, seed: int) -> Path:
     path = folder / "flight.mcap"
+    config = PlannerConfig().replace({"escape.ahead": 1000.0})  # other parameters make another flight
     options = SensorLogOptions(every=4, plan_period=None, duration=4.0)
-    write_sensor_log(scene("forest", seed=seed), path, seed=seed, speed=5.0, options=options)
+    write_sensor_log(scene("forest", seed=seed), path, config=config, seed=seed, speed=5.0, options=options)
     return path
 
 
