@@ -26,9 +26,9 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.statistics import wilson_interval
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
-from aero_viz.scenes import scene
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import lidar_model
+from benchmarks.common import make_world, split_change, value_of
 
 ROWS = ("forest:100", "inclines:400", "verticals:300", "inclines:800", "verticals:600", "verticals:1000")
 LAGS = {"thrust_lag": 0.04, "rate_lag": 0.03, "drag": 0.25, "gust_speed": 1.5, "latency": 0.02}
@@ -44,7 +44,7 @@ def main() -> None:
     deadline = time.monotonic() + options.budget
     worlds = _worlds(options)
     named = options.variant or [["default"]]
-    variants = [(name, dict(word.split("=", 1) for word in words)) for name, *words in named]
+    variants = [(name, dict(map(split_change, words))) for name, *words in named]
     with open(options.output, "a", encoding="utf-8") as file:
         for name, changes in variants:
             for mode in options.modes:
@@ -64,7 +64,7 @@ def fly_rows(
     """Fly one variant in the worlds of all rows, in one batch per `options.batch` flights; yield a record per row."""
     changes = dict(changes)
     lidar = changes.pop("lidar", options.lidar)
-    config = PlannerConfig().replace({"vehicle.speed_limit": speed} | {k: _value(v) for k, v in changes.items()})
+    config = PlannerConfig().replace({"vehicle.speed_limit": speed} | {k: value_of(v) for k, v in changes.items()})
     flights = [(row, world) for row, row_worlds in worlds.items() for world in row_worlds]
     results: list[tuple[str, Any]] = []
     started = time.monotonic()
@@ -114,30 +114,13 @@ def format_line(line: dict[str, Any]) -> str:
     )
 
 
-def _value(text: str) -> Any:
-    if text in ("True", "False"):
-        return text == "True"
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return text
-
-
-def _make_world(job: tuple[str, int]) -> World:
-    row, seed = job
-    name, _, count = row.partition(":")
-    return scene(name, seed=seed, count=int(count) if count else None)
-
-
 def _worlds(options: Any) -> dict[str, list[World]]:
     """Return the passable worlds of each row."""
     first, _, last = options.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)
     jobs = [(row, seed) for row in options.rows for seed in seeds]
     with ProcessPoolExecutor(options.processes) as pool:
-        made = list(pool.map(_make_world, jobs, chunksize=8))
+        made = list(pool.map(make_world, *zip(*jobs, strict=True), chunksize=8))
     worlds: dict[str, list[World]] = {row: [] for row in options.rows}
     known = json.loads(options.passable.read_text()) if options.passable else None
     for (row, seed), world in zip(jobs, made, strict=True):

@@ -1,4 +1,4 @@
-"""Parts shared by the benchmarks: the options of their command lines and the name of the machine."""
+"""Parts shared by the benchmarks: options of their command lines, worlds, and the name of the machine."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_planner.config.file import config_from_name
 from aero_planner.warp_init import find_device
+from aero_viz.scenes import scene
+from aero_viz.scenes.world import World
 
 
 def make_parser(name: str, description: str | None, *, points: int = 200_000) -> argparse.ArgumentParser:
@@ -38,6 +40,36 @@ def config_of(preset: str, **sampling: int | None) -> PlannerConfig:
     """
     changes = {f"sampling.{name}": value for name, value in sampling.items() if value is not None}
     return config_from_name(preset).replace(changes)
+
+
+def split_change(word: str) -> tuple[str, str]:
+    """Return the path and the value of SECTION.KEY=VALUE, both as text.
+
+    Raises:
+        ValueError: the word has another form.
+    """
+    path, equals, text = word.partition("=")
+    if not equals:
+        raise ValueError(f"{word} is not of the form SECTION.KEY=VALUE.")
+    return path, text
+
+
+def value_of(text: str) -> Any:
+    """Return the value of a parameter that a command line states: a truth value, a number or a text."""
+    if text in ("True", "False"):
+        return text == "True"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def make_world(row: str, seed: int) -> World:
+    """Return the world of a row SCENE or SCENE:COUNT."""
+    name, _, count = row.partition(":")
+    return scene(name, seed=seed, count=int(count) if count else None)
 
 
 def machine(device: str) -> str:

@@ -21,13 +21,10 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
 from aero_planner.cli_util import run_command
-from aero_planner.config import Value
 from aero_viz.flight import FlightBatch, FlightResult, FlightRules, VehicleModel
 from aero_viz.rig.px4_log import count_sign_changes
 from aero_viz.rig.rig import PX4_RESPONSE
-from aero_viz.scenes import scene
-from aero_viz.scenes.world import World
-from benchmarks.common import config_of, machine, positive
+from benchmarks.common import config_of, machine, make_world, positive, split_change, value_of
 
 ROWS = ("forest:5", "forest:7", "inclines:300:5", "inclines:300:7", "verticals:300:5", "verticals:300:7")
 HEADER = (
@@ -97,35 +94,19 @@ def fly_rows(options: Any) -> Iterator[str]:
     """Fly every configuration in every row of the table and yield its lines."""
     configs = {name: config_of(name) for name in options.presets}
     for name, preset, *changes in options.variant:
-        configs[name] = config_of(preset).replace(dict(_change(word) for word in changes))
+        configs[name] = config_of(preset).replace({path: value_of(text) for path, text in map(split_change, changes)})
     rules = FlightRules(ticks_per_plan=options.ticks_per_plan, time_limit=options.time_limit)
     for row in options.rows:
-        scene_name, *count, speed = row.split(":")
-        worlds = [_world(scene_name, count, options.first_seed + i) for i in range(options.flights)]
+        world_row, _, speed = row.rpartition(":")
+        worlds = [make_world(world_row, options.first_seed + i) for i in range(options.flights)]
         for name, base in configs.items():
             config = base.replace({"vehicle.speed_limit": float(speed)})
             vehicle = VehicleModel.from_config(config, **PX4_RESPONSE)
             batch = FlightBatch(worlds, config=config, device=options.device, vehicle=vehicle, rules=rules)
             columns = summarize(fly(batch), batch.results(), config, rules.period)
             batch.planner.close()
-            where = ", ".join((scene_name, *count, f"{speed} m/s"))
+            where = ", ".join((*world_row.split(":"), f"{speed} m/s"))
             yield f"| {' | '.join((name, where, *columns))} |"
-
-
-def _world(name: str, count: list[str], seed: int) -> World:
-    return scene(name, seed=seed, count=int(count[0]) if count else None)
-
-
-def _change(word: str) -> tuple[str, Value]:
-    """Return the path and the value of PATH=VALUE.
-
-    Raises:
-        ValueError: it has another form.
-    """
-    path, equals, value = word.partition("=")
-    if not equals:
-        raise ValueError(f"{word} is not of the form SECTION.KEY=VALUE.")
-    return path, float(value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -60,6 +60,7 @@ class CloudStages:
         ]  # fmt: skip
 
     def finish_fine_cells(self) -> Callable[[], Any]:
+        """Merge the cells of all workers into ranges and the filtered cloud."""
         o, w = self._outputs, self._work
         return self._record(
             partition.finish_fine_cells,
@@ -85,6 +86,7 @@ class CloudStages:
         ]  # fmt: skip
 
     def find_nearest_surfaces(self) -> Callable[[], Any]:
+        """Find the nearest surface above and below each cell."""
         sizes = self._sizes
         return self._record(
             continuation.find_nearest_surfaces,
@@ -139,6 +141,7 @@ class CloudStages:
         return chunks
 
     def pool_coarse_cells(self) -> Callable[[], Any]:
+        """Find range and safe direction of each coarse cell."""
         o, w, part = self._outputs, self._work, self._config.partition
         return self._record(
             partition.pool_coarse,
