@@ -172,7 +172,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     distance = problem.obstacles.distance(x.positions, step_times(x.positions, config))
     controls, command = plan.controls.astype(np.float64), read("command")
     terms = stage2_terms(x, controls, command, waypoints, problem, collision=collision_cost(distance, config))
-    nearest, start_clearance = read("instance_scores")[:M, 1], float(read("state_terms")[0, -1, 3])
+    nearest, start_clearance = read("instance_scores")[:M, 1], float(read("standing_clearance")[0, -1])
     safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
     is_safe = nearest >= np.float32(safe)
     if config.candidates.prove_stop != "off":
@@ -223,6 +223,7 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
         wp.launch(roll_out_stops, (1, count), inputs=inputs, outputs=outputs)
         inputs = [i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns]
         inputs += [o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1], w.state_terms]
+        inputs += [w.standing_clearance]
         wp.launch(evaluate_stops(CPU), (1, count, 4 * config.sampling.steps, 1), inputs=inputs, outputs=outputs[2:])
     return outputs[2].numpy()[0].astype(np.float64)
 

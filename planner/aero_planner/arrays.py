@@ -176,7 +176,8 @@ class Workspace:
     sample_weights: wp.array = array(wp.float32, "B*M L", "", "Softmin weights, not normalised; 0 from K on.")
 
     state_terms: wp.array = array(wp.vec4, "B R Q+N+1", "", "J_goal, J_col, speed cost, clearance of Stage II states.")
-    instance_scores: wp.array = array(wp.vec2, "B R", "", "S2 and the minimum clearance [m].")
+    standing_clearance: wp.array = array(wp.float32, "B R Q+N+1", "m", "The same clearance without what moves.")
+    instance_scores: wp.array = array(wp.vec3, "B R", "", "S2, minimum clearance, and that without what moves [m].")
 
     plan_period: wp.array = array(wp.float32, "B", "s", "Time since the previous plan, taken as that to the next one.")
     stop_ready: wp.array = array(wp.int32, "B", "", "1 where a proven stop is left to fly.")

@@ -91,7 +91,8 @@ class Motion:
         self._launch(scan_obstacles, size, [recent, sweeps, i.ground_height, self._params], [arrays.scan])
         self._launch(find_segments, (int(RECENT),), [recent, sweeps, self._params, arrays.scan], [self._segments])
         size = (int(STARTS), int(MOVERS))
-        self._launch(follow_segments, size, [recent, sweeps, self._params, self._segments], [self._found])
+        inputs = [recent, sweeps, self._params, arrays.scan, self._segments]
+        self._launch(follow_segments, size, inputs, [self._found])
         self._launch(
             merge_tracks, (), [recent, oldest, self._params, arrays.scan, self._found], [arrays.newest, sweeps]
         )

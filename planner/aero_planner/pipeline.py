@@ -244,7 +244,7 @@ class Pipeline(LaunchSequence):
                 r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows, w.cell_ends,
                 w.point_packs, w.waypoints, r.rollouts,
             ],
-            outputs=[o.clearance, w.state_terms],
+            outputs=[o.clearance, w.state_terms, w.standing_clearance],
             block_dim=32,
         )  # fmt: skip
         score = self.record(
@@ -252,6 +252,7 @@ class Pipeline(LaunchSequence):
             (sizes.B, sizes.R, lanes),
             inputs=[
                 i.goal_position, w.command, self._params, r.escape, w.waypoints, o.controls, o.positions, w.state_terms,
+                w.standing_clearance,
             ],
             outputs=[r.costs, w.instance_scores],
             block_dim=32,
@@ -267,7 +268,7 @@ class Pipeline(LaunchSequence):
             inputs=[
                 r.drone, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.M, sizes.Q - sizes.N,
                 self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts, w.cell_ends,
-                w.point_packs, w.state_terms, w.instance_scores,
+                w.point_packs, w.state_terms, w.standing_clearance, w.instance_scores,
             ],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
         )  # fmt: skip
@@ -288,7 +289,7 @@ class Pipeline(LaunchSequence):
             inputs=[
                 i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,
                 self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends,
-                w.point_packs, w.stop_positions, w.state_terms,
+                w.point_packs, w.stop_positions, w.state_terms, w.standing_clearance,
             ],
             outputs=[w.stop_clearance],
             block_dim=32,
@@ -302,7 +303,7 @@ class Pipeline(LaunchSequence):
             (sizes.B, sizes.N + 1),
             inputs=[
                 i.time, i.position, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index,
-                w.waypoints, w.state_terms, w.instance_scores, w.plan_period, w.stop_ready, w.stop_controls,
+                w.waypoints, w.standing_clearance, w.instance_scores, w.plan_period, w.stop_ready, w.stop_controls,
                 w.stop_clearance,
             ],
             outputs=[

@@ -19,7 +19,7 @@ from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
-from aero_planner.kernels.stops import STOPS, safe_clearances, switch_step
+from aero_planner.kernels.stops import STOPS, mover_allowance, safe_clearances, switch_step
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 from aero_planner.plan import PlanStatus
 
@@ -110,11 +110,13 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         # out
         clearance: wp.array3d(dtype=float),
         state_terms: wp.array3d(dtype=wp.vec4),
+        standing_clearance: wp.array3d(dtype=float),
     ):
         """Evaluate costs and clearance of the N states, the PROBES of the cost-to-go, the N midpoints between states,
         and the start, in this order.
 
-        `state_terms` are J_goal, J_col, the speed cost and the clearance [m]. Launched over [B, R, N + PROBES + N + 1,
+        `state_terms` are J_goal, J_col, the speed cost and the clearance [m]; `standing_clearance` is that without
+        what moves. Launched over [B, R, N + PROBES + N + 1,
         threads per query].
         """
         b, m, t, thread = wp.tid()
@@ -140,6 +142,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             x = probe_position(x, waypoints[b, m], goal.position[b], t - steps, c)
         d = clearance_of(x, limit, b, thread, center[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
         d = above_ground(d, x, ground_height[b], c)
+        standing = d
         if t < steps or t >= steps + PROBES:
             d = clear_of_movers(d, x, time, b, movers, c)
         J_goal = float(0.0)
@@ -152,6 +155,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             margin = c.speed_margin * wp.length(v)
             clearance[b, m, t] = wp.min(d, c.distance_max)
         state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d - margin)
+        standing_clearance[b, m, t] = standing - margin
 
     return tuning.set_options(evaluate_states, keep_loops=True)
 
@@ -175,32 +179,39 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         controls: wp.array3d(dtype=wp.vec4),
         positions: wp.array3d(dtype=wp.vec3),
         state_terms: wp.array3d(dtype=wp.vec4),
+        standing_clearance: wp.array3d(dtype=float),
         # out
         costs: InstanceCosts,
-        instance_scores: wp.array2d(dtype=wp.vec2),
+        instance_scores: wp.array2d(dtype=wp.vec3),
     ):
         """Sum S2 of each instance and its terms.
 
-        `instance_scores` are S2 and the minimum clearance [m]. Launched over [B, R, THREADS].
+        `instance_scores` are S2, the minimum clearance, for which what moves counts as farther away by
+        `mover_allowance`, and the minimum clearance without what moves [m]. Launched over [B, R, THREADS].
         """
         b, m, thread = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
+        start = state_terms.shape[2] - 1
+        allowance = mover_allowance(state_terms[b, m, start][3], standing_clearance[b, m, start], c)
         sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
         nearest = float(wp.INF)
+        nearest_standing = float(wp.INF)
         blocked = float(0.0)
-        for t in range(thread, state_terms.shape[2] - 1, THREADS):
+        for t in range(thread, start, THREADS):
             term = state_terms[b, m, t]
             if t < steps:
                 sums += term
             if t < steps or (c.between_steps != 0 and t >= steps + PROBES):
-                nearest = wp.min(nearest, term[3])
+                nearest = wp.min(nearest, term[3] + allowance)
+                nearest_standing = wp.min(nearest_standing, standing_clearance[b, m, t])
             elif t < steps + PROBES and term[3] < c.blocked_radius:
                 blocked += 1.0
         J_goal = total(sums[0])
         J_col = total(sums[1])
         J_speed = total(sums[2])
-        nearest = minimum(nearest)
+        nearest_standing = minimum(nearest_standing)
+        nearest = wp.min(minimum(nearest), nearest_standing)
         blocked = total(blocked)
         if thread == 0:
             costs.goal_cost[b, m] = J_goal
@@ -210,7 +221,7 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
             jump = jump_cost(controls[b, m, 0], command[b], c.q_control_jump)
             S2 = J_goal + J_col + J_speed + jump + to_go + escape_cost(end, b, escape, c)
             costs.stage2_cost[b, m] = S2
-            instance_scores[b, m] = wp.vec2(S2, nearest)
+            instance_scores[b, m] = wp.vec3(S2, nearest, nearest_standing)
 
     return tuning.set_options(score_instances)
 
@@ -224,14 +235,15 @@ def select_best(
     cloud_age: float,
     c: Params,
     stop_ready: int,
-    instance_scores: wp.array2d(dtype=wp.vec2),
+    instance_scores: wp.array2d(dtype=wp.vec3),
     stop_clearance: wp.array2d(dtype=float),
 ):
     """Select the instance with the lowest S2; with `prefer_safe`, among the safe ones if there are any.
 
     An instance is safe if it stays `safe_clearance` away from every point, see `safe_clearances`. If the status is not
-    OK, the braking candidate with the largest clearance is flown; it replaces the "brake" instance, or the selected one
-    if there is no such instance.
+    OK, the braking candidate with the largest clearance is flown, among those that are clear of what stands if there
+    are any: what seems to move may be an error. It replaces the "brake" instance, or the selected one if there is no
+    such instance.
 
     Returns:
         Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status,
@@ -274,13 +286,18 @@ def select_best(
         replaced = best
         flown = instances
         largest_clearance = instance_scores[b, instances][1]
+        is_clear = instance_scores[b, instances][2] >= stop_safe
         proven = instance_scores.shape[1] - 1
         may_fly_stop = c.prove_stop != 0 and stop_ready != 0 and status == NO_SAFE_CANDIDATE
         for candidate in range(instances + 1, wp.where(may_fly_stop, proven + 1, proven)):
-            d = instance_scores[b, candidate][1]
-            if d > largest_clearance:
+            score = instance_scores[b, candidate]
+            better = score[1] > largest_clearance
+            if (score[2] >= stop_safe) != is_clear:
+                better = not is_clear
+            if better:
                 flown = candidate
-                largest_clearance = d
+                largest_clearance = score[1]
+                is_clear = score[2] >= stop_safe
         if may_fly_stop and instance_scores[b, proven][1] >= stop_safe:
             flown = proven
     return best, flown, replaced, status, best_stop
@@ -300,8 +317,8 @@ def commit_plan(
     brake_index: int,
     # in
     waypoints: wp.array2d(dtype=wp.vec3),
-    state_terms: wp.array3d(dtype=wp.vec4),
-    instance_scores: wp.array2d(dtype=wp.vec2),
+    standing_clearance: wp.array3d(dtype=float),
+    instance_scores: wp.array2d(dtype=wp.vec3),
     plan_period: wp.array(dtype=float),
     stop_ready: wp.array(dtype=int),
     stop_controls: wp.array3d(dtype=wp.vec4),
@@ -325,7 +342,7 @@ def commit_plan(
     """
     b, t = wp.tid()
     steps = rollouts.controls.shape[2]
-    start_clearance = state_terms[b, 0, state_terms.shape[2] - 1][3]
+    start_clearance = standing_clearance[b, 0, standing_clearance.shape[2] - 1]
     c = params[b]
     m, flown, replaced, outcome, stop = select_best(
         b, instances, brake_index, start_clearance, cloud_age[b], c, stop_ready[b], instance_scores, stop_clearance

@@ -92,6 +92,18 @@ def safe_clearances(start_clearance: float, params: Params):
 
 
 @wp.func
+def mover_allowance(clearance: float, standing_clearance: float, params: Params) -> float:
+    """Return how much nearer than usual moving obstacles may come, since one is near at the start [m].
+
+    Arguments are the clearances of the start, with and without moving obstacles. The proof that what stands is far
+    enough does not depend on them.
+    """
+    safe, stop_safe = safe_clearances(clearance, params)
+    standing_safe, standing_stop_safe = safe_clearances(standing_clearance, params)
+    return wp.max(standing_safe - safe, standing_stop_safe - stop_safe)
+
+
+@wp.func
 def roll_out_stop(
     b: int,
     i: int,
@@ -189,12 +201,16 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
         point_packs: wp.array2d(dtype=Pack),
         stop_positions: wp.array3d(dtype=wp.vec3),
         state_terms: wp.array3d(dtype=wp.vec4),
+        standing_clearance: wp.array3d(dtype=float),
     ) -> float:
         """Return the clearance of one of the 4 N states and midpoints of stop i, at most safe_clearance [m].
 
-        The first half are those of the braking manoeuvre, the others those of the candidate before the switch.
+        The first half are those of the braking manoeuvre, the others those of the candidate before the switch. What
+        moves counts as farther away by `mover_allowance`.
         """
         steps = stop_positions.shape[2] - 1
+        start = state_terms.shape[2] - 1
+        allowance = mover_allowance(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
         d = float(c.safe_clearance)
         x = position
         if row < 2 * steps:
@@ -207,13 +223,15 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
             d = clearance_of(x, limit, b, thread, position, cell_size(c), duplicate_rows, cell_ends, point_packs)
             d = above_ground(d, x, ground_height, c)
             time = float(switch_step(i % STOPS, steps, plan_period, c)) + 0.5 * float(row // 2 * 2 + 2 - row % 2)
-            d = clear_of_movers(d, x, time * c.dt, b, movers, c) - margin
+            d = wp.min(d, clear_of_movers(wp.INF, x, time * c.dt, b, movers, c) + allowance) - margin
         else:
             t = (row - 2 * steps) // 2
             if t < switch_step(i % STOPS, steps, plan_period, c):
                 # state_terms holds N states, the probes, N midpoints and the start.
-                x = positions[b, i // STOPS, t + 1]
-                d = state_terms[b, i // STOPS, wp.where(row % 2 == 0, t, steps + probes + t)][3]
+                m = i // STOPS
+                x = positions[b, m, t + 1]
+                state = wp.where(row % 2 == 0, t, steps + probes + t)
+                d = wp.min(standing_clearance[b, m, state], state_terms[b, m, state][3] + allowance)
         if c.stop_seen != 0 and row % 2 == 0:
             to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
             distance = wp.length(to_x)
@@ -253,6 +271,7 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         point_packs: wp.array2d(dtype=Pack),
         stop_positions: wp.array3d(dtype=wp.vec3),
         state_terms: wp.array3d(dtype=wp.vec4),
+        standing_clearance: wp.array3d(dtype=float),
         # in and out
         stop_clearance: wp.array2d(dtype=float),
     ):
@@ -268,6 +287,7 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         d = clearance(
             b, i, row, thread, c, position[b], quaternion[b], ground_height[b], movers, probes, duplicate_rows, rows,
             columns, fine_range, positions, plan_period[b], cell_ends, point_packs, stop_positions, state_terms,
+            standing_clearance,
         )  # fmt: skip
         if thread == 0 and d < c.safe_clearance:
             wp.atomic_min(stop_clearance, b, i, d)
@@ -306,7 +326,8 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
         cell_ends: wp.array2d(dtype=int),
         point_packs: wp.array2d(dtype=Pack),
         state_terms: wp.array3d(dtype=wp.vec4),
-        instance_scores: wp.array2d(dtype=wp.vec2),
+        standing_clearance: wp.array3d(dtype=float),
+        instance_scores: wp.array2d(dtype=wp.vec3),
         # out
         stop_controls: wp.array3d(dtype=wp.vec4),
         stop_positions: wp.array3d(dtype=wp.vec3),
@@ -322,7 +343,7 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
             return
         for i in range(instances * STOPS):
             stop_clearance[b, i] = -wp.INF
-        safe, stop_safe = safe_clearances(state_terms[b, 0, state_terms.shape[2] - 1][3], c)
+        safe, stop_safe = safe_clearances(standing_clearance[b, 0, standing_clearance.shape[2] - 1], c)
         cost = float(-wp.INF)
         m = int(-1)
         for _rank in range(instances):
@@ -349,7 +370,7 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
                             d = clearance(
                                 b, i, row, 0, c, position[b], quaternion[b], ground_height[b], movers, probes,
                                 duplicate_rows, rows, columns, fine_range, rollouts.positions, plan_period[b],
-                                cell_ends, point_packs, stop_positions, state_terms,
+                                cell_ends, point_packs, stop_positions, state_terms, standing_clearance,
                             )  # fmt: skip
                             least = wp.min(least, d)
                     stop_clearance[b, i] = least

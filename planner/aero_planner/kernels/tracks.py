@@ -1,6 +1,7 @@
 """Velocities of obstacles, from the circles of the newest sweeps.
 
-A circle that older sweeps show as well, displaced in proportion to their age, moves.
+A circle that older sweeps show as well, displaced in proportion to their age, moves, unless the scans show that its
+places were occupied all along: the visible part of an inclined trunk creeps while the drone flies by.
 """
 
 # Postponed annotations are left out: native functions need the types themselves.
@@ -61,6 +62,69 @@ def nearest_segment(b: int, recent: int, center: wp.vec2, radius: float, gate: f
     return nearest
 
 
+@wp.func
+def count_bins(
+    b: int,
+    recent: int,
+    position: wp.vec2,
+    radius: float,
+    other: wp.vec2,
+    other_radius: float,
+    origin: wp.vec3,
+    scan: wp.array3d(dtype=int),
+) -> wp.vec4i:
+    """Return the numbers of bins toward a disk that show something behind it, at it, before it, and nothing.
+
+    Bins that another disk covers do not count; there is none where its radius is negative.
+    """
+    offset = position - wp.vec2(origin[0], origin[1])
+    other_offset = other - wp.vec2(origin[0], origin[1])
+    distance = wp.max(wp.length(offset), radius + 1.0e-3)
+    other_distance = wp.max(wp.length(other_offset), other_radius + 1.0e-3)
+    middle = int((wp.atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS))
+    half = int(wp.asin(radius / distance) / BIN_ANGLE)
+    other_middle = int((wp.atan2(other_offset[1], other_offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS))
+    other_half = int(-1)
+    if other_radius >= 0.0:
+        other_half = int(wp.asin(other_radius / other_distance) / BIN_ANGLE) + 1
+    counts = wp.vec4i(0, 0, 0, 0)
+    for k in range(middle - half, middle + half + 1):
+        apart = wp.abs((k - other_middle + BINS + BINS // 2) % BINS - BINS // 2)
+        if apart > other_half:
+            r = range_of_bin(scan, b, recent, k)
+            if r == 0.0:
+                counts[3] += 1
+            elif r > distance + _GATE:
+                counts[0] += 1
+            elif r >= distance - radius - _GATE:
+                counts[1] += 1
+            else:
+                counts[2] += 1
+    return counts
+
+
+@wp.func
+def has_moved(
+    b: int,
+    begin: int,
+    oldest: int,
+    newest_place: wp.vec2,
+    oldest_place: wp.vec2,
+    radius: float,
+    rows: RecentRows,
+    cloud: CloudSweeps,
+    scan: wp.array3d(dtype=int),
+) -> bool:
+    """Return False if a later scan still shows something at the oldest place of a segment, or an earlier one already
+    shows something at its newest place, or if other things hide both places then."""
+    counts = count_bins(
+        b, begin, oldest_place, radius, newest_place, radius, origin_of_scan(b, begin, rows, cloud), scan
+    ) + count_bins(b, oldest, newest_place, radius, oldest_place, radius, origin_of_scan(b, oldest, rows, cloud), scan)
+    through = counts[0] + counts[3]
+    # Without any bin, the obstacle moves toward the drone or away from it.
+    return through > counts[1] or counts[1] + counts[2] == 0
+
+
 @wp.kernel
 def follow_segments(
     rows: RecentRows,
@@ -69,14 +133,16 @@ def follow_segments(
     # configuration
     params: wp.array(dtype=Params),
     # in
+    scan: wp.array3d(dtype=int),
     segments: Segments,
     # out
     found: FoundTracks,
 ):
     """Follow each segment of the newest sweeps back through older ones, and fit a uniform motion.
 
-    A segment moves if its speed exceeds `_SIGNIFICANCE` times its standard deviation. Segments of the `STARTS` newest
-    sweeps are followed, since an obstacle may be hidden for a while. Launched over [B, STARTS, MOVERS].
+    A segment moves if its speed exceeds `_SIGNIFICANCE` times its standard deviation and `has_moved` agrees. Segments
+    of the `STARTS` newest sweeps are followed, since an obstacle may be hidden for a while.
+    Launched over [B, STARTS, MOVERS].
     """
     b, begin, i = wp.tid()
     found.radius[b, begin, i] = -1.0
@@ -99,6 +165,8 @@ def follow_segments(
     spread = float(0.0)
     velocity = wp.vec2(0.0, 0.0)
     period = float(0.0)
+    oldest = int(begin)
+    oldest_time = float(0.0)
     for recent in range(begin + 1, begin + LENGTH):
         if rows[recent] >= 0:
             t = float(cloud.time[b, rows[recent]] - begin_time)
@@ -109,6 +177,8 @@ def follow_segments(
                 j = nearest_segment(b, recent, start + t * velocity, radius, gate, segments)
                 if j >= 0:
                     x = segments.center[b, recent, j] - start
+                    oldest = recent
+                    oldest_time = t
                     n += 1.0
                     sum_t += t
                     sum_tt += t * t
@@ -127,9 +197,12 @@ def follow_segments(
     variance = wp.max(variance, _LEAST_DEVIATION * _LEAST_DEVIATION)
     if variance > _RESIDUAL * _RESIDUAL or speed * speed * spread < _SIGNIFICANCE * _SIGNIFICANCE * variance:
         return
+    place = start + offset
+    if not has_moved(b, begin, oldest, place, place + oldest_time * velocity, sum_radius / n, rows, cloud, scan):
+        return
     # A sweep shows the obstacle as it was in the middle of it.
     elapsed = 0.5 * period + float(newest - begin_time)
-    found.position[b, begin, i] = start + offset + elapsed * velocity
+    found.position[b, begin, i] = place + elapsed * velocity
     found.velocity[b, begin, i] = velocity
     found.radius[b, begin, i] = sum_radius / n
 
@@ -137,21 +210,10 @@ def follow_segments(
 @wp.func
 def is_blocked(b: int, position: wp.vec2, radius: float, origin: wp.vec3, scan: wp.array3d(dtype=int)) -> bool:
     """Return False if the newest scan shows free space, or nothing, where an obstacle is expected."""
-    offset = position - wp.vec2(origin[0], origin[1])
-    distance = wp.length(offset)
-    if distance <= radius:
+    if wp.length(position - wp.vec2(origin[0], origin[1])) <= radius:
         return True
-    middle = int((wp.atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS))
-    half = int(wp.asin(radius / distance) / BIN_ANGLE)
-    through = int(0)
-    blocked = int(0)
-    for k in range(middle - half, middle + half + 1):
-        r = range_of_bin(scan, b, 0, k)
-        if r > distance + _GATE:
-            through += 1
-        elif r > 0.0:
-            blocked += 1
-    return blocked > through
+    counts = count_bins(b, 0, position, radius, position, -1.0, origin, scan)
+    return counts[1] + counts[2] > counts[0]
 
 
 @wp.func

@@ -39,6 +39,7 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
         inputs=[
             i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns,
             o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, positions, w.state_terms,
+            w.standing_clearance,
         ],
         outputs=[clearance],
     )  # fmt: skip

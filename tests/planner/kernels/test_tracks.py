@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from aero_planner.kernels.motion import RECENT, RecentRows, Segments
+from aero_planner.kernels.motion import BINS, RECENT, RecentRows, Segments
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.records import CloudSweeps, bundle
@@ -27,7 +27,12 @@ def test_uniform_motion_is_fitted_by_least_squares(device: str):
         center=wp.array(centers, dtype=wp.vec2, device=device),
         radius=wp.array(radii, dtype=float, device=device),
     )
-    cloud = bundle(CloudSweeps, time=wp.array(times[None], dtype=wp.float64, device=device))
+    cloud = bundle(
+        CloudSweeps,
+        time=wp.array(times[None], dtype=wp.float64, device=device),
+        origin=wp.zeros((1, L), dtype=wp.vec3, device=device),
+    )
+    empty_scan = wp.zeros((1, L, int(BINS)), dtype=int, device=device)
     shape = (1, int(STARTS), X)
     found = bundle(
         FoundTracks,
@@ -37,7 +42,9 @@ def test_uniform_motion_is_fitted_by_least_squares(device: str):
     )
     params = wp.array(np.array([pack(config)]), dtype=Params, device=device)
     rows = RecentRows(*range(L))
-    wp.launch(follow_segments, shape, inputs=[rows, cloud, params, segments], outputs=[found], device=device)
+    wp.launch(
+        follow_segments, shape, inputs=[rows, cloud, params, empty_scan, segments], outputs=[found], device=device
+    )
     for begin in range(int(STARTS)):
         t, x = times[begin : begin + int(LENGTH)], centers[0, begin : begin + int(LENGTH), :6].astype(np.float64)
         for i in range(6):
