@@ -149,7 +149,7 @@ class Pipeline(LaunchSequence):
                 part.fine_cells, part.coarse_rows, part.coarse_columns, o.fine_range, w.fine_directions,
                 w.lookahead_length, w.clip_guides, w.initial_directions, r.previous,
             ],
-            outputs=[r.guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready],
+            outputs=[r.guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready, w.stop_command],
             block_dim=32,
         )  # fmt: skip
 
@@ -303,12 +303,12 @@ class Pipeline(LaunchSequence):
             (sizes.B, sizes.N + 1),
             inputs=[
                 i.time, i.position, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index,
-                w.waypoints, w.standing_clearance, w.instance_scores, w.plan_period, w.stop_ready, w.stop_controls,
-                w.stop_clearance,
+                w.waypoints, w.standing_clearance, w.instance_scores, w.plan_period, w.stop_ready, w.stop_command,
+                w.stop_controls, w.stop_clearance,
             ],
             outputs=[
-                r.guides, r.rollouts, r.costs, o.clearance, w.tick, r.escape, o.best, o.status,
-                o.braking_instance, r.previous,
+                r.guides, r.rollouts, r.costs, o.clearance, w.tick, r.escape, o.first_control, o.best,
+                o.status, o.braking_instance, r.previous,
             ],
             block_dim=32,
         )  # fmt: skip

@@ -138,6 +138,9 @@ class Plan:
     """Number of points that were not finite."""
     stage_ms: dict[str, float] = field(default_factory=dict)
     """Time of each stage [ms]."""
+    first_control: Array | None = None
+    """Control to fly until the next plan [N, rad/s], shape [4]: the first one of `controls[best]`, or that of a proven
+    stop at this time, whose rollout has the mean over a time step. None in plans that a drone has sent."""
     samples: Array | None = None
     """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
     braking: BrakingCandidates | None = None
@@ -162,7 +165,11 @@ class Plan:
 
     @property
     def command(self) -> Array:
-        """Controls to fly, `controls[best]`, shape [N, 4]; with a batch [B, N, 4]."""
+        """Controls to fly, `first_control` and the others of `controls[best]`, shape [N, 4]; with a batch [B, N, 4]."""
         if isinstance(self.best, np.ndarray):
-            return self.controls[np.arange(len(self.best)), self.best]
-        return self.controls[self.best]
+            command = self.controls[np.arange(len(self.best)), self.best]
+        else:
+            command = self.controls[self.best].copy()
+        if self.first_control is not None:
+            command[..., 0, :] = self.first_control
+        return command

@@ -186,7 +186,10 @@ def write_shifted_controls(
 
 @wp.func
 def shifted_control(b: int, t: int, elapsed: float, params: Params, controls: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
-    """Return control t of a sequence that began `elapsed` seconds ago; past its end the drone hovers."""
+    """Return the mean control in time step t of a sequence that began `elapsed` seconds ago.
+
+    Past its end the drone hovers.
+    """
     hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
     s = float(t) + elapsed / params.dt
     i = int(s)
@@ -244,6 +247,7 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         nominal_controls: wp.array3d(dtype=wp.vec4),
         plan_period: wp.array(dtype=float),
         stop_ready: wp.array(dtype=int),
+        stop_command: wp.array(dtype=wp.vec4),
     ):
         """Write endpoint, guide and nominal controls of the M instances and the braking candidates.
 
@@ -305,6 +309,9 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         if is_stop and elapsed >= 0.0:
             for t in range(lane, nominal_controls.shape[2], LANES):
                 nominal_controls[b, m, t] = shifted_control(b, t, elapsed, c, previous.stop)
+            if lane == 0:
+                held = int(elapsed / c.dt + 1.0e-3)
+                stop_command[b] = previous.stop[b, wp.min(held, previous.stop.shape[1] - 1)]
         elif elapsed >= 0.0:
             write_shifted_controls(b, m, lane, LANES, elapsed, c, previous.controls, nominal_controls)
         elif lane == 0:

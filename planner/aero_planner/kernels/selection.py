@@ -298,7 +298,9 @@ def select_best(
                 flown = candidate
                 largest_clearance = score[1]
                 is_clear = score[2] >= stop_safe
-        if may_fly_stop and instance_scores[b, proven][1] >= stop_safe:
+        # The proven stop is flown on while it is clear of what stands, unless another one evades what moves.
+        is_proof_valid = may_fly_stop and instance_scores[b, proven][2] >= stop_safe
+        if is_proof_valid and (largest_clearance < stop_safe or instance_scores[b, proven][1] >= stop_safe):
             flown = proven
     return best, flown, replaced, status, best_stop
 
@@ -321,6 +323,7 @@ def commit_plan(
     instance_scores: wp.array2d(dtype=wp.vec3),
     plan_period: wp.array(dtype=float),
     stop_ready: wp.array(dtype=int),
+    stop_command: wp.array(dtype=wp.vec4),
     stop_controls: wp.array3d(dtype=wp.vec4),
     stop_clearance: wp.array2d(dtype=float),
     # in and out
@@ -331,6 +334,7 @@ def commit_plan(
     tick: wp.array(dtype=int),
     escape: Escape,
     # out
+    first_control: wp.array(dtype=wp.vec4),
     best: wp.array(dtype=int),
     status: wp.array(dtype=int),
     braking_instance: wp.array(dtype=int),
@@ -382,16 +386,21 @@ def commit_plan(
         else:
             for half in range(2):
                 k = t + half * steps
-                u = hover
+                kept = hover
                 if k < switch:
-                    u = rollouts.controls[b, flown, k]
+                    kept = rollouts.controls[b, flown, k]
                 elif replaced < 0 and k - switch < steps:
-                    u = stop_controls[b, m * STOPS + stop, k - switch]
-                previous.stop[b, k] = u
+                    kept = stop_controls[b, m * STOPS + stop, k - switch]
+                previous.stop[b, k] = kept
             if t == 0:
                 previous.stop_age[b] = 0.0
     if t < steps:
-        previous.controls[b, t] = rollouts.controls[b, flown, t]
+        u = rollouts.controls[b, flown, t]
+        if t == 0:
+            # What is flown is the stop itself; its rollout has the mean over the time step.
+            u = wp.where(flown == rollouts.controls.shape[1] - 1, stop_command[b], u)
+            first_control[b] = u
+        previous.controls[b, t] = u
     else:
         previous.end[b] = rollouts.positions[b, flown, t]
         waypoint = waypoints[b, flown]

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from aero_planner import Plan, Planner, PlanStatus
+from aero_planner import Plan, Planner, PlanStatus, Sweeps, VehicleState
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case
+from tests.planner.pillars import GOAL, sweeps_of
 
 
 def nearest_approach(plan: Plan, *, between: bool) -> float:
@@ -61,3 +62,40 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
     assert abs(ends[0][1]) < 0.05
     assert ends[1][1] < -0.2, ends
     assert approaches[1] > approaches[0] + 0.01
+
+
+def closing_in(planner: Planner) -> list[Plan]:
+    """Return a plan of a drone in open space, and five later ones while pillars on all sides close in on it."""
+    axes = [4.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.arange(20) * np.pi / 10]
+    sweeps, _ = sweeps_of([(axis, -0.4 * axis) for axis in axes], np.zeros(3))
+    arrival = sweeps.arrivals[-1]
+    assert arrival is not None
+    position, velocity, attitude = np.zeros(3), np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    fine = planner.config.replace({"sampling.dt": 0.02})
+    cloud, plans = Sweeps([np.full((1, 3), 60.0, np.float32)]), []
+    for k in range(6):
+        state = VehicleState(position, velocity, attitude, time=arrival.time + 0.02 * k)
+        plans.append(planner.plan(state, GOAL, cloud))
+        x = reference.roll_out(position, attitude, velocity, plans[-1].command[:1].astype(np.float64), fine)
+        position, velocity, attitude, cloud = x.p[-1], x.v[-1], x.q[-1], sweeps
+    return plans
+
+
+def test_a_proven_stop_that_is_clear_of_what_stands_is_flown_whatever_moves(device: str):
+    planner = Planner(config_of(partition__predict_speed=0.5), device=device)
+    plans = closing_in(planner)
+    assert plans[0].status == PlanStatus.OK
+    assert all(plan.status == PlanStatus.NO_SAFE_CANDIDATE for plan in plans[1:])
+    assert plans[-1].moving is not None and len(plans[-1].moving.positions) == 20
+    assert planner.history().stop_age[0] == pytest.approx(0.1)
+
+
+def test_a_proven_stop_is_flown_as_it_was_proven(device: str):
+    """Each of its controls is held for a time step, however often the planner plans meanwhile."""
+    planner = Planner(config_of(partition__predict_speed=0.5), device=device)
+    plans = closing_in(planner)
+    stop, dt = planner.history().stop[0], planner.config.sampling.dt
+    for k, plan in enumerate(plans[1:], start=1):
+        np.testing.assert_array_equal(plan.command[0], stop[int(0.02 * k / dt + 1e-3)])
+        np.testing.assert_array_equal(plan.command[1:], plan.controls[plan.best, 1:])
+    assert not np.array_equal(stop[0], stop[1])

@@ -1,7 +1,11 @@
 """Motion of circles that are found in several sweeps."""
 
+from typing import Any
+
 import numpy as np
+import pytest
 import warp as wp
+from numpy.typing import NDArray
 
 from aero_planner.kernels.motion import BINS, RECENT, RecentRows, Segments
 from aero_planner.kernels.movers import MOVERS
@@ -11,28 +15,26 @@ from aero_planner.kernels.tracks import LENGTH, STARTS, FoundTracks, follow_segm
 from tests.planner.cases import config_of
 from tests.planner.pillars import PERIOD
 
+TIMES = 5.0 - PERIOD * np.arange(int(RECENT))
+"""Arrival of each sweep, newest first [s]."""
 
-def test_uniform_motion_is_fitted_by_least_squares(device: str):
-    """The fit is that of NumPy, over the sweeps that show the segment; the others keep their places."""
-    rng = np.random.default_rng(3)
-    L, X, config = int(RECENT), int(MOVERS), config_of()
-    times = 5.0 - PERIOD * np.arange(L)
-    starts, speeds = 4.0 * np.arange(6)[:, None] * np.ones(2), rng.uniform(-1.5, 1.5, (6, 2))
-    centers = np.zeros((1, L, X, 2), np.float32)
-    centers[0, :, :6] = starts + (times - 5.0)[:, None, None] * speeds + 0.01 * rng.normal(size=(L, 6, 2))
-    radii = np.full((1, L, X), 0.3, np.float32)
+
+def follow(centers: NDArray[np.float32], device: str, *, scan: NDArray[np.int32] | None = None) -> Any:
+    """Follow circles of radius 0.3 m, whose `centers` [m] have the shape [RECENT, n, 2], around the origin."""
+    L, X, n = int(RECENT), int(MOVERS), centers.shape[1]
+    padded = np.zeros((1, L, X, 2), np.float32)
+    padded[0, :, :n] = centers
     segments = bundle(
         Segments,
-        count=wp.array(np.full((1, L), 6, np.int32), device=device),
-        center=wp.array(centers, dtype=wp.vec2, device=device),
-        radius=wp.array(radii, dtype=float, device=device),
+        count=wp.array(np.full((1, L), n, np.int32), device=device),
+        center=wp.array(padded, dtype=wp.vec2, device=device),
+        radius=wp.full((1, L, X), 0.3, dtype=float, device=device),
     )
     cloud = bundle(
         CloudSweeps,
-        time=wp.array(times[None], dtype=wp.float64, device=device),
+        time=wp.array(TIMES[None], dtype=wp.float64, device=device),
         origin=wp.zeros((1, L), dtype=wp.vec3, device=device),
     )
-    empty_scan = wp.zeros((1, L, int(BINS)), dtype=int, device=device)
     shape = (1, int(STARTS), X)
     found = bundle(
         FoundTracks,
@@ -40,13 +42,22 @@ def test_uniform_motion_is_fitted_by_least_squares(device: str):
         velocity=wp.zeros(shape, dtype=wp.vec2, device=device),
         radius=wp.zeros(shape, dtype=float, device=device),
     )
-    params = wp.array(np.array([pack(config)]), dtype=Params, device=device)
-    rows = RecentRows(*range(L))
-    wp.launch(
-        follow_segments, shape, inputs=[rows, cloud, params, empty_scan, segments], outputs=[found], device=device
-    )
+    params = wp.array(np.array([pack(config_of())]), dtype=Params, device=device)
+    bins = np.zeros((1, L, int(BINS)), np.int32) if scan is None else np.repeat(scan[None, None], L, axis=1)
+    inputs = [RecentRows(*range(L)), cloud, params, wp.array(bins, dtype=int, device=device), segments]
+    wp.launch(follow_segments, shape, inputs=inputs, outputs=[found], device=device)
+    return found
+
+
+def test_uniform_motion_is_fitted_by_least_squares(device: str):
+    """The fit is that of NumPy, over the sweeps that show the segment; the others keep their places."""
+    rng = np.random.default_rng(3)
+    starts, speeds = 4.0 * np.arange(6)[:, None] * np.ones(2), rng.uniform(-1.5, 1.5, (6, 2))
+    centers = starts + (TIMES - 5.0)[:, None, None] * speeds + 0.01 * rng.normal(size=(len(TIMES), 6, 2))
+    centers = centers.astype(np.float32)
+    found = follow(centers, device)
     for begin in range(int(STARTS)):
-        t, x = times[begin : begin + int(LENGTH)], centers[0, begin : begin + int(LENGTH), :6].astype(np.float64)
+        t, x = TIMES[begin : begin + int(LENGTH)], centers[begin : begin + int(LENGTH)].astype(np.float64)
         for i in range(6):
             slope, at_newest = np.polyfit(t - 5.0, x[:, i], 1)
             if np.linalg.norm(slope) > 0.8:
@@ -56,3 +67,15 @@ def test_uniform_motion_is_fitted_by_least_squares(device: str):
                 np.testing.assert_allclose(found.radius.numpy()[0, begin, i], 0.3, rtol=1e-5)
         assert (found.radius.numpy()[0, begin, 6:] == -1.0).all()
     assert (np.linalg.norm(speeds, axis=1) > 0.8).sum() >= 3
+
+
+@pytest.mark.parametrize(("shown", "moves"), [(8.0, True), (4.7, False), (2.0, False), (None, True)])
+def test_a_segment_has_moved_if_its_places_are_free_at_other_times(device: str, shown: float | None, moves: bool):
+    """The scans show something behind its places, at them, before them, or nothing."""
+    x = np.stack((np.full(len(TIMES), 5.0), 1.5 * (TIMES - 5.0)), axis=-1)
+    scan = None
+    if shown is not None:
+        # As `scan_obstacles` writes it.
+        scan = np.full(int(BINS), 0x7F000000 - int(np.float32(shown).view(np.int32)), np.int32)
+    radii = follow(x[:, None].astype(np.float32), device, scan=scan).radius.numpy()[0, :, 0]
+    assert (radii > 0.0).all() if moves else (radii == -1.0).all()
