@@ -3,7 +3,7 @@
 A plan contains one optimised trajectory per instance, with its cost and clearance. This example adds a term to the cost
 and flies the best instance among those that keep a safe distance. It needs no change of the planner, but the optimiser
 itself does not see the term. A term inside the optimiser is one function in planner/aero_planner/kernels/costs.py and
-one parameter in config/planner_config.py, see CONTRIBUTING.md.
+one parameter in config/sections/costs.py, see CONTRIBUTING.md.
 """
 
 import dataclasses

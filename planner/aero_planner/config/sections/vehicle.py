@@ -1,0 +1,44 @@
+"""Parameters of the model of the quadrotor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from aero_planner.config.parameter import ParameterSection, live
+
+
+@dataclass(frozen=True)
+class VehicleConfig(ParameterSection, section="vehicle"):
+    """Model of the quadrotor."""
+
+    mass: float = live(1.0, "kg", 0.05, 50.0, "Mass of the vehicle.", scale="log", symbol="m")
+    gravity: float = live(9.81, "m/s^2", 0.0, 30.0, "Gravitational acceleration.", symbol="g")
+    thrust_min: float = live(0.3, "N", 0.0, 500.0, "Smallest total thrust.", label="Minimum thrust", symbol="F_min")
+    thrust_max: float = live(16.35, "N", 0.1, 1000.0, "Largest total thrust.", label="Maximum thrust", symbol="F_max")
+    rate_xy_max: float = live(
+        3.0, "rad/s", 0.1, 20.0, "Largest roll and pitch rate.", label="Maximum roll and pitch rate", symbol="omega_xy"
+    )
+    rate_z_max: float = live(2.0, "rad/s", 0.1, 20.0, "Largest yaw rate.", label="Maximum yaw rate", symbol="omega_z")
+    thrust_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which the thrust follows its commands; 0 as in the paper: at once.",
+        label="Thrust lag", symbol="tau_F",
+    )  # fmt: skip
+    rate_xy_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which roll and pitch rates follow their commands; 0 as in the paper. "
+        "0.07 s for PX4.",
+        label="Roll and pitch rate lag", symbol="tau_xy",
+    )  # fmt: skip
+    rate_z_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which the yaw rate follows its commands; 0 as in the paper.",
+        label="Yaw rate lag", symbol="tau_z",
+    )  # fmt: skip
+    delay: float = live(
+        0.0, "s", 0.0, 0.5, "Time from a command to its effect: the latency, and the lag of the body rates where "
+        "rate_xy_lag does not model it. Plans start from the state that is predicted for it.",
+        label="Delay of commands",
+    )  # fmt: skip
+    speed_limit: float = live(
+        7.0, "m/s", 0.2, 50.0,
+        "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
+        "more speed, and costs.q_speed penalizes the excess.", basic=True,
+    )  # fmt: skip
