@@ -40,17 +40,27 @@ class GoalTracker:
         self.count = 0
         self._limits = limits
         self._received: NDArray[np.float64] | None = None
+        self._is_accepted = False
 
     def update(self, goal: NDArray[np.float64] | None, *, ground: float = 0.0) -> None:
-        """Accept the link's goal if it is new; a goal outside the fence is refused and the present one is kept.
+        """Accept the newest goal of the link; one outside the fence is refused and the present one is kept.
 
-        `ground` is the height of the ground, world frame [m].
+        A refused goal that is sent again is looked at again, since the ground may be known better by then. Sending the
+        accepted goal again changes nothing.
+
+        Args:
+            goal: The last goal received [m], shape [3], world frame, another array for each message.
+            ground: Height of the ground, world frame [m].
         """
-        if goal is None or (self._received is not None and np.array_equal(goal, self._received, equal_nan=True)):
+        if goal is None or goal is self._received:
             return
-        self._received = np.array(goal, dtype=np.float64)
-        if is_inside_fence(goal, self._limits, ground=ground):
-            self.goal, self.count = self._received, self.count + 1
+        is_repeated = self._received is not None and np.array_equal(goal, self._received, equal_nan=True)
+        self._received = goal
+        if is_repeated and self._is_accepted:
+            return
+        self._is_accepted = is_inside_fence(goal, self._limits, ground=ground)
+        if self._is_accepted:
+            self.goal, self.count = np.array(goal, dtype=np.float64), self.count + 1
             _log.info("the goal is %s", np.round(self.goal, 2).tolist())
-        else:
+        elif not is_repeated:
             _log.error("the goal %s is refused: it lies outside the geofence", np.round(goal, 2).tolist())
