@@ -192,7 +192,7 @@ class PageConnection(ServerConnection):
             self._reminder_due = time.monotonic() + _REMINDER_PERIOD
             may = self.role is Role.CONTROL
             text = 'Press "Take control" to change this.' if may else "This link cannot control the session."
-            client.add_notification("You look on", text, color="yellow", auto_close_seconds=_REMINDER_PERIOD)
+            client.add_notification("You are watching", text, color="yellow", auto_close_seconds=_REMINDER_PERIOD)
 
     def _start_upload(self, start: UploadStart) -> None:
         button = self._page.gui._gui_input_handle_from_uuid.get(start.source_component_uuid)
@@ -226,7 +226,7 @@ class PageConnection(ServerConnection):
         sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
         client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
         client.add_notification(
-            "That did not work",
+            "Error",
             f"The file has {start.size_bytes / 1000:.0f} kB and is ignored: the page takes files of up to "
             f"{self._upload_limit / 1000:.0f} kB.",
             color="red",

@@ -96,7 +96,7 @@ class PresetStore:
             raise UserError(f"{name!r} is the name of a preset of the program; choose another one.")
         if not _NAME.fullmatch(name):
             raise UserError(
-                f"{name!r} is no name for a preset; use up to 40 letters, digits, spaces, points, dashes and "
+                f"{name!r} cannot be the name of a preset; use up to 40 letters, digits, spaces, points, dashes and "
                 "underscores, beginning with a letter or a digit."
             )
         return self.folder / f"{name}.yaml"

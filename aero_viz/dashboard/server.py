@@ -79,7 +79,7 @@ _log = logging.getLogger(__name__)
 _NOTIFICATIONS: dict[str, tuple[str, Any, float]] = {
     "info": ("AERO-Viz", "blue", 5.0),
     "failure": ("The flight failed", "red", 12.0),
-    "error": ("That did not work", "red", 12.0),
+    "error": ("Error", "red", 12.0),
 }
 """Title, colour and duration [s] of a notification by level."""
 _FULL = "Too many pages are open; close one first."

@@ -138,7 +138,7 @@ class Desk:
 
     def refusal(self, words: str) -> Locator:
         """The error notification that contains these words."""
-        errors = self.page.locator(".mantine-Notification-root", has_text="That did not work")
+        errors = self.page.locator(".mantine-Notification-root", has_text="Error")
         return errors.filter(has_text=words)
 
     def dismiss(self, notification: Locator) -> None:

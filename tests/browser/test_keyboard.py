@@ -98,10 +98,10 @@ def test_the_command_palette_lists_every_key_and_runs_what_is_chosen(desk):
 
 def test_a_visitor_who_looks_on_is_told_and_has_keys_for_the_own_camera_and_layers(desk, browser):
     second = visit(browser, desk.dashboard.url, resolution=COARSE)
-    second.get_by_text("You look on; your camera").wait_for()
+    second.get_by_text("You are watching; your camera").wait_for()
     before = desk.session.frame
     second.mouse.click(500, 200)
-    refusal = second.locator(".mantine-Notification-root", has_text="You look on").first
+    refusal = second.locator(".mantine-Notification-root", has_text="You are watching").first
 
     def is_told() -> bool:
         second.keyboard.press("ArrowRight")  # has no effect until the new page has received its keys

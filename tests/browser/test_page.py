@@ -137,7 +137,7 @@ def test_a_wrong_path_is_reported_and_the_source_stays(restored_desk):
     desk.control("Path").locator("input").fill("/nowhere/at-all.mcap")
     desk.click("Open path")
     desk.page.get_by_text("/nowhere/at-all.mcap").last.wait_for()
-    desk.wait_for(lambda: "That did not work" in status_text(desk), "a notification")
+    desk.wait_for(lambda: "Error" in status_text(desk), "a notification")
     assert desk.session.source is source
     index = desk.session.frame.index
     desk.click("+1")

@@ -24,7 +24,7 @@ def second(desk: Desk, browser: Browser) -> Iterator[Page]:
     """Page of a second visitor."""
     page = visit(browser, desk.dashboard.url)
     desk.wait_for(lambda: desk.dashboard.server.visitors.count == 2, "the second visitor")
-    page.get_by_text("You look on; your camera and layers are your own.").wait_for()
+    page.get_by_text("You are watching; your camera and layers are your own.").wait_for()
     yield page
     page.close()
     desk.wait_for(lambda: desk.dashboard.server.visitors.count == 1, "the second visitor to leave")
@@ -41,7 +41,7 @@ def test_a_visitor_who_looks_on_cannot_step_until_taking_control(desk: Desk, sec
     before = desk.session.frame
     assert before is not None
     second.get_by_role("button", name="+10").click()
-    second.locator(".mantine-Notification-root", has_text="You look on").wait_for()
+    second.locator(".mantine-Notification-root", has_text="You are watching").wait_for()
     second.get_by_role("tab", name="Tune").click()
     slider = second.get_by_role("slider").last
     shown = slider.get_attribute("aria-valuenow")

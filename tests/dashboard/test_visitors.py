@@ -73,7 +73,7 @@ def test_only_who_has_control_uses_what_all_share(server: LocalServer, pair):
         second, type="FileTransferStartUpload", source_component_uuid=upload._impl.uuid, transfer_uuid="a",
         filename="f.yaml", mime_type="", part_count=1, size_bytes=1,
     )  # fmt: skip
-    heard = read_until(second, "You look on")
+    heard = read_until(second, "You are watching")
     assert slider._impl.uuid in heard, "the page shows the value that stays"
     own = server.get_clients()[1].gui.add_checkbox("own", False)
     set_value(second, own, True)
@@ -85,7 +85,7 @@ def test_only_who_has_control_uses_what_all_share(server: LocalServer, pair):
     set_value(second, slider, 3.0)
     wait_for(lambda: slider.value == 3.0, "the second visitor")
     set_value(first, slider, 2.0)
-    read_until(first, "You look on")
+    read_until(first, "You are watching")
     assert slider.value == 3.0
 
 

@@ -43,7 +43,7 @@ class VisitorPanel(Panel):
         visitors = self._visitors
         for number, (text, button) in list(self._rows.items()):
             controls, may_control = visitors.has_control(number), visitors.may_control(number)
-            role = "You control the session." if controls else "You look on; your camera and layers are your own."
+            role = "You control the session." if controls else "You are watching; your camera and layers are your own."
             if not may_control:
                 role += " This link cannot control the session."
             count = f"<b>{visitors.count} visitors</b>" if visitors.count != 1 else "<b>1 visitor</b>"

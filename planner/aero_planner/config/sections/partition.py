@@ -76,15 +76,15 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Speed limit for forgetting wakes",
     )  # fmt: skip
     predict_range: float = live(
-        10.0, "m", 1.0, 100.0, "Obstacles farther away than this are taken for standing ones.",
+        10.0, "m", 1.0, 100.0, "Obstacles farther away than this are treated as static.",
         label="Range of predicted motion",
     )  # fmt: skip
     predict_speed: float = live(
-        0.4, "m/s", 0.05, 10.0, "Obstacles slower than this are taken for standing ones.",
+        0.4, "m/s", 0.05, 10.0, "Obstacles slower than this are treated as static.",
         label="Least speed of predicted motion",
     )  # fmt: skip
     predict_width: float = live(
-        1.6, "m", 0.1, 10.0, "Obstacles wider than this are taken for standing ones.",
+        1.6, "m", 0.1, 10.0, "Obstacles wider than this are treated as static.",
         label="Width of moving obstacles",
     )  # fmt: skip
     predict_growth: float = live(
