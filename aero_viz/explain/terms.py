@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from aero_planner import PlannerConfig
 from aero_planner.kernels.mppi import PROBES
@@ -53,6 +52,8 @@ class Obstacles:
         config: PlannerConfig,
         moving: MovingObstacles | None = None,
     ) -> None:
+        from scipy.spatial import KDTree  # takes 0.1 s to import, before the page is shown
+
         self.points = points
         self._moving = moving
         self._growth = config.partition.predict_growth
