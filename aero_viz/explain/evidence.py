@@ -70,9 +70,11 @@ class Evidence:
     distance: Array
     """Distance to the obstacles after each control [m], shape [M, N]; unlike `Plan.clearance` without an upper end."""
     nearest: Array
-    """Least clearance of each instance, less the margin for its speed [m], shape [M]."""
+    """Least clearance of each instance, less the margin for its speed [m], shape [M]. What moves counts as farther away
+    while it is near at the start."""
     safe_clearance: float
-    """Clearance that the planner demanded of them [m]; less than candidates.safe_clearance where the start has less."""
+    """Clearance that the planner demanded of them [m]; less than candidates.safe_clearance where what stands is nearer
+    than that at the start."""
     stop_clearance: Array | None
     """Largest clearance of the stops of each instance [m], shape [M]; None if no stop is proven."""
     is_safe: NDArray[np.bool_]

@@ -131,7 +131,6 @@ class PlannerOutputs:
     goal_cost: wp.array = array(wp.float32, "B R", "", "J_goal.")
     collision_cost: wp.array = array(wp.float32, "B R", "", "J_col.")
     clearance: wp.array = array(wp.float32, "B R N", "m", "Distance to the nearest filtered point, at most d_max.")
-    first_control: wp.array = array(wp.vec4, "B", "N, rad/s", "Control to fly until the next plan.")
     best: wp.array = array(wp.int32, "B", "", "Index of the instance to fly.")
     status: wp.array = array(wp.int32, "B", "", "See `PlanStatus`.")
     braking_instance: wp.array = array(wp.int32, "B", "", "Instance that a braking candidate has replaced, or -1.")
@@ -182,7 +181,7 @@ class Workspace:
 
     plan_period: wp.array = array(wp.float32, "B", "s", "Time since the previous plan, taken as that to the next one.")
     stop_ready: wp.array = array(wp.int32, "B", "", "1 where a proven stop is left to fly.")
-    stop_command: wp.array = array(wp.vec4, "B", "N, rad/s", "Control of the proven stop at this time.")
+    stop_command: wp.array = array(wp.vec4, "B", "N, rad/s", "Mean control of the proven stop until the next plan.")
     stop_controls: wp.array = array(wp.vec4, "B M*J N", "N, rad/s", "Controls of the braking manoeuvre of each stop.")
     stop_positions: wp.array = array(wp.vec3, "B M*J N+1", "m", "Its rollout, world frame.")
     stop_clearance: wp.array = array(wp.float32, "B M*J", "m", "Least clearance of each stop, at most safe_clearance.")

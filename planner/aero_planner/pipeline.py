@@ -307,8 +307,8 @@ class Pipeline(LaunchSequence):
                 w.stop_controls, w.stop_clearance,
             ],
             outputs=[
-                r.guides, r.rollouts, r.costs, o.clearance, w.tick, r.escape, o.first_control, o.best,
-                o.status, o.braking_instance, r.previous,
+                r.guides, r.rollouts, r.costs, o.clearance, w.tick, r.escape, o.best, o.status,
+                o.braking_instance, r.previous,
             ],
             block_dim=32,
         )  # fmt: skip

@@ -114,7 +114,8 @@ class Plan:
     kinds: tuple[str, ...]
     """"anchor" for the first M_h M_v instances, then "previous" and "brake" where configured, length M."""
     controls: Array
-    """Optimised thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]."""
+    """Optimised thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]. While a proven stop is flown, its first
+    control is the mean until the next plan, and its rollout has that over the time step."""
     positions: Array
     """Positions of the Stage II rollouts [m], shape [M, N+1, 3], world frame."""
     velocities: Array
@@ -138,9 +139,6 @@ class Plan:
     """Number of points that were not finite."""
     stage_ms: dict[str, float] = field(default_factory=dict)
     """Time of each stage [ms]."""
-    first_control: Array | None = None
-    """Control to fly until the next plan [N, rad/s], shape [4]: the first one of `controls[best]`, or that of a proven
-    stop at this time, whose rollout has the mean over a time step. None in plans that a drone has sent."""
     samples: Array | None = None
     """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
     braking: BrakingCandidates | None = None
@@ -165,11 +163,7 @@ class Plan:
 
     @property
     def command(self) -> Array:
-        """Controls to fly, `first_control` and the others of `controls[best]`, shape [N, 4]; with a batch [B, N, 4]."""
+        """Controls to fly, `controls[best]`, shape [N, 4]; with a batch [B, N, 4]."""
         if isinstance(self.best, np.ndarray):
-            command = self.controls[np.arange(len(self.best)), self.best]
-        else:
-            command = self.controls[self.best].copy()
-        if self.first_control is not None:
-            command[..., 0, :] = self.first_control
-        return command
+            return self.controls[np.arange(len(self.best)), self.best]
+        return self.controls[self.best]

@@ -41,7 +41,6 @@ def make_plan(
     best, status, dropped_points = values["best"], values["status"], values["dropped_points"]
     return Plan.with_lazy_arrays(
         arrays,
-        first_control=arrays.per_drone(values["first_control"]),
         best=best if batched else int(best[0]),
         status=status if batched else PlanStatus(int(status[0])),
         dropped_points=dropped_points if batched else int(dropped_points[0]),

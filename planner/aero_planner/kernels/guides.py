@@ -185,13 +185,13 @@ def write_shifted_controls(
 
 
 @wp.func
-def shifted_control(b: int, t: int, elapsed: float, params: Params, controls: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
-    """Return the mean control in time step t of a sequence that began `elapsed` seconds ago.
+def mean_control(b: int, start: float, duration: float, params: Params, controls: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
+    """Return the mean of a sequence of controls from a time after its start on, for at most a time step.
 
     Past its end the drone hovers.
     """
     hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
-    s = float(t) + elapsed / params.dt
+    s = start / params.dt
     i = int(s)
     u0 = hover
     u1 = hover
@@ -199,7 +199,9 @@ def shifted_control(b: int, t: int, elapsed: float, params: Params, controls: wp
         u0 = controls[b, i]
     if i + 1 < controls.shape[1]:
         u1 = controls[b, i + 1]
-    return u0 + (s - float(i)) * (u1 - u0)
+    width = wp.clamp(duration / params.dt, 1.0e-3, 1.0)
+    share = wp.max(0.0, s + width - float(i + 1)) / width
+    return u0 + share * (u1 - u0)
 
 
 BRAKING_FAN = wp.constant(5)
@@ -272,6 +274,7 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         heading_goal = heading(goal.quaternion[b])
         elapsed = float(-1.0)
         since = time_since_plan(b, time[b], previous, c)
+        period = wp.where(since > 0.0, since, c.replan_period)
         is_stop = m == instances + BRAKING_CANDIDATES - 1
         if m < anchor_count:
             p1 = safe_anchor(
@@ -299,7 +302,7 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         if lane == 0:
             if is_stop:
                 stop_ready[b] = wp.where(elapsed >= 0.0, 1, 0)
-                plan_period[b] = wp.where(since > 0.0, since, c.replan_period)
+                plan_period[b] = period
             guides.anchors[b, m] = p1
             waypoints[b, m] = waypoint
             if m >= anchor_count:
@@ -308,10 +311,9 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         write_guide(b, m, lane, LANES, curve, c.dt, guides)
         if is_stop and elapsed >= 0.0:
             for t in range(lane, nominal_controls.shape[2], LANES):
-                nominal_controls[b, m, t] = shifted_control(b, t, elapsed, c, previous.stop)
+                nominal_controls[b, m, t] = mean_control(b, float(t) * c.dt + elapsed, c.dt, c, previous.stop)
             if lane == 0:
-                held = int(elapsed / c.dt + 1.0e-3)
-                stop_command[b] = previous.stop[b, wp.min(held, previous.stop.shape[1] - 1)]
+                stop_command[b] = mean_control(b, elapsed, period, c, previous.stop)
         elif elapsed >= 0.0:
             write_shifted_controls(b, m, lane, LANES, elapsed, c, previous.controls, nominal_controls)
         elif lane == 0:

@@ -6,7 +6,7 @@ import warp as wp
 
 from aero_planner.kernels.anchors import flown_controls, time_since_plan
 from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step, thrust_axis
-from aero_planner.kernels.guides import shifted_control
+from aero_planner.kernels.guides import mean_control
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, PreviousPlan
 
@@ -67,7 +67,7 @@ def predict_state(
         for k in range(steps):
             if since >= 0.0 and since < horizon:
                 sent = wp.max(since - c.delay + (float(k) + 0.5) * dt, 0.0)
-                u = shifted_control(b, 0, sent, c, previous.controls)
+                u = mean_control(b, sent, c.dt, c, previous.controls)
             mean = lagged_control(u, acting, mean_shares)
             acting = lagged_control(u, acting, shares)
             p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, dt)

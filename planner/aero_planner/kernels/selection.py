@@ -19,7 +19,7 @@ from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
-from aero_planner.kernels.stops import STOPS, mover_allowance, safe_clearances, switch_step
+from aero_planner.kernels.stops import STOPS, mover_allowances, safe_clearances, switch_step
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 from aero_planner.plan import PlanStatus
 
@@ -186,14 +186,14 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
     ):
         """Sum S2 of each instance and its terms.
 
-        `instance_scores` are S2, the minimum clearance, for which what moves counts as farther away by
-        `mover_allowance`, and the minimum clearance without what moves [m]. Launched over [B, R, THREADS].
+        `instance_scores` are S2, the minimum clearance, for which what moves counts as farther away by the first of
+        `mover_allowances`, and the minimum clearance without what moves [m]. Launched over [B, R, THREADS].
         """
         b, m, thread = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
         start = state_terms.shape[2] - 1
-        allowance = mover_allowance(state_terms[b, m, start][3], standing_clearance[b, m, start], c)
+        allowance, _stop_allowance = mover_allowances(state_terms[b, m, start][3], standing_clearance[b, m, start], c)
         sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
         nearest = float(wp.INF)
         nearest_standing = float(wp.INF)
@@ -334,7 +334,6 @@ def commit_plan(
     tick: wp.array(dtype=int),
     escape: Escape,
     # out
-    first_control: wp.array(dtype=wp.vec4),
     best: wp.array(dtype=int),
     status: wp.array(dtype=int),
     braking_instance: wp.array(dtype=int),
@@ -355,13 +354,17 @@ def commit_plan(
         best[b] = m
         status[b] = outcome
         braking_instance[b] = replaced
+    flown_control = rollouts.controls[b, flown, wp.min(t, steps - 1)]
+    if t == 0 and flown == rollouts.controls.shape[1] - 1:
+        # What is flown until the next plan is the stop itself; its rollout has the mean over the time step.
+        flown_control = stop_command[b]
     if replaced >= 0:
         guides.positions[b, m, t] = guides.positions[b, flown, t]
         rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]
         rollouts.velocities[b, m, t] = rollouts.velocities[b, flown, t]
         rollouts.quaternions[b, m, t] = rollouts.quaternions[b, flown, t]
         if t < steps:
-            rollouts.controls[b, m, t] = rollouts.controls[b, flown, t]
+            rollouts.controls[b, m, t] = flown_control
             clearance[b, m, t] = clearance[b, flown, t]
         if t == 0:
             guides.anchors[b, m] = guides.anchors[b, flown]
@@ -395,12 +398,7 @@ def commit_plan(
             if t == 0:
                 previous.stop_age[b] = 0.0
     if t < steps:
-        u = rollouts.controls[b, flown, t]
-        if t == 0:
-            # What is flown is the stop itself; its rollout has the mean over the time step.
-            u = wp.where(flown == rollouts.controls.shape[1] - 1, stop_command[b], u)
-            first_control[b] = u
-        previous.controls[b, t] = u
+        previous.controls[b, t] = flown_control
     else:
         previous.end[b] = rollouts.positions[b, flown, t]
         waypoint = waypoints[b, flown]

@@ -92,15 +92,15 @@ def safe_clearances(start_clearance: float, params: Params):
 
 
 @wp.func
-def mover_allowance(clearance: float, standing_clearance: float, params: Params) -> float:
-    """Return how much nearer than usual moving obstacles may come, since one is near at the start [m].
+def mover_allowances(clearance: float, standing_clearance: float, params: Params):
+    """Return how much nearer than what stands moving obstacles may come to a safe instance, and to a clear stop [m].
 
-    Arguments are the clearances of the start, with and without moving obstacles. The proof that what stands is far
-    enough does not depend on them.
+    Both are 0 unless a moving obstacle is near at the start. Arguments are the clearances of the start, with and
+    without moving obstacles. What is asked of what stands does not depend on what moves.
     """
     safe, stop_safe = safe_clearances(clearance, params)
     standing_safe, standing_stop_safe = safe_clearances(standing_clearance, params)
-    return wp.max(standing_safe - safe, standing_stop_safe - stop_safe)
+    return standing_safe - safe, standing_stop_safe - stop_safe
 
 
 @wp.func
@@ -206,11 +206,11 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
         """Return the clearance of one of the 4 N states and midpoints of stop i, at most safe_clearance [m].
 
         The first half are those of the braking manoeuvre, the others those of the candidate before the switch. What
-        moves counts as farther away by `mover_allowance`.
+        moves counts as farther away by the second of `mover_allowances`.
         """
         steps = stop_positions.shape[2] - 1
         start = state_terms.shape[2] - 1
-        allowance = mover_allowance(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
+        _allowance, allowance = mover_allowances(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
         d = float(c.safe_clearance)
         x = position
         if row < 2 * steps:

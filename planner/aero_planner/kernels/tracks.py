@@ -63,6 +63,15 @@ def nearest_segment(b: int, recent: int, center: wp.vec2, radius: float, gate: f
 
 
 @wp.func
+def bins_of_disk(position: wp.vec2, radius: float, origin: wp.vec3) -> wp.vec2i:
+    """Return the middle bin toward a disk, and the number of bins from there to its edge."""
+    offset = position - wp.vec2(origin[0], origin[1])
+    middle = (wp.atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS)
+    half = wp.asin(radius / wp.max(wp.length(offset), radius + 1.0e-3)) / BIN_ANGLE
+    return wp.vec2i(int(middle), int(half))
+
+
+@wp.func
 def count_bins(
     b: int,
     recent: int,
@@ -75,22 +84,16 @@ def count_bins(
 ) -> wp.vec4i:
     """Return the numbers of bins toward a disk that show something behind it, at it, before it, and nothing.
 
-    Bins that another disk covers do not count; there is none where its radius is negative.
+    Bins that another disk covers do not count. A negative `other_radius` means no other disk.
     """
-    offset = position - wp.vec2(origin[0], origin[1])
-    other_offset = other - wp.vec2(origin[0], origin[1])
-    distance = wp.max(wp.length(offset), radius + 1.0e-3)
-    other_distance = wp.max(wp.length(other_offset), other_radius + 1.0e-3)
-    middle = int((wp.atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS))
-    half = int(wp.asin(radius / distance) / BIN_ANGLE)
-    other_middle = int((wp.atan2(other_offset[1], other_offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS))
-    other_half = int(-1)
-    if other_radius >= 0.0:
-        other_half = int(wp.asin(other_radius / other_distance) / BIN_ANGLE) + 1
+    disk = bins_of_disk(position, radius, origin)
+    other_disk = bins_of_disk(other, wp.max(other_radius, 0.0), origin)
+    covered = wp.where(other_radius < 0.0, -1, other_disk[1] + 1)
+    distance = wp.length(position - wp.vec2(origin[0], origin[1]))
     counts = wp.vec4i(0, 0, 0, 0)
-    for k in range(middle - half, middle + half + 1):
-        apart = wp.abs((k - other_middle + BINS + BINS // 2) % BINS - BINS // 2)
-        if apart > other_half:
+    for k in range(disk[0] - disk[1], disk[0] + disk[1] + 1):
+        apart = wp.abs((k - other_disk[0] + BINS + BINS // 2) % BINS - BINS // 2)
+        if apart > covered:
             r = range_of_bin(scan, b, recent, k)
             if r == 0.0:
                 counts[3] += 1
@@ -115,14 +118,20 @@ def has_moved(
     cloud: CloudSweeps,
     scan: wp.array3d(dtype=int),
 ) -> bool:
-    """Return False if a later scan still shows something at the oldest place of a segment, or an earlier one already
-    shows something at its newest place, or if other things hide both places then."""
-    counts = count_bins(
+    """Return True if the scans agree that a segment has moved.
+
+    More bins must look through its oldest place later, and through its newest place earlier, than show something there.
+    Where none looks at either place alone, it moves along the line of sight, and nothing speaks against it.
+    """
+    later = count_bins(
         b, begin, oldest_place, radius, newest_place, radius, origin_of_scan(b, begin, rows, cloud), scan
-    ) + count_bins(b, oldest, newest_place, radius, oldest_place, radius, origin_of_scan(b, oldest, rows, cloud), scan)
+    )
+    earlier = count_bins(
+        b, oldest, newest_place, radius, oldest_place, radius, origin_of_scan(b, oldest, rows, cloud), scan
+    )
+    counts = later + earlier
     through = counts[0] + counts[3]
-    # Without any bin, the obstacle moves toward the drone or away from it.
-    return through > counts[1] or counts[1] + counts[2] == 0
+    return through > counts[1] or through + counts[1] + counts[2] == 0
 
 
 @wp.kernel

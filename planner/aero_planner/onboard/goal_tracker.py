@@ -45,11 +45,11 @@ class GoalTracker:
     def update(self, goal: NDArray[np.float64] | None, *, ground: float = 0.0) -> None:
         """Accept the newest goal of the link; one outside the fence is refused and the present one is kept.
 
-        A refused goal that is sent again is looked at again, since the ground may be known better by then. Sending the
+        A refused goal that is sent again is checked again, since the ground may be known better by then. Sending the
         accepted goal again changes nothing.
 
         Args:
-            goal: The last goal received [m], shape [3], world frame, another array for each message.
+            goal: The last goal received [m], shape [3], world frame: a new array for each message.
             ground: Height of the ground, world frame [m].
         """
         if goal is None or goal is self._received:

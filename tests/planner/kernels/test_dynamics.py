@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aero_planner import Goal, Planner, VehicleState
+from aero_planner import Goal, Planner, PlanStatus, VehicleState
 from tests.planner import reference
 from tests.planner.cases import config_of, random_case
 
@@ -71,6 +71,8 @@ def test_controls_lag_behind_the_commands(device: str, elapsed: float):
         plan = planner.plan(state, Goal(case.goal), case.points)
         np.testing.assert_allclose(planner.workspace.control.numpy()[0], control, atol=2e-5)
         for m in range(len(plan.kinds)):
+            if plan.status != PlanStatus.OK and m == plan.best:
+                continue  # the first control of a proven stop is the mean until the next plan
             x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[m], config, control)
             np.testing.assert_allclose(plan.positions[m, 1:], x.p, atol=2e-4)
             np.testing.assert_allclose(plan.quaternions[m, 1:], x.q, atol=5e-6)

@@ -1,7 +1,11 @@
 import numpy as np
 import pytest
+import warp as wp
 
 from aero_planner import Plan, Planner, PlanStatus, Sweeps, VehicleState
+from aero_planner.kernels.params import Params
+from aero_planner.kernels.selection import select_best
+from aero_planner.kernels.stops import STOPS
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case
 from tests.planner.pillars import GOAL, sweeps_of
@@ -64,38 +68,80 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
     assert approaches[1] > approaches[0] + 0.01
 
 
-def closing_in(planner: Planner) -> list[Plan]:
-    """Return a plan of a drone in open space, and five later ones while pillars on all sides close in on it."""
+def closing_in(planner: Planner, *, period: float = 0.02, count: int = 6) -> tuple[list[Plan], list[np.ndarray]]:
+    """Return plans of a drone on which pillars on all sides close in after the first plan, and the flown positions."""
     axes = [4.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.arange(20) * np.pi / 10]
     sweeps, _ = sweeps_of([(axis, -0.4 * axis) for axis in axes], np.zeros(3))
     arrival = sweeps.arrivals[-1]
     assert arrival is not None
     position, velocity, attitude = np.zeros(3), np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
-    fine = planner.config.replace({"sampling.dt": 0.02})
-    cloud, plans = Sweeps([np.full((1, 3), 60.0, np.float32)]), []
-    for k in range(6):
-        state = VehicleState(position, velocity, attitude, time=arrival.time + 0.02 * k)
+    config = planner.config.replace({"sampling.dt": period})
+    cloud, plans, flown = Sweeps([np.full((1, 3), 60.0, np.float32)]), [], [position]
+    for k in range(count):
+        state = VehicleState(position, velocity, attitude, time=arrival.time + period * k)
         plans.append(planner.plan(state, GOAL, cloud))
-        x = reference.roll_out(position, attitude, velocity, plans[-1].command[:1].astype(np.float64), fine)
+        x = reference.roll_out(position, attitude, velocity, plans[-1].command[:1].astype(np.float64), config)
         position, velocity, attitude, cloud = x.p[-1], x.v[-1], x.q[-1], sweeps
-    return plans
+        flown.append(position)
+    return plans, flown
 
 
 def test_a_proven_stop_that_is_clear_of_what_stands_is_flown_whatever_moves(device: str):
     planner = Planner(config_of(partition__predict_speed=0.5), device=device)
-    plans = closing_in(planner)
+    plans, _ = closing_in(planner)
     assert plans[0].status == PlanStatus.OK
     assert all(plan.status == PlanStatus.NO_SAFE_CANDIDATE for plan in plans[1:])
     assert plans[-1].moving is not None and len(plans[-1].moving.positions) == 20
     assert planner.history().stop_age[0] == pytest.approx(0.1)
 
 
-def test_a_proven_stop_is_flown_as_it_was_proven(device: str):
-    """Each of its controls is held for a time step, however often the planner plans meanwhile."""
+@pytest.mark.parametrize(("period", "count"), [(0.02, 10), (0.049, 5), (0.05, 4)])
+def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, count: int):
+    """However often the planner plans meanwhile, the drone is where the stop leads; its time step is 0.05 s."""
     planner = Planner(config_of(partition__predict_speed=0.5), device=device)
-    plans = closing_in(planner)
-    stop, dt = planner.history().stop[0], planner.config.sampling.dt
-    for k, plan in enumerate(plans[1:], start=1):
-        np.testing.assert_array_equal(plan.command[0], stop[int(0.02 * k / dt + 1e-3)])
-        np.testing.assert_array_equal(plan.command[1:], plan.controls[plan.best, 1:])
-    assert not np.array_equal(stop[0], stop[1])
+    plans, flown = closing_in(planner, period=period, count=count)
+    assert all(plan.status == PlanStatus.NO_SAFE_CANDIDATE for plan in plans[1:])
+    fine = planner.config.replace({"sampling.dt": 0.005})
+    stop = np.repeat(planner.history().stop[0].astype(np.float64), 10, axis=0)[: round(200 * period * count)]
+    expected = reference.roll_out(flown[0], np.array([1.0, 0, 0, 0]), np.array([3.0, 0, 0]), stop, fine)
+    np.testing.assert_allclose(flown[-1], expected.p[-1], atol=2e-3)
+    for plan in plans:
+        np.testing.assert_array_equal(plan.command, plan.controls[plan.best])
+
+
+@wp.kernel
+def select_kernel(
+    params: wp.array(dtype=Params),
+    instance_scores: wp.array2d(dtype=wp.vec3),
+    stop_clearance: wp.array2d(dtype=float),
+    flown: wp.array(dtype=int),
+):
+    b = int(wp.tid())  # type: ignore[arg-type]
+    _best, row, _replaced, _status, _stop = select_best(
+        b, 1, 0, 1.0, 0.0, params[0], 1, instance_scores, stop_clearance
+    )
+    flown[b] = row
+
+
+@pytest.mark.parametrize(
+    ("braking", "flown"),
+    [
+        ([(0.4, 0.4), (0.5, 0.5), (0.35, 0.35)], 3),  # the proven stop comes first
+        ([(0.4, 0.4), (0.5, 0.5), (0.2, 0.2)], 2),  # the largest clearance
+        ([(0.4, 0.4), (0.1, 0.5), (0.0, 0.35)], 1),  # it evades what moves, while the proven stop does not
+        ([(0.2, 0.5), (0.1, 0.5), (0.0, 0.35)], 3),  # nothing evades what moves
+        ([(0.25, 0.25), (0.1, 0.5), (0.0, 0.2)], 2),  # what stands counts more
+        ([(0.25, 0.25), (0.1, 0.2), (0.0, 0.2)], 1),
+    ],
+)
+def test_braking_candidates_are_chosen_by_what_stands_first(
+    device: str, braking: list[tuple[float, float]], flown: int
+):
+    """`braking` are the clearances with and without what moves; the last candidate is the proven stop."""
+    planner = Planner(config_of(), device=device)
+    rows = [(0.0, -1.0, -1.0), *((0.0, *clearances) for clearances in braking)]
+    scores = wp.array([rows], dtype=wp.vec3, device=device)
+    no_stops = wp.full((1, int(STOPS)), -1.0, dtype=float, device=device)
+    out = wp.empty(1, dtype=int, device=device)
+    wp.launch(select_kernel, 1, inputs=[planner.params, scores, no_stops], outputs=[out], device=device)
+    assert out.numpy()[0] == flown

@@ -10,7 +10,7 @@ from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, Rollouts, bundle
-from aero_planner.kernels.stops import STOPS, evaluate_stops, mover_allowance, roll_out_stops
+from aero_planner.kernels.stops import STOPS, evaluate_stops, mover_allowances, roll_out_stops
 from tests.planner.cases import config_of, random_case
 
 
@@ -70,15 +70,17 @@ def test_the_selection_is_that_among_all_stops(proof: str, prefer_safe: bool):
 
 
 @wp.kernel
-def allowance_kernel(pairs: wp.array(dtype=wp.vec2), params: wp.array(dtype=Params), out: wp.array(dtype=float)):
+def allowance_kernel(starts: wp.array(dtype=wp.vec2), params: wp.array(dtype=Params), out: wp.array(dtype=wp.vec2)):
     i = wp.tid()
-    out[i] = mover_allowance(pairs[i][0], pairs[i][1], params[0])
+    safe, stop_safe = mover_allowances(starts[i][0], starts[i][1], params[0])
+    out[i] = wp.vec2(safe, stop_safe)
 
 
 def test_what_moves_near_the_start_may_come_nearer_but_what_stands_may_not(device: str):
-    """The allowance is the clearance that is asked of what stands, less what is asked of everything."""
+    """The starts are clearances with and without what moves: nothing near, a moving obstacle, a static one, both."""
     planner = Planner(config_of(candidates__safe_clearance=0.35, candidates__stop_clearance=0.3), device=device)
     starts = wp.array([(1.0, 1.0), (0.1, 1.0), (0.1, 0.1), (0.1, 0.32)], dtype=wp.vec2, device=device)
-    out = wp.empty(4, dtype=float, device=device)
+    out = wp.zeros_like(starts)
     wp.launch(allowance_kernel, 4, inputs=[starts, planner.params], outputs=[out], device=device)
-    np.testing.assert_allclose(out.numpy(), [0.0, 0.35 - 0.08, 0.0, 0.3 - 0.08], atol=1e-6)
+    expected = [(0.0, 0.0), (0.35 - 0.08, 0.3 - 0.095), (0.0, 0.0), (0.3 - 0.08, 0.3 - 0.095)]
+    np.testing.assert_allclose(out.numpy(), expected, atol=1e-6)

@@ -20,7 +20,7 @@ TIMES = 5.0 - PERIOD * np.arange(int(RECENT))
 
 
 def follow(centers: NDArray[np.float32], device: str, *, scan: NDArray[np.int32] | None = None) -> Any:
-    """Follow circles of radius 0.3 m, whose `centers` [m] have the shape [RECENT, n, 2], around the origin."""
+    """Follow circles of radius 0.3 m with these `centers` [m], [RECENT, n, 2], through scans from the origin."""
     L, X, n = int(RECENT), int(MOVERS), centers.shape[1]
     padded = np.zeros((1, L, X, 2), np.float32)
     padded[0, :, :n] = centers
@@ -43,7 +43,7 @@ def follow(centers: NDArray[np.float32], device: str, *, scan: NDArray[np.int32]
         radius=wp.zeros(shape, dtype=float, device=device),
     )
     params = wp.array(np.array([pack(config_of())]), dtype=Params, device=device)
-    bins = np.zeros((1, L, int(BINS)), np.int32) if scan is None else np.repeat(scan[None, None], L, axis=1)
+    bins = np.zeros((1, L, int(BINS)), np.int32) if scan is None else scan[None]
     inputs = [RecentRows(*range(L)), cloud, params, wp.array(bins, dtype=int, device=device), segments]
     wp.launch(follow_segments, shape, inputs=inputs, outputs=[found], device=device)
     return found
@@ -69,13 +69,43 @@ def test_uniform_motion_is_fitted_by_least_squares(device: str):
     assert (np.linalg.norm(speeds, axis=1) > 0.8).sum() >= 3
 
 
+def scan_entry(distance: float) -> int:
+    """Return the entry of a bin for a range [m], as `scan_obstacles` writes it."""
+    return 0x7F000000 - int(np.float32(distance).view(np.int32))
+
+
+def is_found(x: NDArray[Any], scan: NDArray[np.int32], device: str) -> bool:
+    """Return True if a segment at the places `x` [m], [RECENT, 2], is found to move in the newest sweep."""
+    return bool(follow(x[:, None].astype(np.float32), device, scan=scan).radius.numpy()[0, 0, 0] > 0.0)
+
+
+ACROSS = np.stack((np.full(len(TIMES), 5.0), 1.5 * (TIMES - 5.0)), axis=-1)
+"""Places of a segment that moves across the line of sight."""
+
+
 @pytest.mark.parametrize(("shown", "moves"), [(8.0, True), (4.7, False), (2.0, False), (None, True)])
 def test_a_segment_has_moved_if_its_places_are_free_at_other_times(device: str, shown: float | None, moves: bool):
     """The scans show something behind its places, at them, before them, or nothing."""
-    x = np.stack((np.full(len(TIMES), 5.0), 1.5 * (TIMES - 5.0)), axis=-1)
-    scan = None
-    if shown is not None:
-        # As `scan_obstacles` writes it.
-        scan = np.full(int(BINS), 0x7F000000 - int(np.float32(shown).view(np.int32)), np.int32)
-    radii = follow(x[:, None].astype(np.float32), device, scan=scan).radius.numpy()[0, :, 0]
-    assert (radii > 0.0).all() if moves else (radii == -1.0).all()
+    entry = 0 if shown is None else scan_entry(shown)
+    assert is_found(ACROSS, np.full((len(TIMES), int(BINS)), entry, np.int32), device) == moves
+
+
+@pytest.mark.parametrize(
+    ("sweep", "place", "moves"), [(0, 5, False), (5, 0, False), (0, 0, True), (5, 5, True), (3, 5, True), (3, 0, True)]
+)
+def test_only_the_newest_and_the_oldest_scan_tell_where_a_segment_was(device: str, sweep: int, place: int, moves: bool):
+    """One scan shows something at one of its places, the others show free space."""
+    scan = np.full((len(TIMES), int(BINS)), scan_entry(9.0), np.int32)
+    azimuth = (np.arange(int(BINS)) + 0.5) / int(BINS) * 2.0 * np.pi - np.pi
+    # A little wider than the disk, and the other scan sees through its other place with as many bins.
+    toward = np.abs(azimuth - np.arctan2(*ACROSS[place][::-1])) < np.arcsin(0.3 / 5.0) + 0.03
+    scan[sweep, toward] = scan_entry(4.7)
+    if not moves:
+        scan[5 - sweep, np.abs(azimuth - np.arctan2(*ACROSS[5 - place][::-1])) < 0.03] = scan_entry(4.7)
+    assert is_found(ACROSS, scan, device) == moves
+
+
+def test_a_segment_that_moves_along_the_line_of_sight_is_found(device: str):
+    x = np.stack((5.0 - 1.5 * (TIMES - 5.0), np.zeros(len(TIMES))), axis=-1)
+    scan = np.array([np.full(int(BINS), scan_entry(place[0] - 0.3)) for place in x], np.int32)
+    assert is_found(x, scan, device)

@@ -180,7 +180,6 @@ def test_with_another_fault_it_does_not_brake_as_planned(flight: Simulation):
         plan,
         status=PlanStatus.NO_SAFE_CANDIDATE,
         controls=np.broadcast_to([9.81, 0.0, 0.0, turning], np.shape(plan.controls)),
-        first_control=None,
     )
     flight.plan_time = 0.0  # so that `run` ends exactly on time
     flight.run(0.3)

@@ -45,7 +45,8 @@ class CandidateConfig(ParameterSection, section="candidates"):
     prove_stop: str = choice(
         "instead", ("off", "required", "instead"),
         "Fly a candidate only while a clear stop remains: a braking manoeuvre that leaves it now or later. Otherwise "
-        "the drone flies the stop that was proven last. Instead: such a candidate need not be clear beyond that.",
+        "the drone flies the stop that was proven last while that is clear of what stands. Instead: such a candidate "
+        "need not be clear beyond that.",
         label="Proven stop",
     )  # fmt: skip
     stop_clearance: float = live(
@@ -65,6 +66,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
     )  # fmt: skip
     brake_fan: float = live(
         20.0, "deg", 0.0, 45.0, "Angle between the five braking candidates, of which the one with the largest "
-        "clearance is flown: there may be an obstacle straight ahead. 0 brakes straight ahead only.",
+        "clearance is flown, among those that are clear of what stands: there may be an obstacle straight ahead. 0 "
+        "brakes straight ahead only.",
         label="Braking fan angle",
     )  # fmt: skip
