@@ -40,7 +40,12 @@ def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restore
     desk.session.seek(0.1).result()
     desk.open_folder("Share", "Copy link")
     field = desk.control("Link").locator("input")
-    desk.wait_for(lambda: "costs.q_track=8" in field.input_value(), "the link")
+
+    def is_present() -> bool:
+        shown = Link.parse(field.input_value().partition("?")[2])
+        return shown is not None and shown.config == {"costs.q_track": 8.0} and bool(np.isclose(shown.time, 0.1))
+
+    desk.wait_for(is_present, "the link with the configuration and the time")
     link = field.input_value().replace("seed=0", "seed=5")
     before = desk.session.source
     desk.page.goto(link)
@@ -53,8 +58,6 @@ def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restore
     desk.wait_for(lambda: abs(desk.session.frame.time - 0.1) < 1e-6, "the time of the link")
     assert desk.session.source.settings["seed"] == 5
     assert "source=" not in desk.page.url
-    again = Link.parse(link.partition("?")[2])
-    assert again is not None and np.isclose(again.time, 0.1)
 
 
 def test_a_link_of_another_page_brings_no_pictures_and_no_markup_onto_the_page(restored_desk):
