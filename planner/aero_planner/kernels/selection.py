@@ -116,8 +116,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         and the start, in this order.
 
         `state_terms` are J_goal, J_col, the speed cost and the clearance [m]; `standing_clearance` is that without
-        what moves. Launched over [B, R, N + PROBES + N + 1,
-        threads per query].
+        what moves. Launched over [B, R, N + PROBES + N + 1, threads per query].
         """
         b, m, t, thread = wp.tid()
         c = params[b]
