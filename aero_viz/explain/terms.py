@@ -52,7 +52,7 @@ class Obstacles:
         config: PlannerConfig,
         moving: MovingObstacles | None = None,
     ) -> None:
-        from scipy.spatial import KDTree  # takes 0.1 s to import, before the page is shown
+        from scipy.spatial import KDTree  # takes 0.1 s to import, which the page need not wait for
 
         self.points = points
         self._moving = moving

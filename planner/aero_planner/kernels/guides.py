@@ -158,49 +158,22 @@ def write_nominal(
 
 
 @wp.func
-def write_shifted_controls(
-    b: int,
-    m: int,
-    lane: int,
-    lanes: int,
-    elapsed: float,
-    params: Params,
-    previous_controls: wp.array2d(dtype=wp.vec4),
-    nominal_controls: wp.array3d(dtype=wp.vec4),
-):
-    """Write the controls of the previous plan, shifted by the elapsed time; past their end the drone hovers."""
-    steps = nominal_controls.shape[2]
-    hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
-    shift = elapsed / params.dt
-    for t in range(lane, steps, lanes):
-        s = float(t) + shift
-        i = int(s)
-        u0 = hover
-        u1 = hover
-        if i < steps:
-            u0 = previous_controls[b, i]
-        if i + 1 < steps:
-            u1 = previous_controls[b, i + 1]
-        nominal_controls[b, m, t] = u0 + (s - float(i)) * (u1 - u0)
+def mean_control(b: int, start: float, width: float, params: Params, controls: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
+    """Return the mean of a sequence of controls over a part of it; past its end the drone hovers.
 
-
-@wp.func
-def mean_control(b: int, start: float, duration: float, params: Params, controls: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
-    """Return the mean of a sequence of controls from a time after its start on, for at most a time step.
-
-    Past its end the drone hovers.
+    Args:
+        start: begin of the part after that of the sequence, in time steps.
+        width: length of the part, in time steps, at most 1.
     """
     hover = wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
-    s = start / params.dt
-    i = int(s)
+    i = int(start)
     u0 = hover
     u1 = hover
     if i < controls.shape[1]:
         u0 = controls[b, i]
     if i + 1 < controls.shape[1]:
         u1 = controls[b, i + 1]
-    width = wp.clamp(duration / params.dt, 1.0e-3, 1.0)
-    share = wp.max(0.0, s + width - float(i + 1)) / width
+    share = wp.max(0.0, start - float(i) - (1.0 - width)) / width
     return u0 + share * (u1 - u0)
 
 
@@ -309,13 +282,15 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
                 guides.initial_endpoints[b, m] = p1
         curve = quintic(p0, drone.velocity[b], drone.acceleration[b], p1, v1, T)
         write_guide(b, m, lane, LANES, curve, c.dt, guides)
-        if is_stop and elapsed >= 0.0:
+        shift = elapsed / c.dt
+        if elapsed >= 0.0:
             for t in range(lane, nominal_controls.shape[2], LANES):
-                nominal_controls[b, m, t] = mean_control(b, float(t) * c.dt + elapsed, c.dt, c, previous.stop)
-            if lane == 0:
-                stop_command[b] = mean_control(b, elapsed, period, c, previous.stop)
-        elif elapsed >= 0.0:
-            write_shifted_controls(b, m, lane, LANES, elapsed, c, previous.controls, nominal_controls)
+                if is_stop:
+                    nominal_controls[b, m, t] = mean_control(b, float(t) + shift, 1.0, c, previous.stop)
+                else:
+                    nominal_controls[b, m, t] = mean_control(b, float(t) + shift, 1.0, c, previous.controls)
+            if is_stop and lane == 0:
+                stop_command[b] = mean_control(b, shift, wp.clamp(period / c.dt, 1.0e-3, 1.0), c, previous.stop)
         elif lane == 0:
             # Braking is urgent and begins at once.
             lag = wp.where(m < anchor_count, c.nominal_lag, 0.0)

@@ -67,7 +67,7 @@ def predict_state(
         for k in range(steps):
             if since >= 0.0 and since < horizon:
                 sent = wp.max(since - c.delay + (float(k) + 0.5) * dt, 0.0)
-                u = mean_control(b, sent, c.dt, c, previous.controls)
+                u = mean_control(b, sent / c.dt, 1.0, c, previous.controls)
             mean = lagged_control(u, acting, mean_shares)
             acting = lagged_control(u, acting, shares)
             p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, dt)

@@ -192,7 +192,7 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         c = params[b]
         steps = positions.shape[2] - 1
         start = state_terms.shape[2] - 1
-        allowance, _stop_allowance = mover_allowances(state_terms[b, m, start][3], standing_clearance[b, m, start], c)
+        allowance, _ = mover_allowances(state_terms[b, m, start][3], standing_clearance[b, m, start], c)
         sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
         nearest = float(wp.INF)
         nearest_standing = float(wp.INF)

@@ -202,15 +202,14 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
         stop_positions: wp.array3d(dtype=wp.vec3),
         state_terms: wp.array3d(dtype=wp.vec4),
         standing_clearance: wp.array3d(dtype=float),
+        allowance: float,
     ) -> float:
         """Return the clearance of one of the 4 N states and midpoints of stop i, at most safe_clearance [m].
 
         The first half are those of the braking manoeuvre, the others those of the candidate before the switch. What
-        moves counts as farther away by the second of `mover_allowances`.
+        moves counts as farther away by `allowance`, the second of `mover_allowances`.
         """
         steps = stop_positions.shape[2] - 1
-        start = state_terms.shape[2] - 1
-        _allowance, allowance = mover_allowances(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
         d = float(c.safe_clearance)
         x = position
         if row < 2 * steps:
@@ -284,10 +283,12 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         c = params[b]
         if c.prove_stop == 0:
             return
+        start = state_terms.shape[2] - 1
+        _, allowance = mover_allowances(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
         d = clearance(
             b, i, row, thread, c, position[b], quaternion[b], ground_height[b], movers, probes, duplicate_rows, rows,
             columns, fine_range, positions, plan_period[b], cell_ends, point_packs, stop_positions, state_terms,
-            standing_clearance,
+            standing_clearance, allowance,
         )  # fmt: skip
         if thread == 0 and d < c.safe_clearance:
             wp.atomic_min(stop_clearance, b, i, d)
@@ -343,7 +344,9 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
             return
         for i in range(instances * STOPS):
             stop_clearance[b, i] = -wp.INF
-        safe, stop_safe = safe_clearances(standing_clearance[b, 0, standing_clearance.shape[2] - 1], c)
+        start = state_terms.shape[2] - 1
+        safe, stop_safe = safe_clearances(standing_clearance[b, 0, start], c)
+        _, allowance = mover_allowances(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
         cost = float(-wp.INF)
         m = int(-1)
         for _rank in range(instances):
@@ -371,6 +374,7 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
                                 b, i, row, 0, c, position[b], quaternion[b], ground_height[b], movers, probes,
                                 duplicate_rows, rows, columns, fine_range, rollouts.positions, plan_period[b],
                                 cell_ends, point_packs, stop_positions, state_terms, standing_clearance,
+                                allowance,
                             )  # fmt: skip
                             least = wp.min(least, d)
                     stop_clearance[b, i] = least
