@@ -178,8 +178,8 @@ def test_a_source_that_is_complete_when_its_opening_is_cancelled_is_not_shown(de
     read_until(desk.client, "Opening late ..")
     set_control(desk, "Cancel opening", True)
     set_control(desk, "Cancel opening", True)
-    set_control(desk, "Seed", 7)
-    wait_for(lambda: 7 in [control.value for control in controls(desk)], "all messages")
+    set_control(desk, "Seed", 7919)  # no other control has this value
+    wait_for(lambda: 7919 in [control.value for control in controls(desk)], "all messages")
     LATE.set()
     read_until(desk.client, "late was not opened")
     wait_for(nothing_is_being_opened, "the end of the opening")
