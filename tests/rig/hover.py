@@ -13,13 +13,16 @@ from aero_viz.sensors.lidar import LIDARS, Lidar
 
 
 def scan(
-    world: World, place: NDArray[np.float64], errors: Iterable[tuple[float, float, float, float]]
+    world: World, place: NDArray[np.float64], errors: Iterable[tuple[float, float, float, float]], *, first: int = 0
 ) -> list[NDArray[np.float32]]:
-    """Return one sweep per error of the estimate, in x, y [m], roll and pitch [deg]; the drone is level at `place`."""
+    """Return one sweep per error of the estimate, in x, y [m], roll and pitch [deg]; the drone is level at `place`.
+
+    The sweeps have the numbers `first` and up, and sweep 0 begins at time 0 of the world.
+    """
     model = LIDARS["mid360"]
     lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[0])
     pose, finished, sweeps = _pose(place, 0.0, 0.0), wp.zeros(1, dtype=int, device="cpu"), []
-    for k, (x, y, roll, pitch) in enumerate(errors):
+    for k, (x, y, roll, pitch) in enumerate(errors, first):
         estimated = _pose(place + np.array([x, y, 0.0]), roll, pitch)
         lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, finished=finished,
                    estimated_poses=estimated, estimated_poses_before=estimated)  # fmt: skip

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_Planes = tuple[NDArray[np.int64], Array, Array]
+"""Keys of voxels, sorted, and mean and normal of the surface in each."""
 
 _RADIUS = 15.0  # [m] within which points are used
 _VOXEL = 1.0  # [m]
@@ -24,6 +26,12 @@ _HUBER = 0.1  # [m]
 _PRIOR_ANGLE, _PRIOR_SHIFT = 0.1, 0.5  # [rad], [m]; standard deviations before anything is seen
 _POINT_ERROR = 0.5  # [m]; large, because the errors of neighbouring points are alike
 _ROUNDS = 3
+_SECTORS = 8  # parts of the view, by azimuth
+_SECTOR_POINTS = 20
+# In rigid scenes of the simulator the coverage is at least 0.90, and the sectors agree to 0.08 m. Among pillars that
+# move, the coverage is 0.6 to 0.95, and the sectors differ by 0.1 to 0.3 m.
+_MIN_COVERAGE = 0.85  # part of the newer points in voxels that have older ones
+_MAX_DISAGREEMENT = 0.1  # [m]
 
 
 class Drift(NamedTuple):
@@ -41,10 +49,12 @@ class Drift(NamedTuple):
 
 
 def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: Array) -> Drift | None:
-    """Return how far `new` has moved against `old`; None if too little is visible to tell.
+    """Return how far `new` has moved against `old`; None if too little is visible to tell, or what is visible moves.
 
     The older points are divided into voxels with a plane in each. A rigid motion is fitted that moves the newer points
-    onto these planes. Directions in which nothing holds the points count as free of drift.
+    onto these planes. Directions in which nothing holds the points count as free of drift. An error of the estimate
+    displaces everything alike. If the sectors of the view are displaced differently, or many of the newer points are
+    where none was before, obstacles move.
 
     Args:
         old: Points [m], shape [P, 3], world frame.
@@ -55,24 +65,59 @@ def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: 
     planes = _fit_planes(old_near)
     if planes is None:
         return None
-    keys, means, normals = planes
     motion = np.zeros(6)
     information = np.diag([_PRIOR_ANGLE**-2.0] * 3 + [_PRIOR_SHIFT**-2.0] * 3)
-    total = information
     for _ in range(_ROUNDS):
-        moved = new_near + np.cross(motion[:3], new_near) + motion[3:]
-        voxel = _voxel_keys(moved)
-        index = np.minimum(np.searchsorted(keys, voxel), len(keys) - 1)
-        matched = keys[index] == voxel
-        if matched.sum() < _MIN_MATCHES:
+        points, normals, errors = _match(_move(new_near, motion), planes)
+        if len(points) < _MIN_MATCHES:
             return None
-        points, normal = moved[matched], normals[index[matched]]
-        error = ((points - means[index[matched]]) * normal).sum(axis=1)
-        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(error), 1e-9)) / _POINT_ERROR**2
-        jacobian = np.concatenate([np.cross(points, normal), normal], axis=1)
+        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(errors), 1e-9)) / _POINT_ERROR**2
+        jacobian = np.concatenate([np.cross(points, normals), normals], axis=1)
         total = information + (jacobian * weight[:, None]).T @ jacobian
-        motion = motion + np.linalg.solve(total, -(jacobian * weight[:, None]).T @ error - information @ motion)
+        motion = motion + np.linalg.solve(total, -(jacobian * weight[:, None]).T @ errors - information @ motion)
+    moved = _move(new_near, motion)
+    coverage = np.isin(_voxel_keys(moved), _voxel_keys(old_near)).mean()
+    if coverage < _MIN_COVERAGE or _sector_disagreement(*_match(moved, planes)) > _MAX_DISAGREEMENT:
+        return None
     return Drift(float(np.linalg.norm(motion[:3])), -motion[3:])  # the motion brings the newer points back
+
+
+def _move(points: Array, motion: Array) -> Array:
+    """Return the points after a small rotation vector [rad] and a shift [m], both in `motion`, shape [6]."""
+    return points + np.cross(motion[:3], points) + motion[3:]
+
+
+def _match(points: Array, planes: _Planes) -> tuple[Array, Array, Array]:
+    """Return the points in voxels that hold a surface, the normals there, and the distances from the planes."""
+    keys, means, normals = planes
+    voxel = _voxel_keys(points)
+    index = np.minimum(np.searchsorted(keys, voxel), len(keys) - 1)
+    matched = keys[index] == voxel
+    points, normals, means = points[matched], normals[index[matched]], means[index[matched]]
+    return points, normals, ((points - means) * normals).sum(axis=1)
+
+
+def _sector_disagreement(points: Array, normals: Array, errors: Array) -> float:
+    """Return the root mean square of the horizontal shifts [m] that the sectors need beyond the fitted motion.
+
+    Args:
+        points: Matched points [m] relative to the drone, shape [P, 3].
+        normals: Normals of their planes, shape [P, 3].
+        errors: Distances from their planes after the fit [m], shape [P].
+    """
+    azimuth = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * math.pi) + 0.5
+    sector = np.minimum((azimuth * _SECTORS).astype(np.int64), _SECTORS - 1)
+    prior = np.eye(2) * (_POINT_ERROR / _PRIOR_SHIFT) ** 2
+    squares, weights = [0.0], [1e-9]  # an average over no sector is 0
+    for k in range(_SECTORS):
+        inside = sector == k
+        if inside.sum() >= _SECTOR_POINTS:
+            normal = normals[inside, :2]
+            information = normal.T @ normal
+            shift = np.linalg.solve(information + prior, normal.T @ errors[inside])
+            squares.append(float(shift @ shift))
+            weights.append(float(np.trace(information)))
+    return math.sqrt(np.average(squares, weights=weights))
 
 
 def _near(points: NDArray[np.float32], position: Array) -> Array:
@@ -87,7 +132,7 @@ def _voxel_keys(points: Array) -> NDArray[np.int64]:
     return np.where(((cell >= 0) & (cell < size)).all(axis=1), (cell[:, 0] * size + cell[:, 1]) * size + cell[:, 2], -1)
 
 
-def _fit_planes(points: Array) -> tuple[NDArray[np.int64], Array, Array] | None:
+def _fit_planes(points: Array) -> _Planes | None:
     """Return the keys of voxels that hold a surface, sorted, with its mean and its normal."""
     if len(points) < _MIN_MATCHES:
         return None
