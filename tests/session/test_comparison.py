@@ -27,6 +27,10 @@ def listen(session: Session) -> list[ComparisonEvent]:
     return events
 
 
+def has_arrived(events: list[ComparisonEvent]) -> bool:
+    return bool(events) and events[-1].frame is not None and events[-1].frame.outcome is not None
+
+
 def test_nothing_is_planned_twice_until_a_configuration_is_pinned(session):
     events = listen(session)
     for _ in range(5):
@@ -69,7 +73,7 @@ def test_a_flies_as_the_session_itself_would_and_leaves_it_where_it_is(session):
     session.fly_both().result()
     wait_for(lambda: session.playing)
     assert session.frame is before, "the session has not moved"
-    wait_for(lambda: events[-1].frame is not None and events[-1].frame.outcome is not None)
+    wait_for(lambda: has_arrived(events))
     flown: list[Any] = [event.frame for event in events if event.kind == "flown"]
     assert [frame.time for frame in flown] == pytest.approx([frame.time for frame in expected[7:]])
     for mine, theirs in zip(flown, expected[7:], strict=True):
@@ -83,9 +87,10 @@ def test_a_flies_as_the_session_itself_would_and_leaves_it_where_it_is(session):
 def test_a_rests_while_the_session_plays(session):
     session.start(play=False)
     wait_for(lambda: session.frame is not None)
-    session.pin().result()
-    wait_for(lambda: session.comparison.frame is not None)
     events = listen(session)
+    session.pin().result()
+    wait_for(lambda: [event.kind for event in events] == ["pinned", "planned"])
+    events.clear()
     session.play()
     wait_for(lambda: session.frame.index > 10)
     session.pause()
@@ -138,6 +143,6 @@ def test_a_flies_through_a_source_that_was_chosen_while_time_ran(session):
     session.play()
     session.set_source(small_source(goal=6.0)).result()
     session.fly_both().result()
-    wait_for(lambda: events[-1].frame is not None and events[-1].frame.outcome is not None)
+    wait_for(lambda: has_arrived(events))
     last: Any = events[-1].frame
     assert last.source is session.source
