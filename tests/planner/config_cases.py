@@ -1,6 +1,5 @@
-"""Random configurations, and files and ports for them."""
+"""Random configurations, and files for them."""
 
-import socket
 from pathlib import Path
 from typing import TypeVar
 
@@ -39,10 +38,3 @@ def write(path: Path, text: str) -> Path:
     """Write a file as it is, without conversion of line ends, and return its path."""
     path.write_text(text, encoding="utf-8", newline="")
     return path
-
-
-def free_port() -> int:
-    """Return a UDP port of this computer that is free at the moment."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]

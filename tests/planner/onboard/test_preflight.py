@@ -154,15 +154,12 @@ def test_late_and_infrequent_states_fail(drone: Simulation):
 
 
 def test_the_complete_report(tmp_path: Path):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     config = OnboardConfig().replace(
         {
             "lidar.host": "127.0.0.1",
             "lidar.port": 0,
             "lidar.points_max": 2000,
-            "mavlink.url": f"udpin:127.0.0.1:{port}",
+            "mavlink.url": "udpin:127.0.0.1:0",
             "telemetry.port": 0,
         }
     )
