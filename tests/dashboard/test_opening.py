@@ -71,6 +71,7 @@ def desk(folder: Path) -> Iterator[SimpleNamespace]:
         yield SimpleNamespace(session=session, dashboard=dashboard, client=client)
     dashboard.close()
     session.close()
+    wait_for(nothing_is_being_opened, "the end of the opening")  # the next test counts the threads
 
 
 def set_control(desk: SimpleNamespace, label: str, value: object) -> None:
