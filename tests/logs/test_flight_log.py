@@ -266,12 +266,13 @@ def test_frames_that_wait_too_long_at_the_end_are_counted_and_reported(session, 
     monkeypatch.setattr(flight_log, "_CLOSE_TIMEOUT", 0.1)
     notices = []
     session.subscribe_notices(notices.append)
-    gate, path = threading.Event(), tmp_path / "a.mcap"
+    begun, gate, path = threading.Event(), threading.Event(), tmp_path / "a.mcap"
     with record(session, path) as log:
         write = log.write
-        monkeypatch.setattr(log, "write", lambda frame: (gate.wait(), write(frame)))
+        monkeypatch.setattr(log, "write", lambda frame: (begun.set(), gate.wait(), write(frame)))
         for _ in range(20):
             session.tick()
+        assert begun.wait(60.0)
         threading.Timer(2.5, gate.set).start()  # longer than the end of a sink is waited for elsewhere
     kept = {name: int(value) for name, value in metadata(path)["flight_log"].items()}
     assert kept == {"frames": 1, "dropped": 19} and len(decoded(path)["/plan"]) == 1
