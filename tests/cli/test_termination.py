@@ -53,5 +53,5 @@ def test_sigterm_leaves_nothing_behind(program, arguments, line, code, short_pol
     telemetry.close()
     assert process.returncode == code and "Traceback" not in error, error
     # The node's failsafe process outlives it for a moment: it makes sure that the node has ended.
-    wait_for(lambda: processes_with(tag) == [], "all processes to end", timeout=30.0)
+    wait_for(lambda: processes_with(tag) == [], "all processes to end")
     assert os.listdir(tmp_path) == []

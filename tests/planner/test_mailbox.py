@@ -13,7 +13,7 @@ class SlowCallback:
 
     def __call__(self, item: int) -> None:
         self.started.set()
-        assert self.gate.wait(10.0)
+        assert self.gate.wait(60.0)
         self.seen.append(item)
 
 

@@ -168,7 +168,7 @@ def test_with_real_threads(small_planner: Planner):
         assert node.failures > 0 and node.statistics()["watchdog_interventions"] >= 1
         link.failing = False
         node.stop()
-        assert node.wait(20.0)
+        assert node.wait(60.0)
     finally:
         node.close()
     statistics = node.statistics()
