@@ -16,7 +16,7 @@ def fly(desk: Desk) -> str:
 def end_of_flight(desk: Desk) -> str:
     """Wait as long as the flight goes on, however slowly; return its outcome."""
     frame = desk.session.frame
-    while frame is None or frame.outcome is None:
+    while frame is None or frame.outcome is None or frame.source is not desk.session.source:
         desk.wait_for(lambda: desk.session.frame is not frame, "the next tick")  # noqa: B023
         frame = desk.session.frame
     return frame.outcome
