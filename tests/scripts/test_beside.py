@@ -42,7 +42,8 @@ def test_the_target_runs_at_low_priority_and_its_output_stays_together(script: P
 
 def test_the_session_of_the_target_has_low_priority_where_linux_weighs_sessions(script: Path):
     if Path("/proc/self/autogroup").exists():
-        assert run(script, "session", "true").stdout.endswith("nice 19\n")
+        # Linux lets unprivileged users change ten weights per second, all together.
+        assert any(run(script, "session", "true").stdout.endswith("nice 19\n") for _ in range(20))
 
 
 def test_the_exit_code_is_that_of_the_command_or_of_the_target(script: Path):
