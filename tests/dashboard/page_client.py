@@ -24,8 +24,8 @@ def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), *, path: 
     protocol: Any = f"viser-v{viser.__version__}"
     url = server.url.replace("http", "ws") + path
     # A client that stops reading what it does not need would miss the answer when it closes, and wait for 10 s.
-    always_reads = {"max_size": None, "max_queue": None}
-    return connect(url, subprotocols=[protocol], additional_headers=headers, **always_reads, **options)
+    options = {"max_size": None, "max_queue": None, "open_timeout": 60.0} | options
+    return connect(url, subprotocols=[protocol], additional_headers=headers, **options)
 
 
 def send(client: Connection, **message: Any) -> None:

@@ -45,7 +45,8 @@ def client(
     url: str, *, protocol: str = "foxglove.sdk.v1", **options: Any
 ) -> Iterator[tuple[Connection, dict[str, Any]]]:
     """A client that has subscribed to all topics; the topics are the ids of the subscriptions."""
-    with connect(url, subprotocols=[Subprotocol(protocol)], max_size=None, **options) as connection:
+    options = {"max_size": None, "open_timeout": 60.0} | options
+    with connect(url, subprotocols=[Subprotocol(protocol)], **options) as connection:
         channels: dict[str, Any] = {}
         while not channels.keys() >= TOPICS:
             message = json.loads(connection.recv(timeout=60))
