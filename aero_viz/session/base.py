@@ -57,6 +57,13 @@ class SessionControls(Protocol):
         """Use another configuration, or change some parameters of the current one."""
         ...
 
+    def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
+        """Replace the current configuration and those of undo and redo by what `function` returns.
+
+        This is no step of undo. A configuration for which `function` raises ValueError stays.
+        """
+        ...
+
     def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:
         """Return every tick of the source so far, with the configuration of its last plan."""
         ...

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -85,6 +86,21 @@ class ConfigHistory:
             self._version += 1
             self._last = (frozenset(), 0.0)
             return self._entries[self._index].config
+
+    def convert(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
+        """Replace every configuration by what `function` returns, which is no step of undo; return the current one.
+
+        A configuration for which `function` raises ValueError stays.
+        """
+        with self._lock:
+            old = self._entries[self._index].config
+            for i, entry in enumerate(self._entries):
+                with contextlib.suppress(ValueError):
+                    self._entries[i] = replace(entry, config=function(entry.config))
+            config = self._entries[self._index].config
+            self._version += config != old
+            self._last = (frozenset(), 0.0)
+            return config
 
     def drop(self, failed: PlannerConfig, good: PlannerConfig) -> None:
         """Remove a configuration that cannot be used. If it is the current one, `good` replaces it."""

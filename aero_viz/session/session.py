@@ -229,6 +229,15 @@ class Session(BaseSession):
         self._post(self._replan_if_changed)
         return config
 
+    def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
+        """Replace the current configuration and those of undo and redo by what `function` returns.
+
+        This is no step of undo. A configuration for which `function` raises ValueError stays.
+        """
+        config = self._configs.convert(function)
+        self._post(self._replan_if_changed)
+        return config
+
     def undo(self) -> PlannerConfig:
         """Take back the newest change of the configuration, or of the world at this tick; return the configuration."""
         if self._worlds.changed_at(self._world) <= self._configs.changed_at:

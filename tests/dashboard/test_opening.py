@@ -120,6 +120,17 @@ def test_what_the_planner_knows_is_that_of_the_flight_and_nothing_for_a_recordin
         assert (desk.session.config == small_config()) is (name == recording.name)
 
 
+def test_undo_leads_to_no_facts_of_another_flight(desk, folder):
+    shutil.copy(shipped_recordings()["forest_mid360"][0], folder)
+    desk.session.configure({"costs.q_track": 1.0})
+    before = desk.session.source
+    open_path(desk, "forest_mid360.mcap")
+    wait_for(lambda: desk.session.source is not before, "the recording")
+    wait_for(nothing_is_being_opened, "the end of the opening")
+    assert desk.session.undo() == small_config()
+    assert desk.session.undo() == small_config()
+
+
 def test_a_malformed_file_is_explained_in_the_terminal_only(desk, folder, caplog):
     open_path(desk, folder / "passwords.json")
     heard = read_until(desk.client, "the terminal shows why")

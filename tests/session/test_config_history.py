@@ -99,3 +99,16 @@ def test_the_oldest_of_many_configurations_are_forgotten():
     assert steps[0].costs.q_position != steps[1].costs.q_position or steps[0].costs.q_track != steps[1].costs.q_track
     assert steps[498] == steps[-1] != PlannerConfig() and steps[497] != steps[498]
     assert history.go(+1) == steps[497]
+
+
+def test_a_conversion_holds_for_every_configuration_and_is_no_step_of_undo():
+    history = ConfigHistory(PlannerConfig().replace({"costs.height_max": 9.0}))
+    history.change({"costs.q_track": 1.0})
+    refused = history.change({"costs.height_min": 4.0})  # above the new greatest height
+    history.go(-1)
+    version = history.current[1]
+    history.convert(lambda config: config.replace({"costs.height_max": 3.0}))
+    assert history.current == (PlannerConfig().replace({"costs.height_max": 3.0, "costs.q_track": 1.0}), version + 1)
+    assert history.go(-1) == PlannerConfig().replace({"costs.height_max": 3.0})
+    history.go(+1)
+    assert history.go(+1) == refused

@@ -259,12 +259,10 @@ class SourcePanel(Panel):
         return False
 
     def _plan_as_known(self, before: Frame | None, source: Source) -> None:
-        """Give the planner the facts of another flight; a recording has none."""
-        if before is None:
-            return
-        known = config_for_next_flight(self.session.config, before=before.source, after=source.info)
-        if known != self.session.config:
-            self._controls.configure(known)
+        """Give the planner the facts of another flight, also where it goes by undo; a recording has none."""
+        if before is not None:
+            old, new = before.source, source.info
+            self._controls.convert_configs(lambda config: config_for_next_flight(config, before=old, after=new))
 
     def _read(
         self, reader: ReaderProcess, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
