@@ -77,6 +77,27 @@ def test_the_list_has_every_key_and_so_have_the_docs(desk):
     table.wait_for(state="hidden")
 
 
+@pytest.mark.parametrize("key", ["Shift+?", "Escape"])
+def test_the_list_is_hidden_by_a_key(desk, key):
+    desk.page.keyboard.press("Shift+?")
+    table = desk.page.get_by_role("dialog")
+    table.get_by_text("Throw an obstacle").wait_for()
+    desk.page.keyboard.press(key)
+    table.wait_for(state="hidden")
+
+
+def test_keys_work_after_a_click_on_a_checkbox(desk):
+    box = desk.page.get_by_role("checkbox").locator("visible=true").first
+    was_checked = box.is_checked()
+    box.click()
+    desk.page.keyboard.press("Space")
+    desk.wait_for(lambda: desk.session.playing, "the flight")
+    assert box.is_checked() is not was_checked
+    desk.page.keyboard.press("Space")
+    desk.wait_for(lambda: not desk.session.playing, "a pause")
+    box.click()
+
+
 def test_the_command_palette_lists_every_key_and_runs_what_is_chosen(desk):
     page = desk.page
     page.keyboard.press("Control+k")

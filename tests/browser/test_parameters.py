@@ -78,6 +78,8 @@ def test_a_refused_value_says_why_in_place_and_the_old_one_stays(tune):
     above, field = reason.bounding_box(), number.bounding_box()
     assert above["y"] < field["y"] < above["y"] + 120, "beside its field"
     desk.wait_for(lambda: float(number.input_value()) == PlannerConfig().costs.distance_min, "the old value")
+    desk.session.configure({"costs.q_track": 6.0})
+    reason.wait_for(state="detached")
     desk.enter(number, "0.2")
     desk.wait_for(lambda: desk.session.config.costs.distance_min == 0.2, "a valid value")
     reason.wait_for(state="detached")

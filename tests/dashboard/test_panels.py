@@ -13,6 +13,7 @@ from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.conditions import ConditionControls
 from aero_viz.dashboard.panels.configuration import parse_upload
 from aero_viz.dashboard.panels.controls import SliderControl, add_control
+from aero_viz.dashboard.panels.parameter_row import ParameterRow
 from aero_viz.dashboard.server import LocalServer
 from aero_viz.scenes import SCENES
 from aero_viz.session.source import Conditions
@@ -47,12 +48,24 @@ def test_a_slider_grows_to_a_value_beyond_its_end(server):
     assert control.value == control.slider.value == 1e6
 
 
-@pytest.mark.parametrize("height", [-5.0, 0.0, 2.0])
-def test_a_slider_that_ends_below_zero_grows_to_a_height(server, height):
-    control = slider(server, "costs.height_min")
-    assert control.slider.max < height
-    apply(control.show(height))
-    assert control.value == control.slider.value == height <= control.slider.max <= control.info.high
+@pytest.mark.parametrize("path", ["costs.height_min", "costs.height_max"])
+def test_a_height_has_a_field_without_a_slider(server, path):
+    info = PlannerConfig.find(path)
+    control = add_control(server.gui, info, info.default)
+    apply(control.show(2.5))
+    assert control.value == 2.5 and not isinstance(control, SliderControl)
+
+
+def test_words_of_the_search_are_matched_whole(server):
+    def ignore(*_: object) -> None:
+        pass
+
+    paths = [
+        info.path
+        for info in PlannerConfig.parameters()
+        if ParameterRow(server.gui, info, info.default, on_change=ignore, on_reset=ignore).matches("Q_p")
+    ]
+    assert paths == ["costs.q_position"]
 
 
 def test_a_logarithmic_slider_stays_within_the_bounds_of_the_parameter(server):

@@ -17,6 +17,8 @@ ChangeCallback = Callable[[viser.ClientHandle], None]
 
 _LARGEST_SLIDER = 5.0
 """Upper end of a slider, as a multiple of the default."""
+_WIDEST_SLIDER = 1e4
+"""Parameters that reach farther below zero have no slider: a pixel of it would be hundreds of units."""
 _DECIMALS = 9
 """Decimal places that can be typed."""
 
@@ -156,6 +158,8 @@ def add_control(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
         return _SingleControl(info, gui.add_checkbox(info.title, bool(value), hint=hint))
     if isinstance(info.default, int):
         return _SingleControl(info, gui.add_number(info.title, int(value), step=1, hint=hint))
+    if info.low < -_WIDEST_SLIDER:
+        return add_number(gui, info, value)
     return SliderControl(gui, info, float(value))
 
 

@@ -46,7 +46,8 @@ KEYS: tuple[Key, ...] = (
         for key, name in _LAYERS.items()
     ),
     Key("theme", "Light or dark panels", "L", "L", own=True),
-    Key("help", "Show this list", "?", "?", "shift", own=True),
+    Key("help", "Show or hide the keys", "?", "?", "shift", own=True),
+    Key("close", "Hide the keys", "Esc", "escape", own=True),
 )
 LISTENER = """
 if (!window.aeroKeys) {
@@ -62,9 +63,16 @@ if (!window.aeroKeys) {
     const options = {key, shiftKey: event.shiftKey, bubbles: true};
     document.documentElement.dispatchEvent(new KeyboardEvent("keydown", options));
   }, true);
+  addEventListener("click", event => {
+    if (event.target.matches("input[type=checkbox]") && event.detail > 0) event.target.blur();
+  });
 }
 """
-"""Script that lets the arrow keys step instead of turning the camera, and the space bar press no button."""
+"""Script for keys that the page would take otherwise.
+
+The arrow keys step instead of turning the camera, the space bar presses no button, and a checkbox that was clicked
+leaves the keys to the page.
+"""
 
 
 def rows() -> list[tuple[str, str]]:

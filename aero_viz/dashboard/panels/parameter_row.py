@@ -52,10 +52,10 @@ class ParameterRow:
 
     def matches(self, query: str) -> bool:
         """Return True if the parameter's path, label, symbol, group or help contains every word of `query`."""
-        return all(word in self._words for word in query.lower().replace("_", " ").split())
+        return all(word.replace("_", " ") in self._words for word in query.lower().split())
 
     def refuse(self, reason: str) -> None:
-        """Show why a value was refused, until another one is accepted; empty if it was accepted."""
+        """Show why a value was refused, until the next call; empty shows nothing."""
         self._refusal = reason
 
     def show(self, value: Value, preset: Value, *, visible: bool) -> list[Change]:

@@ -47,6 +47,8 @@ class ParameterPanel(Panel):
         self._session_controls = session_controls
         self._baseline = baseline
         self._shown: tuple[object, ...] | None = None
+        self._refused: tuple[object, ...] | None = None
+        """Configuration, preset and source at the last refusal, which is shown until one of them changes."""
         self._groups: list[_Group] = []
         super().__init__(page)
 
@@ -99,6 +101,10 @@ class ParameterPanel(Panel):
         if shown == self._shown:
             return []
         self._shown, preset = shown, self._baseline.config
+        if self._refused is not None and self._refused != shown[:3]:
+            self._refused = None
+            for row in (row for group in self._groups for row in group.rows):
+                row.refuse("")
         plain = config_without_facts(config, frame.source)
         changes: list[Change] = []
         is_any = False
@@ -161,6 +167,9 @@ class ParameterPanel(Panel):
         named = [row for row in rows if row.info.path in reason] or list(rows[:1])
         for row in rows:
             row.refuse(f"Refused: {reason}" if reason and row in named else "")
+        frame = self.session.frame
+        if reason and frame is not None:
+            self._refused = (self.session.config, self._baseline.config, frame.source)
         self._shown = None
         self.page.refresh()
 

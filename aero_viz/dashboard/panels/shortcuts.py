@@ -24,7 +24,9 @@ class ShortcutPanel(Panel):
     """
 
     def __init__(self, page: Page, actions: Mapping[str, Action]) -> None:
-        self._actions = {"help": _show_help, **actions}
+        self._actions = {"help": self._toggle_help, "close": self._close_help, **actions}
+        self._close_open_help: dict[int, Callable[[], None]] = {}
+        """Closes the list of keys, for each client that has it open."""
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -47,9 +49,17 @@ class ShortcutPanel(Panel):
             arguments = () if key.argument is None else (key.argument,)
             self.page.attempt(lambda: action(event.client, *arguments), event.client)
 
+    def _toggle_help(self, client: viser.ClientHandle) -> None:
+        if client.client_id in self._close_open_help:
+            self._close_help(client)
+            return
+        modal = client.gui.add_modal("Keys")
+        self._close_open_help[client.client_id] = modal.close
+        with modal:
+            client.gui.add_html(markup.block(markup.table([(shown, label, "") for shown, label in rows()])))
+            client.gui.add_button("Close", color="gray").on_click(lambda _: self._close_help(client))
 
-def _show_help(client: viser.ClientHandle) -> None:
-    modal = client.gui.add_modal("Keys")
-    with modal:
-        client.gui.add_html(markup.block(markup.table([(shown, label, "") for shown, label in rows()])))
-        client.gui.add_button("Close", color="gray").on_click(lambda _: modal.close())
+    def _close_help(self, client: viser.ClientHandle) -> None:
+        close = self._close_open_help.pop(client.client_id, None)
+        if close is not None:
+            close()
