@@ -15,11 +15,12 @@ from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
 COLUMNS = (
-    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "samples", "best",
-    "x", "y", "z",
+    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "unsafe", "samples",
+    "best", "x", "y", "z",
 )  # fmt: skip
-"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
-candidates, effective number of samples of the chosen instance, number of that instance, position [m]."""
+"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of candidates
+with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of samples of the chosen instance,
+number of that instance, position [m]. NaN where nothing is known."""
 _SOLIDS_MAX = 3000
 """Largest number of solids for which the exact clearance is computed at every tick."""
 _SAME = 1e-4
@@ -34,7 +35,7 @@ class Event(NamedTuple):
     time: float
     """Source time [s]."""
     kind: str
-    """"braking", "end", "parameters" or "goal"."""
+    """"arrived", "failed" or "end", which is that of a recording, "braking", "parameters" or "goal"."""
     text: str
 
 
@@ -211,6 +212,7 @@ def _row(frame: Frame) -> Rows:
             plan.collision_cost[best],
             frame.timings_ms.get("plan", 0.0),
             np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance),
+            plan.status == PlanStatus.NO_SAFE_CANDIDATE,
             effective_samples(plan, best, frame.config.sampling.temperature),
             best,
             *np.asarray(state.position, dtype=np.float64),
@@ -234,5 +236,6 @@ def _events(last: Frame | None, frame: Frame) -> list[Event]:
     if is_braking and not was_braking and frame.epoch == last.epoch:
         events.append(Event(frame.time, "braking", "no safe candidate: stopping"))
     if frame.outcome is not None and (last.outcome is None or last.epoch != frame.epoch):
-        events.append(Event(frame.time, "end", frame.outcome.replace("_", " ")))
+        kind = frame.outcome if frame.outcome in ("arrived", "end") else "failed"
+        events.append(Event(frame.time, kind, frame.outcome.replace("_", " ")))
     return events

@@ -41,6 +41,6 @@ class LoggedHistory(FlightHistory):
 
 def _rows(flight: LoggedFlight, start: float) -> Rows:
     ticks = len(flight.columns["time"])
-    rows = np.stack([flight.columns.get(name, np.zeros(ticks)) for name in COLUMNS], axis=1)
+    rows = np.stack([flight.columns.get(name, np.full(ticks, np.nan)) for name in COLUMNS], axis=1)
     rows[:, 0] += start
     return rows

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner import PlannerConfig, PlanStatus
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
 from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
@@ -34,7 +34,8 @@ class LoggedFlight:
     """Name of the file."""
     columns: Mapping[str, NDArray[np.float64]]
     """"time" since the first pose [s], "speed" [m/s], "clearance" [m], costs of the chosen instance "cost", "goal_cost"
-    and "collision_cost", "plan_ms", number of "safe" candidates, number of the "best" instance, and "x", "y", "z" [m].
+    and "collision_cost", "plan_ms", number of candidates with the "safe" clearance, "unsafe" (1 if no candidate was
+    safe), number of the "best" instance, and "x", "y", "z" [m].
 
     The clearance is the distance to the obstacles of the world; without a world, that of the plan to the cloud."""
     outcome: str
@@ -174,6 +175,7 @@ def _columns(contents: LogContents, world: World | None, config: PlannerConfig) 
         "clearance": columns["clearance"].clip(0.0, CLEARANCE_MAX),
         "plan_ms": np.array([plan.plan_ms for plan in plans]),
         "safe": np.array([float(np.count_nonzero(plan.clearance >= limit)) for plan in plans]),
+        "unsafe": np.array([float(plan.status == PlanStatus.NO_SAFE_CANDIDATE) for plan in plans]),
         "best": np.array([float(plan.best) for plan in plans]),
     }
 

@@ -36,19 +36,21 @@ class FlightFigures:
         """Return the figures of a flight.
 
         Args:
-            columns: "time" [s], "speed" [m/s], "clearance" [m], "plan_ms", number of "safe" candidates, "x", "y" and
-                "z" [m], with a value for each tick.
+            columns: "time" [s], "speed" [m/s], "clearance" [m], "plan_ms", "unsafe" (1 if no candidate was safe),
+                "x", "y" and "z" [m], with a value for each tick from the start of the flight on.
             outcome: how it ended.
         """
         path = np.stack([columns[axis] for axis in "xyz"], axis=1)
+        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        duration = float(columns["time"][-1] - columns["time"][0])
         return cls(
             outcome=outcome,
-            time_s=float(columns["time"][-1]),
-            length_m=float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()),
-            mean_speed=float(columns["speed"].mean()),
+            time_s=duration,
+            length_m=length,
+            mean_speed=length / duration if duration > 0.0 else float(columns["speed"][0]),
             min_clearance=float(columns["clearance"].min()),
             plan_ms_median=float(np.median(columns["plan_ms"])),
-            unsafe_ticks=int(np.count_nonzero(columns["safe"] == 0)),
+            unsafe_ticks=int(np.count_nonzero(columns["unsafe"])),
         )
 
     def texts(self) -> tuple[str, ...]:

@@ -1,15 +1,18 @@
 """Rows, events and forks of a flight's history."""
 
 import csv
+import dataclasses
 import io
+import re
 
 import numpy as np
 import pytest
 from small_source import small_config, small_source
 
+from aero_planner import PlanStatus
 from aero_viz.dashboard.history import COLUMNS, FlightHistory, first_difference, true_clearance
-from aero_viz.dashboard.panels.charts import CURVES, envelope, table
-from aero_viz.logs.flight_figures import CLEARANCE_MAX
+from aero_viz.dashboard.panels.charts import CURVES, envelope, flight_table, table
+from aero_viz.logs.flight_figures import CLEARANCE_MAX, FlightFigures
 from aero_viz.session import Session
 
 
@@ -59,12 +62,43 @@ def test_the_same_flight_again_is_no_fork_and_another_weight_is_one(session):
     assert "costs.q_track" in past.events[0].text and "50.0" in past.events[0].text
 
 
+def figures(table: str, label: str) -> list[float]:
+    """Return the figures of the ghost and of the flight in a row of the table."""
+    cells = re.sub("<[^>]*>", " ", table[table.index(label) + len(label) :]).split()
+    return [float(cell) for cell in cells[:2]]
+
+
+def test_the_table_compares_both_flights_from_their_start(session):
+    history = FlightHistory()
+    fly(session, history, 30)
+    flown = history.past().rows
+    session.seek(float(flown[20, 0])).result()
+    history.add(session.frame)
+    fly(session, history, 9)
+    assert len(history.past().ghost) == 9
+    shown = flight_table(history.past(), ("before", "now"))
+    for label in ("time [s]", "length [m]", "mean speed [m/s]", "smallest clearance [m]"):
+        before, now = figures(shown, label)
+        assert before == now != 0.0, label
+
+
+def test_ticks_without_a_safe_candidate_are_those_of_the_planner(session):
+    history = FlightHistory()
+    fly(session, history, 3)
+    braking = dataclasses.replace(session.frame.plan, status=PlanStatus.NO_SAFE_CANDIDATE)
+    last = session.frame
+    history.add(dataclasses.replace(last, time=last.time + last.source.period, plan=braking))
+    columns: dict[str, np.ndarray] = dict(zip(COLUMNS, history.past().rows.T, strict=True))
+    assert (columns["safe"] > 0.0).all(), "every plan has candidates with the safe clearance"
+    assert FlightFigures.from_columns(columns, "flying").unsafe_ticks == 1
+
+
 def test_a_fork_keeps_the_outcome_of_the_future_that_was_left(session):
     history = FlightHistory()
     while session.frame is None or session.frame.outcome is None:
         fly(session, history, 1)
     end = session.frame
-    assert [event.kind for event in history.past().events][-1] == "end"
+    assert [event.kind for event in history.past().events][-1] == "arrived"
     session.seek(0.2).result()
     history.add(session.frame)
     session.set_goal(np.add(end.observation.goal.position, (0.0, 0.5, 0.0))).result()

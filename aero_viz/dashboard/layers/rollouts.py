@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from aero_planner import Plan
+from aero_planner import Plan, PlanStatus
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Lines, Option, polylines
 from aero_viz.session.frame import Frame
@@ -77,6 +77,5 @@ class RolloutLayer(Layer):
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        return BarChart(
-            "S2, logarithmic: shorter is better", f"best is {best} of {len(bars)} ({plan.kinds[best]})", bars
-        )
+        none_is_safe = ", none is safe" if plan.status == PlanStatus.NO_SAFE_CANDIDATE else ""
+        return BarChart("S2, log.: shorter is better", f"chosen: {best} ({plan.kinds[best]}){none_is_safe}", bars)

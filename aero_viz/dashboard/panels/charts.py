@@ -35,7 +35,9 @@ _NAMES = {
 """Headings and description of a ghost by its name."""
 _EVENT_COLORS = {
     "braking": palette.WARNING,
-    "end": palette.BAD,
+    "arrived": palette.GOOD,
+    "end": palette.MUTED,
+    "failed": palette.BAD,
     "parameters": palette.BRAND,
     "goal": palette.GOAL,
 }
@@ -147,8 +149,9 @@ def _drawing(past: Past, frame: Frame) -> str:
     gap = max(_GAP, 10.0 * frame.source.period)
     at = int(np.clip(np.searchsorted(past.rows[:, 0], frame.time + 1e-9) - 1, 0, len(past.rows) - 1))
     cursor = (frame.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
-    parts = [_curve(curve, past, span, gap, at) for curve in CURVES]
-    height = len(CURVES) * (_HEIGHT + 18)
+    curves = [curve for curve in CURVES if np.isfinite(past.rows[:, COLUMNS.index(curve.columns[0])]).any()]
+    parts = [_curve(curve, past, span, gap, at) for curve in curves]
+    height = len(curves) * (_HEIGHT + 18)
     marks = "".join(_mark(event, span) for event in past.events)
     difference = ""
     if past.differs_at is not None:
@@ -193,7 +196,7 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
     ghost = _ghost_value(curve, past, indices, float(past.rows[at, 0]))
     heading = markup.heading(curve.label, f"{'≥ ' if is_beyond else ''}{value}{ghost}")
     return (
-        f'<div style="height:18px;font-size:11px">{heading}</div>'
+        f'<div style="height:18px;font-size:11px;white-space:nowrap;overflow:hidden">{heading}</div>'
         f'<svg class="aero-curve" data-curve="{curve.columns[0]}" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
         f'preserveAspectRatio="none" style="display:block;width:100%;height:{_HEIGHT}px;'
         f'background:{css(palette.MUTED, 0.10)}">{paths(past.ghost, 0.4, _GHOST_LINE)}{paths(past.rows, 1.0)}'
@@ -242,14 +245,16 @@ def _fork(past: Past) -> str:
 
 
 def flight_table(past: Past, names: tuple[str, str], *, ghost_state: str = "not over") -> str:
-    """Return the figures of the ghost and of the flight as HTML.
+    """Return the figures of the ghost and of the flight as HTML, both from the start of the flight on.
 
     Args:
         past: the flight and its ghost, which must not be empty.
         names: heading of the ghost and of the flight.
         ghost_state: outcome of a ghost that has none.
     """
-    ghost = FlightFigures.from_columns(dict(zip(COLUMNS, past.ghost.T, strict=True)), past.ghost_outcome or ghost_state)
+    common = past.rows[past.rows[:, 0] < past.ghost[0, 0] - 1e-9]  # the ghost begins where the flight forked
+    whole = np.vstack((common, past.ghost))
+    ghost = FlightFigures.from_columns(dict(zip(COLUMNS, whole.T, strict=True)), past.ghost_outcome or ghost_state)
     flight = FlightFigures.from_columns(dict(zip(COLUMNS, past.rows.T, strict=True)), past.outcome or "flying")
     rows = [tuple(row) for row in zip(LABELS, ghost.texts(), flight.texts(), strict=True)]
     return markup.columns(("flight", *names), rows)

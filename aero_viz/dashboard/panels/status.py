@@ -64,7 +64,9 @@ class StatusPanel(Panel):
             pills.append(markup.pill("paused", palette.MUTED))
         if delay := self._delay(frame):
             pills.append(markup.muted(delay))
-        sentences = (*frame.source.notices, *([frame.explanation] if frame.explanation else []))
+        sentences = list(frame.source.notices)
+        if frame.explanation and not any(frame.explanation in sentence for sentence in sentences):
+            sentences.append(frame.explanation)
         notices = "".join(
             f'<div style="color:{markup.ink(palette.WARNING)};margin-top:3px">{markup.text(sentence)}</div>'
             for sentence in sentences
@@ -96,8 +98,8 @@ class StatusPanel(Panel):
 def _recorded(plan: RecordedPlan) -> str:
     best = plan.best
     return markup.text(
-        f"recorded plan: {best} of {len(plan.kinds)} ({plan.kinds[best]}), S2 {plan.stage2_cost[best]:.4g}, "
-        f"clearance {plan.clearance[best]:.2f} m"
+        f"recorded plan: instance {best} ({plan.kinds[best]}), S2 {plan.stage2_cost[best]:.4g}, "
+        f"clearance {plan.clearance[best]:.2f} m. The figures below are of the live planner on this cloud."
     )
 
 
