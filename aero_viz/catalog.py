@@ -73,20 +73,32 @@ def load_world(
     Raises:
         UserError: there is no such scene or file, or the file is malformed.
     """
-    from aero_viz.scenes import World, load_map, scene
+    from aero_viz.scenes import SCENES, load_map, scene
     from aero_viz.scenes.map_files import has_voxels
 
     refuse_irregular(spec)
-    if (is_map(spec) or spec.endswith(".json") or "/" in spec) and count is not None:
+    is_file = spec not in SCENES and ("/" in spec or Path(spec).suffix != "" or Path(spec).exists())
+    if is_file and count is not None:
         raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
     if is_map(spec):
         return load_map(spec, voxel=voxel if has_voxels(spec) else None, start=start, goal=goal, across=across)
-    is_file = spec.endswith(".json") or "/" in spec
-    world = World.load(spec) if is_file else scene(spec, seed=seed, count=count)
+    world = _load_file(spec) if is_file else scene(spec, seed=seed, count=count)
     try:
         return replace(world, **{name: p for name, p in (("start", start), ("goal", goal)) if p is not None})
     except ValueError as error:
         raise UserError(f"{spec}: {error}") from error
+
+
+def _load_file(path: str) -> World:
+    """Read a world's JSON file; the error for another file says how to play a recording."""
+    from aero_viz.scenes import World
+
+    try:
+        return World.load(path)
+    except UserError as error:
+        if not isinstance(error.__cause__, (UnicodeDecodeError, IsADirectoryError)):
+            raise
+        raise UserError(f"{error} If it is a recording, play it with: aero-viz play {path}") from error
 
 
 def open_source(

@@ -37,6 +37,26 @@ def test_errors_name_the_source_or_the_alternatives(spec: str, options: dict[str
 
 
 @pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("flight.mcap", r"flight\.mcap is not a world.*play it with: aero-viz play .*flight\.mcap"),
+        ("folder", r"folder: Is a directory.*play it with: aero-viz play .*folder"),
+        ("notes.txt", r"notes\.txt is not JSON.* column 1\.$"),
+        ("missing.mcap", r"There is no file .*missing\.mcap\.$"),
+        ("missing.json", r"There is no file .*missing\.json\.$"),
+    ],
+)
+def test_a_file_that_is_no_world_is_told_from_a_scene(monkeypatch, tmp_path: Path, file: str, message: str):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "flight.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "notes.txt").write_text("notes")
+    monkeypatch.chdir(tmp_path)
+    for path in (file, str(tmp_path / file)):
+        with pytest.raises(UserError, match=message):
+            load_world(path)
+
+
+@pytest.mark.parametrize(
     ("goal", "words"), [([4.0, 0.0, 2.0], r"goal \(4, 0, 2\) lies inside"), ([9e4, 0.0, 2.0], "90000 m away")]
 )
 def test_a_world_in_which_no_flight_can_arrive_is_refused(tmp_path: Path, goal: list[float], words: str):

@@ -145,7 +145,9 @@ def score(
     from aero_viz.evaluation.score import score as score_flight
 
     limits, loaded = flight_rules(rules), world_flags.load(world, seed=seed)
-    result = score_flight(load_trajectory(flight, pose_topic=pose_topic), loaded, rules=limits, planner=planner)
+    result = score_flight(
+        load_trajectory(flight, pose_topic=pose_topic), loaded, rules=limits, planner=planner, seed=seed
+    )
     if table is not None:
         append_to_table(result, table)
     print_report(result, as_json=json)

@@ -83,7 +83,7 @@ def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Traje
 
 
 def score(
-    trajectory: Trajectory, world: World, *, rules: FlightRules | None = None, planner: str = "recorded"
+    trajectory: Trajectory, world: World, *, rules: FlightRules | None = None, planner: str = "recorded", seed: int = 0
 ) -> FlightResult:
     """Return the metrics of `trajectory` in `world`, as if the simulator had flown it.
 
@@ -98,6 +98,7 @@ def score(
         world: obstacles, goal and bounds.
         rules: when the flight ends.
         planner: name of the planner, which becomes `config` of the result.
+        seed: seed of the result, which nothing else depends on.
     """
     rules = rules or FlightRules()
     start, period = trajectory.times[0], rules.period
@@ -112,7 +113,7 @@ def score(
     record, outcome = judge_trajectory(world, positions, velocities, clearance, rules=rules)
     ticks = int(record["ticks"][0])
     return flight_results(
-        record, [outcome], [world], positions[ticks][None], rules=rules, seeds=[0], configs=[planner], plan_ms=None
+        record, [outcome], [world], positions[ticks][None], rules=rules, seeds=[seed], configs=[planner], plan_ms=None
     )[0]
 
 

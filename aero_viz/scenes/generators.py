@@ -208,7 +208,9 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     """
     if name not in SCENES:
         hint = did_you_mean(name, SCENES)
-        raise UserError(f"Unknown scene {name!r}{hint}; give one of {', '.join(SCENES)}, or a world's JSON file.")
+        raise UserError(
+            f"Unknown scene {name!r}{hint}; give one of {', '.join(SCENES)}, or the path of a world's file."
+        )
     if seed < 0:
         raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
     if count is not None and count < 0:

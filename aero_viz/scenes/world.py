@@ -126,6 +126,8 @@ class World:
         """
         try:
             return cls.from_dict(json.loads(read_user_text(path, limit=TEXT_MAX)))
+        except FileNotFoundError as error:
+            raise UserError(f"There is no file {path}.") from error
         except OSError as error:
             raise UserError(f"Cannot read the world {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError as error:

@@ -40,7 +40,9 @@ def test_a_simulated_flight_scores_as_it_was_flown(world, speed, reason, tmp_pat
     rules = FlightRules(time_limit=60.0 if reason else 0.9)
     flown = fly(world, config=CONFIG, seed=4, lidar=LIDAR, speed=speed, rules=rules, trajectory=tmp_path / "flight.csv")
     assert flown.reason == (reason or "timeout")
-    assert_same(score(load_trajectory(tmp_path / "flight.csv"), world, rules=rules), flown)
+    scored = score(load_trajectory(tmp_path / "flight.csv"), world, rules=rules, seed=4)
+    assert_same(scored, flown)
+    assert scored.seed == flown.seed
 
 
 def test_a_flight_log_scores_as_it_was_flown(tmp_path):
