@@ -3,8 +3,10 @@
 import imageio.v3 as iio
 import numpy as np
 
+from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.links import Link
+from aero_viz.flight.known_drone import config_for_flight
 from tests.browser.pictures import count
 
 
@@ -36,7 +38,9 @@ def test_the_picture_shows_the_scene_and_the_panels(restored_desk, tmp_path):
 
 def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restored_desk):
     desk = restored_desk
-    desk.session.configure({"costs.q_track": 8.0})
+    config = config_for_flight(PlannerConfig().replace({"costs.q_track": 8.0}), desk.session.frame.source)
+    assert config.costs.height_max < PlannerConfig().costs.height_max, "a fact of the flight, which no link needs"
+    desk.session.configure(config)
     desk.session.seek(0.1).result()
     desk.open_folder("Share", "Copy link")
     field = desk.control("Link").locator("input")
@@ -57,6 +61,8 @@ def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restore
     desk.wait_for(lambda: desk.session.config.costs.q_track == 8.0, "the configuration of the link")
     desk.wait_for(lambda: abs(desk.session.frame.time - 0.1) < 1e-6, "the time of the link")
     assert desk.session.source.settings["seed"] == 5
+    assert desk.session.config == config_for_flight(desk.session.config, desk.session.source)
+    assert desk.session.config.costs.height_max < PlannerConfig().costs.height_max
     assert "source=" not in desk.page.url
 
 

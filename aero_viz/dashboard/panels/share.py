@@ -24,6 +24,7 @@ from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import notify
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
+from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.repeat import repeat
@@ -114,8 +115,11 @@ class SharePanel(Panel):
 
     def _query(self) -> str:
         frame = self.session.frame
-        time = 0.0 if frame is None else frame.time
-        return Link.to_moment(self._sources.opening, time, self.session.config).query
+        if frame is None:
+            return Link.to_moment(self._sources.opening, 0.0, self.session.config).query
+        # The server that opens the link knows the facts of the flight as well.
+        config = config_without_facts(self.session.config, frame.source)
+        return Link.to_moment(self._sources.opening, frame.time, config).query
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         client.local_storage.set_item(_STORED, "")

@@ -224,7 +224,7 @@ class SourcePanel(Panel):
         """Use the configuration of a link from the start on, and fly to its time, or until that is cancelled."""
         self._is_read = False
         self.session.pause()
-        self._controls.configure(PlannerConfig().replace(link.config))
+        self._controls.configure(self.page.config_for_flight(PlannerConfig().replace(link.config)))
         with contextlib.suppress(CancelledError):
             if link.time <= 0.0 or self.session.seek(link.time).exception() is not None:
                 return
