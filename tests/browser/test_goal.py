@@ -35,7 +35,7 @@ def near(desk):
 
 def coordinates(desk: Desk) -> list[Locator]:
     """The number fields of the goal: x, y and z."""
-    return desk.control("Goal").locator("input").all()
+    return desk.control("Goal [m]").locator("input").all()
 
 
 def goal_of(desk: Desk) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_dragging_an_arrow_moves_the_goal_along_it_and_changes_the_plan(near):
     np.testing.assert_allclose(after[:2], before[:2], atol=1e-3)
     assert not np.array_equal(near.session.frame.plan.positions, plan.positions)
     # The numbers follow although time stands still.
-    shown = near.control("Goal").locator("input").last
+    shown = near.control("Goal [m]").locator("input").last
     near.wait_for(lambda: abs(float(shown.input_value()) - goal_of(near)[2]) < 0.06, "the number to follow")
 
 

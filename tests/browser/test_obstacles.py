@@ -81,7 +81,7 @@ def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_re
         desk.page.get_by_role("button", name=kind, exact=True).click()
         desk.wait_for(lambda kind=kind: added(desk, kind) is not None, f"the {kind}")
         size = present(desk, kind).size
-        desk.wait_for(lambda size=size: values(desk, "Size") == pytest.approx(size), "the size in numbers")
+        desk.wait_for(lambda size=size: values(desk, "Size [m]") == pytest.approx(size), "the size in numbers")
     desk.page.mouse.click(*GROUND)
     desk.page.get_by_text("Click an obstacle").wait_for()
     desk.page.get_by_role("button", name="box", exact=True).click()
@@ -94,9 +94,9 @@ def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_re
         return obstacle
 
     for label, column, value, read in (
-        ("Size", 2, 2.5, lambda: box().size[2]),
-        ("Centre", 0, 7.0, lambda: box().center[0]),
-        ("Heading", 0, 45.0, lambda: np.degrees(box().yaw)),
+        ("Size [m]", 2, 2.5, lambda: box().size[2]),
+        ("Centre [m]", 0, 7.0, lambda: box().center[0]),
+        ("Heading [deg]", 0, 45.0, lambda: np.degrees(box().yaw)),
     ):
         field = desk.control(label).locator("input").nth(column)
         desk.enter(field, value)
@@ -109,23 +109,23 @@ def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_re
 
 def test_one_diameter_of_a_sphere_changes_all_and_a_size_that_cannot_be_is_refused(desk):
     throw(desk)
-    field = desk.control("Size").locator("input").nth(1)
+    field = desk.control("Size [m]").locator("input").nth(1)
     field.select_text()
     field.press_sequentially("0.4", delay=150)
     desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.4] * 3), "a smaller sphere")
-    desk.wait_for(lambda: values(desk, "Size") == pytest.approx([0.4] * 3), "the other sizes")
+    desk.wait_for(lambda: values(desk, "Size [m]") == pytest.approx([0.4] * 3), "the other sizes")
     desk.enter(field, "-3")
     refusal = desk.refusal("radius = -1.5")
     refusal.wait_for()
     desk.dismiss(refusal)
-    desk.wait_for(lambda: values(desk, "Size") == pytest.approx([0.4] * 3), "the size that stays")
+    desk.wait_for(lambda: values(desk, "Size [m]") == pytest.approx([0.4] * 3), "the size that stays")
 
 
 def test_numbers_typed_in_two_fields_in_a_row_both_count(desk):
     throw(desk)
     place = present(desk, "sphere").center
-    desk.control("Centre").locator("input").nth(2).fill("3.5")
-    desk.control("Size").locator("input").nth(0).fill("0.8")
+    desk.control("Centre [m]").locator("input").nth(2).fill("3.5")
+    desk.control("Size [m]").locator("input").nth(0).fill("0.8")
     desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.8] * 3), "a smaller sphere")
     desk.wait_for(lambda: present(desk, "sphere").center == pytest.approx([*place[:2], 3.5], abs=1e-3), "a higher one")
 
@@ -133,7 +133,7 @@ def test_numbers_typed_in_two_fields_in_a_row_both_count(desk):
 def test_ctrl_z_and_the_button_take_back_what_was_done_to_an_obstacle(desk):
     throw(desk)
     place = present(desk, "sphere").center
-    desk.control("Centre").locator("input").nth(2).fill("3.5")
+    desk.control("Centre [m]").locator("input").nth(2).fill("3.5")
     desk.wait_for(lambda: present(desk, "sphere").center[2] == pytest.approx(3.5), "a higher sphere")
     desk.page.mouse.click(*desk.place_on_page(present(desk, "sphere").center))  # out of the field
     desk.click("Remove")

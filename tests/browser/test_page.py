@@ -108,7 +108,7 @@ def test_the_step_pause_restart_and_time_controls_work(restored_desk):
     desk.session.seek(desk.session.time_range[1]).result()
     assert desk.session.frame.index == stopped
 
-    row = desk.control("Time")
+    row = desk.control("Time [s]")
     box = row.locator(".mantine-Slider-trackContainer").bounding_box()
     desk.page.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
     desk.wait_for(lambda: desk.session.frame.index < stopped - 3, "an earlier tick")

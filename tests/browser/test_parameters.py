@@ -129,7 +129,7 @@ def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):
         return last.bounding_box()["y"] < 720
 
     desk.wait_for(is_in_view, "the last control")
-    for control in (desk.page.get_by_role("button", name="Play", exact=True), desk.control("Time")):
+    for control in (desk.page.get_by_role("button", name="Play", exact=True), desk.control("Time [s]")):
         assert 0 < control.bounding_box()["y"] < 300
     tabs = [tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()]
     assert max(tabs) - min(tabs) < 5, "one row"

@@ -109,7 +109,7 @@ def recording(browser, shared_datasets):
         desk.control("Path").locator("input").fill(str(shared_datasets / "hilti_os0_A_mcap"))
         desk.click("Open path")
         desk.wait_for(lambda: not desk.session.source.closed_loop, "the recording")
-        desk.wait_for(lambda: desk.control("Time").is_visible(), "its time line")
+        desk.wait_for(lambda: desk.control("Time [s]").is_visible(), "its time line")
         yield desk
         assert desk.console == []
         assert desk.dashboard.failures == 0

@@ -63,7 +63,7 @@ CURVES = (
     Curve("speed [m/s]", ("speed",), (palette.NOSE,), ".2f"),
     Curve("true clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
     Curve(
-        "best S2: all, goal, collision", ("cost", "goal_cost", "collision_cost"),
+        "best S2 (log): all, goal, collision", ("cost", "goal_cost", "collision_cost"),
         (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", is_log=True,
     ),
     Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f"),

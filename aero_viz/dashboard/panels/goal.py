@@ -21,7 +21,7 @@ class GoalPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._typed, self._dragged = Hold(), Hold()
-        self._position = gui.add_vector3("Goal", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world frame [m].")
+        self._position = gui.add_vector3("Goal [m]", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world frame [m].")
         self._position.precision = 3
         self._drag = gui.add_checkbox("Drag the goal", False, hint="Show arrows at the goal that move it.")
         self._arrows = self.page.server.scene.add_transform_controls(

@@ -80,10 +80,10 @@ class ObstaclePanel(Panel):
         hint = "Click an obstacle in the scene to select it; then move it by its arrows, resize or remove it."
         self._switch = gui.add_checkbox("Edit obstacles", False, hint=hint)
         self._name = gui.add_html(markup.note(_NOTHING), visible=False)
-        self._center = gui.add_vector3("Centre", (0.0, 0.0, 0.0), step=0.5, visible=False, hint="x, y, z [m].")
+        self._center = gui.add_vector3("Centre [m]", (0.0, 0.0, 0.0), step=0.5, visible=False, hint="x, y, z [m].")
         hint = "Width, depth and height along its own axes [m]. Diameters of a round obstacle change together."
-        self._size = gui.add_vector3("Size", (1.0, 1.0, 1.0), step=0.1, visible=False, hint=hint)
-        self._yaw = gui.add_number("Heading", 0.0, step=5.0, visible=False, hint="Rotation of the box about z [deg].")
+        self._size = gui.add_vector3("Size [m]", (1.0, 1.0, 1.0), step=0.1, visible=False, hint=hint)
+        self._yaw = gui.add_number("Heading [deg]", 0.0, step=5.0, visible=False, hint="Rotation of the box about z.")
         self._center.precision = self._size.precision = self._yaw.precision = 3
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
         hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl Z, Ctrl Shift Z."

@@ -34,7 +34,7 @@ class PlaybackPanel(Panel):
             "Step", ("-10", "-1", "+1", "+10"), hint="Pause and move by some ticks, backward or forward."
         )
         self._time = gui.add_slider(
-            "Time", 0.0, 1.0, 0.01, 0.0,
+            "Time [s]", 0.0, 1.0, 0.01, 0.0,
             hint="Pause and go to this time [s]. A flight can continue differently from there.",
         )  # fmt: skip
         if self.session.controls is not None:
@@ -55,7 +55,8 @@ class PlaybackPanel(Panel):
             self._seek(self.session.time_range[0])
 
     def _add_speed(self, gui: viser.GuiApi, controls: SessionControls) -> None:
-        speed = gui.add_dropdown("Speed", tuple(_SPEEDS), initial_value="1", hint="Source time per wall-clock time.")
+        hint = "Source time per wall-clock time."
+        speed = gui.add_dropdown("Playback speed", tuple(_SPEEDS), initial_value="1", hint=hint)
 
         @speed.on_update
         async def _(event: viser.GuiEvent) -> None:
