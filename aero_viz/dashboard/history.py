@@ -51,6 +51,8 @@ class Past:
     ghost: Rows
     """Rows of the ghost: the flight of configuration A, or the future that was left when the flight last forked. Empty
     without either."""
+    common: Rows
+    """Rows before those of the ghost, which the flight of the ghost began with."""
     ghost_outcome: str | None
     """Outcome of the ghost; None if it was left while running."""
     ghost_name: str
@@ -88,7 +90,7 @@ class FlightHistory:
                 self._clear()
                 last = None
             advanced = last is not None and frame.epoch == last.epoch and frame.time > last.time
-            at = int(np.searchsorted(self._rows[: self._count, 0], frame.time - 1e-9))
+            at = self._place_of(frame.time)
             is_closed_loop = frame.source.closed_loop
             if advanced and at < self._count and is_closed_loop:
                 self._fork(at)
@@ -110,6 +112,8 @@ class FlightHistory:
                 self._set_ghost([], None)
                 self._ghost_name = "before" if event.kind == "unpinned" else "A"
             elif row is not None and event.frame is not None:
+                if not self._ghost:  # B may go back beyond the fork and change these rows
+                    self._common = self._rows[: self._place_of(event.frame.time)].copy()
                 self._ghost.append(row)
                 self._ghost_outcome = event.frame.outcome
 
@@ -123,8 +127,8 @@ class FlightHistory:
             is_recording = self._last is not None and not self._last.source.closed_loop
             differs_at = first_difference(rows, ghost, over=self._ghost_outcome is not None, plans=is_recording)
             return Past(
-                rows, tuple(self._events), self._outcome, ghost, self._ghost_outcome, self._ghost_name, differs_at,
-                self._pinned, self._alternative,
+                rows, tuple(self._events), self._outcome, ghost, self._common, self._ghost_outcome, self._ghost_name,
+                differs_at, self._pinned, self._alternative,
             )  # fmt: skip
 
     def _clear(self) -> None:
@@ -137,13 +141,18 @@ class FlightHistory:
 
     def _set_ghost(self, rows: list[Rows], outcome: str | None) -> None:
         self._ghost, self._ghost_outcome = rows, outcome
-        self._ghost_rows = np.empty((0, len(COLUMNS)))
+        self._ghost_rows = self._common = np.empty((0, len(COLUMNS)))
+
+    def _place_of(self, time: float) -> int:
+        """Return the number of rows before a time [s]."""
+        return int(np.searchsorted(self._rows[: self._count, 0], time - 1e-9))
 
     def _fork(self, at: int) -> None:
         """Continue from an earlier tick. The rows from `at` on become the ghost, unless that is the flight of A."""
         time = self._rows[at, 0]
         if self._ghost_name != "A":
             self._set_ghost(list(self._rows[at : self._count].copy()), self._outcome)
+            self._common = self._rows[:at].copy()
         self._outcome = None
         self._count = at
         self._events = [event for event in self._events if event.time < time or event.kind in ("parameters", "goal")]

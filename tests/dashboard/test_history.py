@@ -170,6 +170,25 @@ def test_the_flight_of_a_is_the_ghost_until_it_is_unpinned(session):
     assert not len(history.past().ghost) and history.past().pinned is None
 
 
+def test_the_figures_of_a_stay_when_b_goes_back_beyond_the_fork(session):
+    history = FlightHistory()
+    events = session.comparison.subscribe(history.compare, name="history")
+    fly(session, history, 20)
+    session.pin().result()
+    session.fly_both().result()
+    assert events.drain()
+    fly(session, history, 1)
+    shown = flight_table(history.past(), ("A", "B"))
+    a = [figures(shown, label)[0] for label in ("time [s]", "length [m]", "mean speed [m/s]")]
+    assert a[1] / a[0] == pytest.approx(a[2], rel=0.05)
+    session.seek(0.1).result()
+    session.configure({"vehicle.speed_limit": 1.0})
+    history.add(session.frame)
+    fly(session, history, 5)
+    shown = flight_table(history.past(), ("A", "B"))
+    assert a == [figures(shown, label)[0] for label in ("time [s]", "length [m]", "mean speed [m/s]")]
+
+
 def test_the_first_difference_is_that_of_positions_or_of_chosen_instances():
     rows = np.zeros((6, len(COLUMNS)))
     rows[:, 0] = np.arange(6) * 0.1

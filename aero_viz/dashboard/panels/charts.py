@@ -252,8 +252,7 @@ def flight_table(past: Past, names: tuple[str, str], *, ghost_state: str = "not 
         names: heading of the ghost and of the flight.
         ghost_state: outcome of a ghost that has none.
     """
-    common = past.rows[past.rows[:, 0] < past.ghost[0, 0] - 1e-9]  # the ghost begins where the flight forked
-    whole = np.vstack((common, past.ghost))
+    whole = np.vstack((past.common, past.ghost))
     ghost = FlightFigures.from_columns(dict(zip(COLUMNS, whole.T, strict=True)), past.ghost_outcome or ghost_state)
     flight = FlightFigures.from_columns(dict(zip(COLUMNS, past.rows.T, strict=True)), past.outcome or "flying")
     rows = [tuple(row) for row in zip(LABELS, ghost.texts(), flight.texts(), strict=True)]
