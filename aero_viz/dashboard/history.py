@@ -35,7 +35,7 @@ class Event(NamedTuple):
     time: float
     """Source time [s]."""
     kind: str
-    """"arrived", "failed" or "end", which is that of a recording, "braking", "parameters" or "goal"."""
+    """"braking", "parameters", "goal", or how the flight ended, such as "arrived"."""
     text: str
 
 
@@ -245,6 +245,5 @@ def _events(last: Frame | None, frame: Frame) -> list[Event]:
     if is_braking and not was_braking and frame.epoch == last.epoch:
         events.append(Event(frame.time, "braking", "no safe candidate: stopping"))
     if frame.outcome is not None and (last.outcome is None or last.epoch != frame.epoch):
-        kind = frame.outcome if frame.outcome in ("arrived", "end") else "failed"
-        events.append(Event(frame.time, kind, frame.outcome.replace("_", " ")))
+        events.append(Event(frame.time, frame.outcome, frame.outcome.replace("_", " ")))
     return events

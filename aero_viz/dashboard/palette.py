@@ -61,6 +61,9 @@ WARNING: Rgb = (250, 176, 5)
 BAD: Rgb = (255, 82, 82)
 MUTED: Rgb = (134, 146, 164)
 
+OUTCOMES: dict[str, Rgb] = {"arrived": GOOD, "collision": BAD, "end": MUTED}
+"""Colours of the outcomes of flights; the others have that of a warning."""
+
 
 def _colormap(name: str) -> Colormap:
     """Return a colormap of matplotlib as 256 rows of sRGB, shape [256, 3]."""

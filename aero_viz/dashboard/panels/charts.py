@@ -33,11 +33,8 @@ _NAMES = {
     "before": (("before", "now"), "the future before"),
 }
 """Headings and description of a ghost by its name."""
-_EVENT_COLORS = {
+_EVENT_COLORS = palette.OUTCOMES | {
     "braking": palette.WARNING,
-    "arrived": palette.GOOD,
-    "end": palette.MUTED,
-    "failed": palette.BAD,
     "parameters": palette.BRAND,
     "goal": palette.GOAL,
 }
@@ -56,17 +53,21 @@ class Curve:
     """Format of a value."""
     top: float | None = None
     """Upper end of the axis; None takes the largest value."""
+    names: tuple[str, ...] = ()
+    """Names of the columns, if there are several."""
     is_log: bool = False
+    has_outliers: bool = False
+    """The axis leaves out the largest values, so that they do not flatten the others."""
 
 
 CURVES = (
     Curve("speed [m/s]", ("speed",), (palette.NOSE,), ".2f"),
     Curve("true clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
     Curve(
-        "best S2 (log): all, goal, collision", ("cost", "goal_cost", "collision_cost"),
-        (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", is_log=True,
+        "chosen S2 (log)", ("cost", "goal_cost", "collision_cost"),
+        (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", names=("all", "goal", "collision"), is_log=True,
     ),
-    Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f"),
+    Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f", has_outliers=True),  # the first plan compiles kernels
     Curve("candidates with clearance", ("safe",), (palette.GOOD,), ".0f"),
     Curve("effective samples", ("samples",), (palette.RECORDED,), ".1f"),
 )  # fmt: skip
@@ -175,8 +176,7 @@ def _drawing(past: Past, frame: Frame) -> str:
 
 def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: int) -> str:
     indices = [COLUMNS.index(name) for name in curve.columns]
-    everything = np.vstack((past.rows[:, indices], past.ghost[:, indices]))
-    top = curve.top or max(float(np.nanmax(everything)), 1e-9)
+    top = curve.top or max(_largest(curve, np.vstack((past.rows[:, indices], past.ghost[:, indices]))), 1e-9)
     height = max(float(_scaled(curve, np.array(top))), 1e-9)
 
     def paths(rows: Array, opacity: float, ghost: str = "") -> str:
@@ -191,17 +191,27 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
                 )
         return drawn
 
-    value = " / ".join(f"{past.rows[at, index]:{curve.number}}" for index in indices)
+    values = [f"{past.rows[at, index]:{curve.number}}" for index in indices]
     is_beyond = curve.top is not None and past.rows[at, indices[0]] >= curve.top
     ghost = _ghost_value(curve, past, indices, float(past.rows[at, 0]))
-    heading = markup.heading(curve.label, f"{'≥ ' if is_beyond else ''}{value}{ghost}")
+    value = "" if curve.names else f"{'≥ ' if is_beyond else ''}{values[0]}"
+    named = zip(curve.names, values, curve.colors, strict=False)  # without names, the value stands next to the label
+    words = markup.colored([(f"{name} {number}", color) for name, number, color in named])
+    heading = markup.one_line(curve.label, f"{value}{ghost}".strip()) + words
     return (
-        f'<div style="height:18px;font-size:11px;white-space:nowrap;overflow:hidden">{heading}</div>'
+        f'<div class="aero-heading" style="font-size:11px">{heading}</div>'
         f'<svg class="aero-curve" data-curve="{curve.columns[0]}" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
         f'preserveAspectRatio="none" style="display:block;width:100%;height:{_HEIGHT}px;'
         f'background:{css(palette.MUTED, 0.10)}">{paths(past.ghost, 0.4, _GHOST_LINE)}{paths(past.rows, 1.0)}'
         f'<text x="2" y="9" font-size="8" fill="{css(palette.MUTED)}">{top:.4g}</text></svg>'
     )
+
+
+def _largest(curve: Curve, values: Array) -> float:
+    """Return the upper end of the axis of a curve with these values, some of which may be NaN."""
+    values = np.sort(values[np.isfinite(values)])
+    usual = values[int(0.95 * (len(values) - 1))] * 1.25 if curve.has_outliers else np.inf
+    return float(min(values[-1], usual))
 
 
 def _ghost_value(curve: Curve, past: Past, indices: list[int], time: float) -> str:
@@ -219,14 +229,14 @@ def _scaled(curve: Curve, values: Array) -> Array:
 
 def _mark(event: Event, span: tuple[float, float]) -> str:
     x = (event.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
-    color = css(_EVENT_COLORS.get(event.kind, palette.MUTED))
+    color = css(_EVENT_COLORS.get(event.kind, palette.WARNING))
     return f'<rect class="aero-event" x="{x - 1.5:.1f}" y="0" width="3" height="12" fill="{color}"/>'
 
 
 def _list(events: Sequence[Event], most: int = 6) -> str:
     """Return the last events, one per line."""
     lines = [
-        f'<div style="font-size:11px"><span style="color:{markup.ink(_EVENT_COLORS.get(event.kind, palette.MUTED))}">'
+        f'<div style="font-size:11px"><span style="color:{markup.ink(_EVENT_COLORS.get(event.kind, palette.WARNING))}">'
         f"{event.time:.2f} s</span> {markup.text(event.text)}</div>"
         for event in events[-most:]
     ]

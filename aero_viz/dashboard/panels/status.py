@@ -20,7 +20,6 @@ _STATUS = {
     PlanStatus.NO_SAFE_CANDIDATE: ("no safe candidate: stopping", palette.BAD),
     PlanStatus.STALE_CLOUD: ("no cloud", palette.WARNING),
 }
-_OUTCOMES = {"arrived": palette.GOOD, "collision": palette.BAD, "end": palette.MUTED}
 _SLOW = 1.1
 """Factor of delay from which a flight is reported as slow."""
 _SETTLE_TIME = 1.0
@@ -59,7 +58,8 @@ class StatusPanel(Panel):
         status = PlanStatus(int(np.asarray(frame.plan.status))) if recorded is None else recorded.status
         pills = [markup.pill(*_STATUS[status])]
         if frame.outcome is not None:
-            pills.append(markup.pill(frame.outcome.replace("_", " "), _OUTCOMES.get(frame.outcome, palette.WARNING)))
+            color = palette.OUTCOMES.get(frame.outcome, palette.WARNING)
+            pills.append(markup.pill(frame.outcome.replace("_", " "), color))
         elif not self.session.playing:
             pills.append(markup.pill("paused", palette.MUTED))
         if delay := self._delay(frame):

@@ -1,0 +1,109 @@
+"""The drawing of the curves: headings, axes, and colours of events, without a browser."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from small_source import small_config, small_source
+
+from aero_viz.dashboard import Dashboard, palette
+from aero_viz.dashboard.history import COLUMNS
+from aero_viz.dashboard.palette import css
+from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.charts import CURVES, ChartPanel
+from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.logs import flight_recorder
+from aero_viz.session import Session
+from aero_viz.session.frame import Frame
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    session = Session(small_source(), config=small_config())
+    session.tick()
+    yield session
+    session.close()
+
+
+@pytest.fixture
+def dashboard(session: Session) -> Iterator[Dashboard]:
+    dashboard = Dashboard(session, port=0)
+    yield dashboard
+    dashboard.close()
+
+
+def content_of(dashboard: Dashboard, kind: type, frame: Frame) -> str:
+    """Return the HTML of a panel for a frame."""
+    (panel,) = (panel for panel in dashboard.panels if isinstance(panel, kind))
+    return "".join(str(content) for _, _, content in panel.update(frame))
+
+
+@pytest.mark.parametrize(
+    ("outcome", "color"),
+    [
+        ("arrived", palette.GOOD),
+        ("collision", palette.BAD),
+        ("end", palette.MUTED),
+        ("stall", palette.WARNING),
+        ("timeout", palette.WARNING),
+    ],
+)
+def test_an_outcome_has_the_same_colour_in_the_curves_and_in_the_status(session, dashboard, outcome, color):
+    dashboard.history.add(session.frame)
+    session.tick()
+    ended = dataclasses.replace(session.frame, outcome=outcome)
+    dashboard.history.add(ended)
+    drawing = content_of(dashboard, ChartPanel, ended)
+    assert re.findall(r'class="aero-event"[^>]* fill="([^"]*)"', drawing) == [css(color)]
+    assert f'<span style="color:{markup.ink(color)}">{ended.time:.2f} s</span> {outcome}' in drawing
+    assert markup.pill(outcome, color) in content_of(dashboard, StatusPanel, ended)
+
+
+def axis(drawing: str, name: str) -> float:
+    """Return the upper end of the axis of a curve."""
+    (top,) = re.findall(rf'data-curve="{name}".*?>([^<>]*)</text>', drawing)
+    return float(top)
+
+
+def test_the_first_plan_which_compiles_does_not_flatten_the_curve_of_plan_times(session, dashboard):
+    for tick, plan_ms in enumerate([6391.0, *[10.0, 14.0] * 10]):
+        if tick:
+            session.tick()
+        dashboard.history.add(dataclasses.replace(session.frame, timings_ms={"plan": plan_ms}))
+    drawing = content_of(dashboard, ChartPanel, session.frame)
+    assert 14.0 <= axis(drawing, "plan_ms") < 20.0
+    assert dashboard.history.past().rows[0, COLUMNS.index("plan_ms")] == 6391.0, "the value itself stays"
+
+
+def test_one_plan_has_a_curve(session, dashboard):
+    dashboard.history.add(dataclasses.replace(session.frame, timings_ms={"plan": 6391.0}))
+    assert axis(content_of(dashboard, ChartPanel, session.frame), "plan_ms") == 6391.0
+
+
+def test_each_cost_is_named_in_the_colour_of_its_curve(session, dashboard):
+    dashboard.history.add(session.frame)
+    drawing, plan = content_of(dashboard, ChartPanel, session.frame), session.frame.plan
+    (curve,) = (curve for curve in CURVES if curve.is_log)
+    assert curve.label.endswith("(log)") and curve.label in drawing
+    costs = zip(curve.colors, ("all", "goal", "collision"), curve.columns, strict=True)
+    for color, name, column in costs:
+        value = (plan.stage2_cost if column == "cost" else getattr(plan, column))[plan.best]
+        assert f'<span style="color:{markup.ink(color)}">{name} {value:.4g}</span>' in drawing
+
+
+def test_a_curve_of_which_a_log_holds_nothing_is_left_out(session, dashboard, tmp_path):
+    from aero_viz.dashboard.logged_history import LoggedHistory
+    from aero_viz.logs.comparison import compare_logs
+
+    path = tmp_path / "flight.mcap"
+    with flight_recorder(path) as log:
+        for _ in range(5):
+            log.write(session.tick())
+    history = LoggedHistory(compare_logs(path, path), start=0.0)
+    assert np.isnan(history.past().rows[:, COLUMNS.index("samples")]).all()
+    compared = Dashboard(session, port=0, history=history)
+    drawing = content_of(compared, ChartPanel, session.frame)
+    compared.close()
+    assert "effective samples" not in drawing and 'data-curve="speed"' in drawing
