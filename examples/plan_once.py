@@ -17,6 +17,7 @@ state = VehicleState(
 plan = planner.plan(state, Goal([20.0, 0.0, 2.0]), pole.astype(np.float32), ground_height=0.0)
 
 thrust, *rates = plan.command[0]
-print(f"{PlanStatus(plan.status).name}: instance {plan.best} of {len(plan.kinds)} is best ({plan.kinds[plan.best]})")
+chosen = f"instance {plan.best}, {plan.kinds[plan.best]}"
+print(f"{PlanStatus(plan.status).name}: {len(plan.kinds)} candidates, chosen: {chosen}")
 print(f"first command: {thrust:.2f} N, {np.round(rates, 2)} rad/s")
 print(f"closest to the pole: {plan.clearance[plan.best].min():.2f} m")

@@ -1,15 +1,20 @@
 """Figures, charts and legend of the status panel, without a browser."""
 
 import dataclasses
+import re
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from small_source import small_config, small_source
 
+from aero_planner import PlanStatus
+from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers.drone import DroneLayer
 from aero_viz.dashboard.panels import status
 from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
 
 
@@ -65,6 +70,49 @@ def test_a_page_without_rollouts_has_a_status_without_the_chart_of_their_costs(s
     small = Dashboard(session, port=0, layers=[DroneLayer])
     assert "filtered points" in status_of(small) and "shorter is better" not in status_of(small)
     small.close()
+
+
+def bars_of(content: str) -> list[str]:
+    """Return the style of each bar."""
+    return re.findall(r'title="\d+ \w+: S2[^"]*" style="([^"]*)"', content)
+
+
+def test_the_chosen_instance_is_no_rank_and_bars_without_clearance_are_faint(session, dashboard):
+    plan, best = session.frame.plan, int(session.frame.plan.best)
+    clearance = np.full_like(plan.clearance, 1.0)
+    clearance[[2, 5], 3] = 0.01
+    content = status_of(dashboard, plan=dataclasses.replace(plan, clearance=clearance))
+    assert f"chosen: instance {best}, {plan.kinds[best]}</span>" in content
+    assert "among safe candidates" in content and "no candidate is safe" not in content
+    assert [m for m, style in enumerate(bars_of(content)) if "opacity" in style] == [2, 5]
+    braking = dataclasses.replace(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
+    assert f"{plan.kinds[best]}; no candidate is safe</span>" in status_of(dashboard, plan=braking)
+
+
+def test_a_log_names_the_live_planner_and_tells_its_end_once(tmp_path):
+    path = tmp_path / "flight.mcap"
+    flight = Session(small_source(goal=3.0), config=small_config())
+    with flight_recorder(path) as log:
+        while flight.frame is None or flight.frame.outcome is None:
+            log.write(flight.tick())
+    flight.close()
+    source = open_source(str(path))
+    session = Session(source, config=small_config())
+    assert source.info.times is not None
+    session.seek(source.info.times[-1]).result()
+    session.tick()
+    dashboard = Dashboard(session, port=0)
+    content = status_of(dashboard)
+    dashboard.close()
+    session.close()
+    assert session.frame is not None and session.frame.outcome == "end"
+    assert content.count("It ended with: arrived.") == 1
+    assert content.index("recorded plan: instance") < content.index("live planner on this cloud")
+    assert content.index("live planner on this cloud") < content.index("filtered points")
+
+
+def test_a_flight_has_one_plan_without_a_heading(dashboard):
+    assert "live planner" not in status_of(dashboard)
 
 
 LEGENDS = [

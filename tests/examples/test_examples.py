@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
 OUTPUT = {
-    "plan_once": r"OK: instance \d+ of 17 is best .*closest to the pole: 0\.[3-9]\d m",
+    "plan_once": r"OK: 17 candidates, chosen: instance \d+, .*closest to the pole: 0\.[3-9]\d m",
     "fly": r"forest.*: arrived after .*log: flight\.mcap, ",
     "fly_batch": r"q_track +5: \d of 2 arrived, .*q_track +15: \d of 2 arrived, ",
     "replay_recording": r"flight\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",

@@ -70,6 +70,7 @@ class Bar(NamedTuple):
     tooltip: str
     color: palette.Rgb
     is_marked: bool
+    is_faint: bool = False
 
 
 class BarChart(NamedTuple):

@@ -67,15 +67,19 @@ class RolloutLayer(Layer):
         colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
         height = 1.0 - 0.9 * cost_scale(plan, by="log cost")
         others = plan.stage2_cost - plan.goal_cost - plan.collision_cost
+        clearance = plan.clearance.min(axis=1)
         bars = [
             Bar(
                 height=float(height[i]),
                 tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
-                f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}",
+                f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}; "
+                f"clearance {clearance[i]:.2f} m",
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
+                is_faint=bool(clearance[i] < frame.config.candidates.safe_clearance),
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        none_is_safe = ", none is safe" if plan.status == PlanStatus.NO_SAFE_CANDIDATE else ""
-        return BarChart("S2, log.: shorter is better", f"chosen: {best} ({plan.kinds[best]}){none_is_safe}", bars)
+        label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: too near"
+        none_is_safe = "; no candidate is safe" if plan.status == PlanStatus.NO_SAFE_CANDIDATE else ""
+        return BarChart(label, f"chosen: instance {best}, {plan.kinds[best]}{none_is_safe}", bars)

@@ -101,7 +101,7 @@ def bars(values: Sequence[Bar]) -> str:
     columns = "".join(
         f'<div title="{text(bar.tooltip)}" style="flex:1;height:{max(4.0, 100.0 * bar.height):.0f}%;'
         f"background:{css(bar.color)};border-radius:2px 2px 0 0"
-        f'{";outline:1px solid currentColor" if bar.is_marked else ""}"></div>'
+        f'{";outline:1px solid currentColor" if bar.is_marked else ""}{";opacity:0.45" if bar.is_faint else ""}"></div>'
         for bar in values
     )
     return f'<div style="display:flex;align-items:flex-end;gap:2px;height:42px;margin-top:4px">{columns}</div>'

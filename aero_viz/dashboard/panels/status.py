@@ -47,7 +47,7 @@ class StatusPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         return [
-            (self.html, "content", markup.block(self._state(frame), _figures(frame))),
+            (self.html, "content", markup.block(self._state(frame), _live(frame), _figures(frame))),
             (self.costs, "content", markup.block(*self._charts(frame))),
             (self.stages, "content", markup.block(_stages(frame))),
             (self.key, "content", markup.legend(legend_entries(self.page.layers.values(), frame))),
@@ -99,8 +99,14 @@ def _recorded(plan: RecordedPlan) -> str:
     best = plan.best
     return markup.text(
         f"recorded plan: instance {best} ({plan.kinds[best]}), S2 {plan.stage2_cost[best]:.4g}, "
-        f"clearance {plan.clearance[best]:.2f} m. The figures below are of the live planner on this cloud."
+        f"clearance {plan.clearance[best]:.2f} m"
     )
+
+
+def _live(frame: Frame) -> str:
+    """Return the heading of what follows where it is not the plan that was flown; empty for a flight."""
+    is_flown = frame.source.recorded_plan is None
+    return "" if is_flown else f'<div style="font-weight:600">{markup.text("live planner on this cloud")}</div>'
 
 
 def _figures(frame: Frame) -> str:
