@@ -11,7 +11,21 @@ _HALF = 5.0
 """Half the width of the map [m]."""
 _PIXELS = 60.0
 """Pixels per metre."""
-_SAFE, _UNSAFE, _BRAKE, _CHOSEN = "#1a9850", "#d73027", "#4575b4", "#f5b400"
+_FONT = 26
+"""Height of the text [pixels of the drawing], which a panel of the page shows at half the size."""
+_LINE = 36
+"""Height of a line of text [pixels of the drawing]."""
+COLORS = {
+    "safe": "#fdc328",
+    "unsafe": "#ff5252",
+    "chosen": "#92e476",
+    "braking": "#ecf0f6",
+    "obstacle": "#4e5c72",
+    "point": "#8692a4",
+    "text": "#d6deea",
+    "ground": "#141922",
+}
+"""Colours of the map, which are those of the page and its scene."""
 
 
 def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
@@ -31,29 +45,36 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
 
     cloud = place(np.asarray(plan.filtered_points, dtype=np.float64))
     cloud = cloud[((cloud > 0.0) & (cloud < size)).all(axis=1)][:1500]
-    parts = [_section(evidence, drone), "".join(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="1.2"/>' for x, y in cloud)]
+    points = "".join(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="1.6"/>' for x, y in cloud)
+    parts = [_section(evidence, drone), f'<g fill="{COLORS["point"]}">{points}</g>']
     braking = plan.braking
     if braking is not None:
-        parts += [line(path, _BRAKE, 1.5, ' stroke-dasharray="5 4"') for path in braking.positions]
+        parts += [line(path, COLORS["braking"], 2.0, ' stroke-dasharray="7 5"') for path in braking.positions]
     parts += [
-        line(path, _SAFE if evidence.is_safe[m] else _UNSAFE, 1.5)
+        line(path, COLORS["safe" if evidence.is_safe[m] else "unsafe"], 2.0)
         for m, path in enumerate(plan.positions)
         if m != plan.best
     ]
-    parts.append(line(plan.positions[int(plan.best)], _CHOSEN, 4.0))
+    parts.append(line(plan.positions[int(plan.best)], COLORS["chosen"], 5.0))
     x, y = place(drone)
-    parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{0.25 * _PIXELS:.0f}" fill="none" stroke="#000"/>')
+    ink = COLORS["text"]
+    parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{0.25 * _PIXELS:.0f}" fill="none" stroke="{ink}"/>')
     if end is not None:
         x, y = place(np.asarray(end, dtype=np.float64))
-        parts.append(f'<path d="M{x - 9:.0f} {y - 9:.0f}l18 18m0 -18l-18 18" stroke="#000" stroke-width="3"/>')
-    keys = (("safe", _SAFE), ("unsafe", _UNSAFE), ("chosen", _CHOSEN), ("braking", _BRAKE), ("x: the end", "#000"))
-    for row, (label, color) in enumerate(keys):
-        parts.append(f'<text x="8" y="{18 + 17 * row}" fill="{color}">{label}</text>')
-    parts.append(f'<text x="8" y="{size - 8:.0f}">{frame.time:.2f} s, at {drone[2]:.1f} m height, 10 m wide</text>')
+        parts.append(f'<path d="M{x - 9:.0f} {y - 9:.0f}l18 18m0 -18l-18 18" stroke="{ink}" stroke-width="4"/>')
+    keys = [(name, COLORS[name]) for name in ("safe", "unsafe", "chosen", "braking")]
+    keys += [] if end is None else [("× the end", ink)]
+    spans = " ".join(f'<tspan dx="8" fill="{color}">{label}</tspan>' for label, color in keys)
+    caption = f"{frame.time:.2f} s, at {drone[2]:.1f} m height, {2.0 * _HALF:.0f} m wide"
+    foot = (
+        f'<rect y="{size:.0f}" width="100%" height="100%" fill="{COLORS["ground"]}"/>'  # paths may leave the map
+        f'<text y="{size + _LINE - 6:.0f}">{spans}</text>'
+        f'<text x="8" y="{size + 2 * _LINE - 6:.0f}" fill="{ink}">{caption}</text>'
+    )
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size:.0f} {size:.0f}" '
-        f'style="width:100%" font-family="sans-serif" font-size="14"><rect width="100%" height="100%" fill="#fff"/>'
-        f"{''.join(parts)}</svg>\n"
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size:.0f} {size + 2 * _LINE + 6:.0f}" '
+        f'style="width:100%" font-family="sans-serif" font-size="{_FONT}">'
+        f'<rect width="100%" height="100%" fill="{COLORS["ground"]}"/>{"".join(parts)}{foot}</svg>\n'
     )
 
 
@@ -72,4 +93,4 @@ def _section(evidence: Evidence, drone: NDArray[np.float64], cells: int = 100) -
             f'<rect x="{a * side:.0f}" y="{row * side:.0f}" width="{(b - a) * side:.0f}" height="{side + 0.5:.1f}"/>'
             for a, b in zip(starts, ends, strict=True)
         ]
-    return f'<g fill="#b8c0cc">{"".join(rects)}</g>'
+    return f'<g fill="{COLORS["obstacle"]}">{"".join(rects)}</g>'

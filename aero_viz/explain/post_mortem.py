@@ -118,16 +118,16 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
     sentences.append(_seen_sentence(seen, braking))
-    if braking is None:
+    if braking is None or evidence is None:
         sentences.append(f"Braking would not have worked from any of the last {len(frames)} ticks.")
     else:
         count = len(braking.safe)
         which = f"{count} of {braking.instances} candidates were safe"
-        which += f" ({', '.join(map(str, braking.safe))})" if 0 < count <= 8 else ""
+        which += f" (instance{'s' * (count > 1)} {', '.join(map(str, braking.safe))})" if 0 < count <= 8 else ""
         sentences.append(
             f"The last tick from which braking would have worked is {braking.time_s:.2f} s, "
             f"{braking.before_end_s:.2f} s before the end: speed {braking.speed:.1f} m/s, tilt {braking.tilt_deg:.0f} "
-            f"deg; {which}, and {braking.flown} was flown."
+            f"deg; {which}, and instance {braking.flown} ({evidence.plan.kinds[braking.flown]}) was flown."
         )
     status = _status(frames[-1])
     if was_braking := status in _STOPPING:

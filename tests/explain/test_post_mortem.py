@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig, PlanStatus, Sweeps
+from aero_viz.dashboard import palette
 from aero_viz.errors import UserError
-from aero_viz.explain.picture import draw_map
+from aero_viz.explain.picture import COLORS, draw_map
 from aero_viz.explain.post_mortem import PostMortem, explain_flight
 from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
 from aero_viz.explain.visibility import find_seen
@@ -74,7 +75,39 @@ def test_the_picture_shows_the_candidates_and_the_end(trap):
     _, evidence = explain_flight(trap[0])
     assert evidence is not None
     picture = draw_map(evidence, trap[0].end_position)
+    chosen = [path for path in re.findall("<polyline[^>]*>", picture) if COLORS["chosen"] in path]
+    assert len(chosen) == 1 and COLORS["braking"] in picture
     assert picture.count("<polyline") == 17 + 5 and "<rect x=" in picture and "l18 18" in picture
+
+
+def test_the_picture_has_the_colours_of_the_page_and_a_text_that_a_panel_shows_large_enough(trap):
+    of_page = {
+        "safe": palette.as_rgb(palette.COST[-1:])[0],
+        "unsafe": palette.BAD,
+        "chosen": palette.CHOSEN,
+        "braking": palette.DRONE,
+        "obstacle": palette.OBSTACLE,
+        "point": palette.MUTED,
+        "text": palette.TRAIL,
+        "ground": palette.PANEL[7],
+    }
+    assert {name: "#" + bytes(color).hex() for name, color in of_page.items()} == COLORS
+    _, evidence = explain_flight(trap[0])
+    assert evidence is not None
+    picture = draw_map(evidence)
+    width = float(re.findall(r'viewBox="0 0 (\d+)', picture)[0])
+    size = float(re.findall(r'font-size="(\d+)"', picture)[0])
+    assert 285.0 * size / width >= 11.0, "in a panel of 285 pixels"
+
+
+def test_the_report_tells_the_number_of_an_instance_from_a_count(trap):
+    report, evidence = explain_flight(trap[0])
+    assert evidence is not None and report.braking is not None
+    best = int(evidence.plan.best)
+    assert f", and instance {best} ({evidence.plan.kinds[best]}) was flown." in report.format_table()
+    assert re.search(
+        r"\d+ of 17 candidates were safe( \(instances? \d+(, \d+)*\))?, and instance", report.format_table()
+    )
 
 
 def test_the_obstacle_of_a_collision_among_cylinders_is_named():
