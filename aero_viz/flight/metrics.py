@@ -19,6 +19,12 @@ from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_traje
 from aero_viz.flight.rules import OUTCOMES, FlightRules
 from aero_viz.scenes.world import World
 
+_UNITS = {
+    "mean_speed": "m/s", "max_speed": "m/s", "end_speed": "m/s", "smoothness": "m^2/s^5", "mean_clearance": "m",
+    "min_clearance": "m",
+}  # fmt: skip
+"""Units of the fields of a result whose names do not say them."""
+
 
 @dataclass(frozen=True)
 class FlightResult:
@@ -53,9 +59,9 @@ class FlightResult:
         return dataclasses.asdict(self)
 
     def format_table(self) -> str:
-        """Return the fields as text for a terminal, one per line."""
+        """Return the fields as text for a terminal, one per line, with their units."""
         return "\n".join(
-            f"{name:16} {value:.3f}" if isinstance(value, float) else f"{name:16} {value}"
+            f"{name:16} {f'{value:.3f}' if isinstance(value, float) else value} {_UNITS.get(name, '')}".rstrip()
             for name, value in self.to_dict().items()
             if value is not None
         )

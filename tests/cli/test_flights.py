@@ -43,6 +43,15 @@ def test_fly_prints_the_result_and_writes_the_trajectory(
     assert np.linalg.norm(steps, axis=1).sum() == pytest.approx(result["length_m"], rel=1e-3)
 
 
+def test_the_text_has_the_units_that_no_name_says(capsys: pytest.CaptureFixture[str], short_poles: str):
+    code, text, _ = run(capsys, "fly", short_poles, "--sampling.samples", "16")
+    assert code == 0
+    shown = {name: unit for name, _, *unit in map(str.split, text.splitlines())}
+    assert shown["mean_speed"] == shown["max_speed"] == shown["end_speed"] == ["m/s"]
+    assert shown["mean_clearance"] == shown["min_clearance"] == ["m"] and shown["smoothness"] == ["m^2/s^5"]
+    assert shown["flight_time_s"] == shown["plan_ms_median"] == shown["seed"] == []
+
+
 def test_fly_reads_presets_and_files(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
     path = tmp_path / "tuned.yaml"
     path.write_text("preset: paper\nsampling:\n  samples: 16\n")
