@@ -1,9 +1,12 @@
 """`aero-viz compare`: figures, parameters and conditions of two logs."""
 
+import dataclasses
+
 import pytest
 from command_line import run, run_json, run_refused
 from small_source import small_config, small_source
 
+from aero_planner import PlanStatus
 from aero_viz.dashboard.history import COLUMNS
 from aero_viz.dashboard.logged_history import LoggedHistory
 from aero_viz.logs import flight_recorder
@@ -35,6 +38,7 @@ def test_the_report_has_figures_and_only_what_differs(logs, capsys):
     assert report["a"]["time_s"] == pytest.approx(a.time, abs=1e-6)
     assert report["b"]["time_s"] == pytest.approx(b.time, abs=1e-6)
     assert report["a"]["mean_speed"] > report["b"]["mean_speed"]
+    assert report["a"]["mean_speed"] == pytest.approx(report["a"]["length_m"] / report["a"]["time_s"])
     assert 0.0 < report["differs_at_s"] < 1.0
     assert report["parameters"] == {"vehicle.speed_limit": {"a": 7.0, "b": 3.0}}
     assert report["conditions"] == {}
@@ -58,6 +62,19 @@ def test_the_figures_are_those_of_the_flight(logs):
     assert columns["speed"][-1] == pytest.approx(float((a.observation.actual_state.velocity**2).sum() ** 0.5), abs=1e-3)
     exact = float(a.source.world.distance(a.observation.actual_state.position[None])[0])
     assert columns["clearance"][-1] == pytest.approx(min(exact, 5.0), abs=1e-4)
+
+
+def test_ticks_without_a_safe_candidate_are_those_of_the_planner(tmp_path, capsys):
+    path = tmp_path / "flight.mcap"
+    session = Session(small_source(), config=small_config())
+    with flight_recorder(path) as log:
+        for tick in range(6):
+            frame = session.tick()
+            assert (frame.plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance).any()
+            status = PlanStatus.NO_SAFE_CANDIDATE if tick in (2, 3) else frame.plan.status
+            log.write(dataclasses.replace(frame, plan=dataclasses.replace(frame.plan, status=status)))
+    session.close()
+    assert run_json(capsys, "compare", str(path), str(path))["a"]["unsafe_ticks"] == 2
 
 
 def test_the_page_shows_both_logs_in_one_time_base(logs):
