@@ -87,6 +87,8 @@ def test_the_chosen_instance_is_no_rank_and_bars_without_clearance_are_faint(ses
     assert [m for m, style in enumerate(bars_of(content)) if "opacity" in style] == [2, 5]
     braking = dataclasses.replace(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
     assert f"{plan.kinds[best]}; no candidate is safe</span>" in status_of(dashboard, plan=braking)
+    config = session.frame.config.replace({"candidates.prefer_safe": False})
+    assert "; the cheapest candidate is not safe</span>" in status_of(dashboard, plan=braking, config=config)
 
 
 def test_a_log_names_the_live_planner_and_tells_its_end_once(tmp_path):

@@ -81,5 +81,9 @@ class RolloutLayer(Layer):
             for i, kind in enumerate(plan.kinds)
         ]
         label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: too near"
-        none_is_safe = "; no candidate is safe" if plan.status == PlanStatus.NO_SAFE_CANDIDATE else ""
-        return BarChart(label, f"chosen: instance {best}, {plan.kinds[best]}{none_is_safe}", bars)
+        summary = f"chosen: instance {best}, {plan.kinds[best]}"
+        if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
+            # Without prefer_safe, only the candidate with the lowest S2 is considered.
+            is_any_considered = frame.config.candidates.prefer_safe
+            summary += "; no candidate is safe" if is_any_considered else "; the cheapest candidate is not safe"
+        return BarChart(label, summary, bars)
