@@ -46,6 +46,21 @@ def test_the_cursor_follows_the_time(desk):
     desk.session.seek(0.8).result()
 
 
+def test_each_line_of_a_heading_stays_one_line_above_its_curve_in_a_narrow_panel(desk):
+    heights, gaps = desk.page.evaluate("""() => {
+      const headings = [...document.querySelectorAll(".aero-heading")];
+      const boxes = elements => elements.map(element => element.getBoundingClientRect());
+      headings.forEach(heading => heading.style.width = "200px");
+      const lines = boxes(headings.flatMap(heading => [...heading.children]));
+      const gaps = headings.map(heading => heading.nextElementSibling.getBoundingClientRect().top
+        - Math.max(...boxes([...heading.querySelectorAll("*")]).map(box => box.bottom)));
+      headings.forEach(heading => heading.style.width = "");
+      return [lines.map(box => box.height), gaps];
+    }""")
+    assert len(heights) == 7 and max(heights) < 20.0
+    assert min(gaps) > -0.5
+
+
 def test_the_saved_table_has_every_tick(desk, tmp_path):
     with desk.download("Download CSV", tmp_path).open() as file:
         rows = list(csv.DictReader(file))
