@@ -178,15 +178,18 @@ def test_the_figures_of_a_stay_when_b_goes_back_beyond_the_fork(session):
     session.fly_both().result()
     assert events.drain()
     fly(session, history, 1)
+    labels = ("time [s]", "length [m]", "mean speed [m/s]", "ticks without safe candidate")
     shown = flight_table(history.past(), ("A", "B"))
-    a = [figures(shown, label)[0] for label in ("time [s]", "length [m]", "mean speed [m/s]")]
-    assert a[1] / a[0] == pytest.approx(a[2], rel=0.05)
+    a = [figures(shown, label)[0] for label in labels]
+    assert a[1] / a[0] == pytest.approx(a[2], rel=0.05) and a[3] == 0.0
     session.seek(0.1).result()
-    session.configure({"vehicle.speed_limit": 1.0})
     history.add(session.frame)
-    fly(session, history, 5)
+    for _ in range(5):
+        plan = dataclasses.replace(session.tick().plan, status=PlanStatus.NO_SAFE_CANDIDATE)
+        history.add(dataclasses.replace(session.frame, plan=plan))
     shown = flight_table(history.past(), ("A", "B"))
-    assert a == [figures(shown, label)[0] for label in ("time [s]", "length [m]", "mean speed [m/s]")]
+    assert figures(shown, labels[3])[1] == 5.0, "B"
+    assert a == [figures(shown, label)[0] for label in labels]
 
 
 def test_the_first_difference_is_that_of_positions_or_of_chosen_instances():
