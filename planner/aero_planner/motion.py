@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from aero_planner.array_memory import allocate
 from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs
-from aero_planner.kernels.motion import BINS, RECENT, RecentRows, Segments, find_segments, scan_obstacles, stamp_sweep
+from aero_planner.kernels.motion import (
+    BINS,
+    RECENT,
+    Circles,
+    RecentRows,
+    Segments,
+    find_segments,
+    list_segments,
+    scan_obstacles,
+    stamp_sweep,
+)
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.records import bundle
 from aero_planner.kernels.tracks import STARTS, FoundTracks, follow_segments, merge_tracks
@@ -27,7 +36,7 @@ class _Sizes(NamedTuple):
 
 
 class Motion:
-    """Finds the moving obstacles around each drone.
+    """What moves around each drone.
 
     Args:
         inputs: inputs of the planner, which say when and where a sweep arrives if the caller does not.
@@ -38,73 +47,93 @@ class Motion:
     """
 
     def __init__(self, inputs: PlannerInputs, params: wp.array) -> None:
-        self._inputs, self._params = inputs, params
-        self._device = wp.get_device(str(params.device))
-        self.arrays = arrays = allocate(MotionArrays, _Sizes(len(params)), self._device)
-        self._segments = bundle(
-            Segments, count=arrays.segment_count, center=arrays.segment_center, radius=arrays.segment_radius
-        )
-        self._found = bundle(
-            FoundTracks, position=arrays.found_position, velocity=arrays.found_velocity, radius=arrays.found_radius
-        )
+        self.inputs, self.params = inputs, params
+        self.arrays = allocate(MotionArrays, _Sizes(len(params)), wp.get_device(str(params.device)))
         self.forget()
 
     def forget(self) -> None:
         """Treat all obstacles as static until the next sweep."""
         self.arrays.newest.fill_(-1)
 
+
+class MotionEstimator:
+    """Estimates the motion from the sweeps of a cloud. Launches are recorded once: a plan waits for them.
+
+    Args:
+        motion: what moves, which is updated.
+        cloud: all sweeps.
+    """
+
+    def __init__(self, motion: Motion, cloud: CloudArrays) -> None:
+        self._device = wp.get_device(str(motion.params.device))
+        self._drones = len(motion.params)
+        self._scan = motion.arrays.scan
+        a, i, params, sweeps = motion.arrays, motion.inputs, motion.params, cloud.bundle()
+        segments = bundle(Segments, count=a.segment_count, center=a.segment_center, radius=a.segment_radius)
+        found = bundle(FoundTracks, position=a.found_position, velocity=a.found_velocity, radius=a.found_radius)
+        recent, record = _recent_rows([]), self._record
+        self._stamp = record(stamp_sweep, (), [0, 0, math.nan, wp.vec3(math.nan), i.time, i.position], [sweeps])
+        self._scan_obstacles = record(
+            scan_obstacles, (int(RECENT), 1), [recent, sweeps, i.ground_height, params], [self._scan]
+        )
+        circles = bundle(Circles, center=a.circle_center, radius=a.circle_radius)
+        bins, starts = (int(RECENT), int(BINS)), (int(STARTS), int(MOVERS))
+        self._find_segments = record(find_segments, bins, [recent, sweeps, params, self._scan], [circles])
+        self._list_segments = record(list_segments, (int(RECENT),), [circles], [segments])
+        self._follow_segments = record(follow_segments, starts, [recent, sweeps, params, self._scan, segments], [found])
+        self._merge = record(merge_tracks, (), [recent, 0, params, self._scan, found], [a.newest, sweeps])
+        self._find_wakes = record(find_wakes, (len(cloud.start),), [0, 0, params], [sweeps])
+
+    def _record(self, kernel: Any, size: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> Any:
+        dim = (self._drones, *size)
+        return wp.launch(kernel, dim, inputs=inputs, outputs=outputs, device=self._device, record_cmd=True)
+
     def stamp(
-        self,
-        cloud: CloudArrays,
-        row: int,
-        number: int,
-        *,
-        time: float | None = None,
-        position: ArrayLike | None = None,
+        self, row: int, number: int, *, time: float | None = None, position: Sequence[float] | None = None
     ) -> None:
         """Keep when [s] and where [m] a sweep was complete; None is the time or the position of the inputs.
 
         Args:
-            cloud: all sweeps.
             row: row of the sweep.
             number: its number in the order of arrival.
             time, position: [s], [m].
         """
         given_time = math.nan if time is None else time
-        given_position = wp.vec3(math.nan) if position is None else wp.vec3(*np.asarray(position, dtype=np.float32))
-        inputs = [row, number, given_time, given_position, self._inputs.time, self._inputs.position]
-        self._launch(stamp_sweep, (), inputs, [cloud.bundle()])
+        given_position = wp.vec3(math.nan) if position is None else wp.vec3(*position)
+        _launch(self._stamp, row, number, given_time, given_position)
 
-    def estimate(self, cloud: CloudArrays, rows: list[int], oldest: int, points: int) -> None:
+    def estimate(self, rows: list[int], oldest: int, points: int) -> None:
         """Estimate the motion from sweeps that follow each other; the first one becomes the newest.
 
         Args:
-            cloud: all sweeps.
             rows: rows of the sweeps, newest first, of which the first `RECENT` are used.
             oldest: number of the oldest sweep in memory.
             points: number of points of the largest of them.
         """
-        recent: Any = RecentRows(*rows[:RECENT], *[-1] * (int(RECENT) - len(rows)))
-        i, arrays, sweeps = self._inputs, self.arrays, cloud.bundle()
-        arrays.scan.zero_()
-        size = (int(RECENT), points)
-        self._launch(scan_obstacles, size, [recent, sweeps, i.ground_height, self._params], [arrays.scan])
-        self._launch(find_segments, (int(RECENT),), [recent, sweeps, self._params, arrays.scan], [self._segments])
-        size = (int(STARTS), int(MOVERS))
-        inputs = [recent, sweeps, self._params, arrays.scan, self._segments]
-        self._launch(follow_segments, size, inputs, [self._found])
-        self._launch(
-            merge_tracks, (), [recent, oldest, self._params, arrays.scan, self._found], [arrays.newest, sweeps]
-        )
+        recent = _recent_rows(rows)
+        self._scan.zero_()
+        self._scan_obstacles.set_dim((self._drones, int(RECENT), max(points, 1)))
+        _launch(self._scan_obstacles, recent)
+        _launch(self._find_segments, recent)
+        _launch(self._list_segments)
+        _launch(self._follow_segments, recent)
+        _launch(self._merge, recent, oldest)
 
-    def find_wakes(self, cloud: CloudArrays, oldest: int, newest: int) -> None:
+    def find_wakes(self, oldest: int, newest: int) -> None:
         """Find which points of the sweeps belong to obstacles that have moved on.
 
         Args:
-            cloud: all sweeps.
             oldest, newest: numbers of the first and the last sweep in memory.
         """
-        self._launch(find_wakes, (len(cloud.start),), [oldest, newest, self._params], [cloud.bundle()])
+        _launch(self._find_wakes, oldest, newest)
 
-    def _launch(self, kernel: Any, size: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
-        wp.launch(kernel, (len(self._params), *size), inputs=inputs, outputs=outputs, device=self._device)
+
+def _recent_rows(rows: list[int]) -> Any:
+    return RecentRows(*rows[:RECENT], *[-1] * (int(RECENT) - len(rows)))
+
+
+def _launch(command: Any, *values: Any) -> None:
+    """Launch a recorded command with other values of its first arguments."""
+    for i, value in enumerate(values):
+        command.set_param_at_index(i, value)
+    command.launch()

@@ -79,8 +79,8 @@ class Pipeline(LaunchSequence):
         kinds = config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
-        self._cloud_stages = cloud_stages = CloudStages(self, config, sizes, tuning, arrays)
-        self._duplicate_rows = cloud_stages.duplicate_rows
+        self._cloud_stages = CloudStages(self, config, sizes, tuning, arrays)
+        self._duplicate_rows = self._cloud_stages.duplicate_rows
         self._records = PipelineRecords(arrays.inputs, arrays.outputs, arrays.work)
         self.stages = self._record()
 
@@ -100,8 +100,7 @@ class Pipeline(LaunchSequence):
             cloud.build_clearance_grid(),
             self.serial("guides", self.end_fork, self._make_guides()),
             self._optimize(),
-            self.side_branch("partition", cloud.pool_coarse_cells()),  # only shown: no later stage needs it
-            self.serial("stage2", *self._evaluate_instances(), self._commit_plan(), self.join),
+            *self._select_instance(),
         ]
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
@@ -223,11 +222,29 @@ class Pipeline(LaunchSequence):
             block_dim=threads,
         )  # fmt: skip
 
-    def _evaluate_instances(self) -> list[Callable[[], Any]]:
-        """Stage II: roll out the optimised controls, sum S2, and find the clearance of the stops.
+    def _select_instance(self) -> list[list[Chunk]]:
+        """Stage II: roll out the optimised controls, sum S2, find the clearance of the stops, and choose.
 
-        On a CPU stops are only proven as far as the selection needs it.
+        On a CPU stops are only proven as far as the choice needs it. On CUDA their rollouts are the longest launch.
         """
+        roll_out, evaluate, score = self._evaluate_instances()
+        pool = self.serial("partition", self._cloud_stages.pool_coarse_cells())  # only shown: no later stage needs it
+        if not self._tuning.is_cuda:
+            prove = self._prove_stops()
+            return [
+                self.serial("stage2", roll_out, evaluate),
+                pool,
+                self.serial("stage2", score, prove, self._commit_plan()),
+            ]
+        roll_out_stops, evaluate_stops = self._evaluate_all_stops()
+        return [
+            self.serial("stage2", roll_out, self.fork, roll_out_stops, self.end_fork, evaluate),
+            pool,
+            self.serial("stage2", self.join, self.fork, score, self.end_fork, evaluate_stops, self.join),
+            self.serial("stage2", self._commit_plan()),
+        ]
+
+    def _evaluate_instances(self) -> list[Callable[[], Any]]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         lanes, threads = self._tuning.threads_per_instance, self._batch_tuning.threads_per_query
         roll_out = self.record(
@@ -257,12 +274,11 @@ class Pipeline(LaunchSequence):
             outputs=[r.costs, w.instance_scores],
             block_dim=32,
         )  # fmt: skip
-        proof = self._evaluate_all_stops() if self._tuning.is_cuda else self._prove_stops()
-        return [roll_out, evaluate, score, *proof]
+        return [roll_out, evaluate, score]
 
-    def _prove_stops(self) -> list[Callable[[], Any]]:
+    def _prove_stops(self) -> Callable[[], Any]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        prove = self.record(
+        return self.record(
             stops.prove_stops(self._batch_tuning),
             (sizes.B,),
             inputs=[
@@ -272,7 +288,6 @@ class Pipeline(LaunchSequence):
             ],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
         )  # fmt: skip
-        return [prove]
 
     def _evaluate_all_stops(self) -> list[Callable[[], Any]]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes

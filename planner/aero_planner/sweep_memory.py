@@ -16,7 +16,7 @@ from aero_planner.kernels.motion import RECENT
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.shells import COUNTERS, begin_shells, count_shells, fill_shells, start_sweep, thin_sweep
 from aero_planner.kernels.wakes import WAKES
-from aero_planner.motion import Motion
+from aero_planner.motion import Motion, MotionEstimator
 from aero_planner.sweeps import Arrival, Sweeps
 
 _LEAST_PERIOD = 0.09
@@ -82,6 +82,7 @@ class SweepMemory:
         arrays = allocate(CloudArrays, sizes, device)
         self.arrays = dataclasses.replace(arrays, **vars(self._table.arrays))
         self.arrays.number.fill_(-1)
+        self._estimator = MotionEstimator(motion, self.arrays)
         self._next_number = 0
         self._entries: deque[_Entry] = deque()
         self._whole = whole
@@ -143,8 +144,8 @@ class SweepMemory:
             if (is_new and (is_newest or i >= int(RECENT) - 1)) or (is_newest and not self._is_motion_known):
                 recent = _recent(entries[max(i + 1 - whole, 0) : i + 1])
                 points = max(len(other.points) for other in recent)
-                self._motion.estimate(self.arrays, [other.row for other in recent], entries[0].number, points)
-        self._motion.find_wakes(self.arrays, entries[0].number, entries[-1].number)
+                self._estimator.estimate([other.row for other in recent], entries[0].number, points)
+        self._estimator.find_wakes(entries[0].number, entries[-1].number)
 
     def order_arrived(self) -> None:
         """Order the sweeps that `hold` has added. Until then a plan reads them in whole, with the same result.
@@ -182,7 +183,7 @@ class SweepMemory:
         for entry in arrived:
             self._copy(entry)
             known = {} if entry.arrival is None else entry.arrival._asdict()
-            self._motion.stamp(self.arrays, entry.row, entry.number, **known)
+            self._estimator.stamp(entry.row, entry.number, **known)
         return aged
 
     def store(self, row: int, points: wp.array, *, time: float | None = None) -> None:
@@ -210,11 +211,11 @@ class SweepMemory:
             self._table.upload()
         number = self._next_number
         self._next_number += 1
-        self._motion.stamp(self.arrays, row, number, time=time)
+        self._estimator.stamp(row, number, time=time)
         rows = [(row - age) % self._sizes.S for age in range(min(int(RECENT), self._whole or self._sizes.S))]
         oldest = max(number - self._sizes.S + 1, 0)
-        self._motion.estimate(self.arrays, [r for r in rows if host["count"][0, r]], oldest, size)
-        self._motion.find_wakes(self.arrays, oldest, number)
+        self._estimator.estimate([r for r in rows if host["count"][0, r]], oldest, size)
+        self._estimator.find_wakes(oldest, number)
         self._order(row, size)
         if self._whole is not None:
             aged = (row - self._whole) % self._sizes.S

@@ -44,8 +44,20 @@ _LARGEST_SINE = wp.constant(0.7)
 _NEAREST = wp.constant(0x7F000000)
 """Entry of a scan for the range 0; it falls with the range, and is 0 for an empty bin."""
 
+_READ_WIDTH = wp.constant(16)
+"""Values that a thread reads at once."""
+_Radii: Any = wp.types.vector(length=_READ_WIDTH, dtype=wp.float32)
+
 RecentRows: Any = wp.types.vector(length=RECENT, dtype=wp.int32)
 """Rows of the newest sweeps, newest first; -1 where there are fewer."""
+
+
+@wp.struct
+class Circles:
+    """Circle of the segment that begins at each bin of each recent sweep."""
+
+    center: wp.array3d(dtype=wp.vec2)  # [B, RECENT, BINS], world frame [m]
+    radius: wp.array3d(dtype=float)  # [B, RECENT, BINS], [m]; 0 for none
 
 
 @wp.struct
@@ -125,22 +137,15 @@ def range_of_bin(scan: wp.array3d(dtype=int), b: int, recent: int, k: int) -> fl
 
 
 @wp.func
-def add_segment(
-    b: int,
-    recent: int,
-    first: int,
-    last: int,
-    origin: wp.vec3,
-    width_max: float,
-    scan: wp.array3d(dtype=int),
-    segments: Segments,
-):
-    """Add the circle of a segment from bin `first` to bin `last`, unless it is too small or too large."""
+def circle_of_segment(
+    b: int, recent: int, first: int, last: int, origin: wp.vec3, width_max: float, scan: wp.array3d(dtype=int)
+) -> wp.vec3:
+    """Return centre and radius of the circle of a segment [m], world frame; radius 0 for one too small or too large."""
+    none = wp.vec3(0.0, 0.0, 0.0)
     bins = last - first + 1
     sine = wp.sin(0.5 * (float(bins) - 0.5) * BIN_ANGLE)
-    slot = segments.count[b, recent]
-    if bins < _LEAST_BINS or bins > BINS // 3 or sine > _LARGEST_SINE or slot == MOVERS:
-        return
+    if bins < _LEAST_BINS or sine > _LARGEST_SINE:
+        return none
     total = float(0.0)
     found = float(0.0)
     for k in range(first + bins // 3, last - bins // 3 + 1):
@@ -149,16 +154,13 @@ def add_segment(
             total += r
             found += 1.0
     if found == 0.0:
-        return
+        return none
     front = total / found
     radius = front * sine / (1.0 - sine)
     if 2.0 * radius > width_max:
-        return
+        return none
     angle = 0.5 * float(first + last + 1) * BIN_ANGLE - wp.PI
-    center = wp.vec2(origin[0], origin[1]) + (front + radius) * wp.vec2(wp.cos(angle), wp.sin(angle))
-    segments.center[b, recent, slot] = center
-    segments.radius[b, recent, slot] = radius
-    segments.count[b, recent] = slot + 1
+    return wp.vec3(origin[0] + (front + radius) * wp.cos(angle), origin[1] + (front + radius) * wp.sin(angle), radius)
 
 
 @wp.kernel
@@ -171,41 +173,62 @@ def find_segments(
     # in
     scan: wp.array3d(dtype=int),
     # out
-    segments: Segments,
+    circles: Circles,
 ):
-    """Find the circles of the segments that nothing hides at either end. Launched over [B, RECENT]."""
-    b, recent = wp.tid()
-    segments.count[b, recent] = 0
+    """Find the circle of the segment that begins at each bin, unless something hides either end.
+
+    Launched over [B, RECENT, BINS]; a thread walks along its segment.
+    """
+    b, recent, first = wp.tid()
+    circles.radius[b, recent, first] = 0.0
     if rows[recent] < 0 or params[b].predict == 0:
         return
-    width_max = params[b].predict_width
-    origin = origin_of_scan(b, recent, rows, cloud)
-    # Begin where no segment continues.
-    begin = int(-1)
-    for k in range(BINS):
-        if begin < 0:
-            r = range_of_bin(scan, b, recent, k)
-            before = range_of_bin(scan, b, recent, k - 1)
-            if (r == 0.0 and before == 0.0) or (r > 0.0 and before > 0.0 and wp.abs(r - before) > _JUMP):
-                begin = k
-    if begin < 0:
+    last_range = range_of_bin(scan, b, recent, first)
+    if last_range == 0.0:
         return
-    first = int(-1)
-    last = begin - 1
-    last_range = range_of_bin(scan, b, recent, last)
-    hidden = bool(False)
-    for k in range(begin, begin + BINS + 1):
+    before = float(0.0)
+    for gap in range(_GAP):
+        if before == 0.0:
+            before = range_of_bin(scan, b, recent, first - 1 - gap)
+    if before > 0.0 and before <= last_range + _JUMP:
+        return  # it continues the segment before, or that one hides its end
+    last = first
+    k = first + 1
+    while k - last <= _GAP and last - first < BINS // 3:
         r = range_of_bin(scan, b, recent, k)
         if r > 0.0:
-            is_near = last_range > 0.0 and k - last <= _GAP
-            if first >= 0 and (not is_near or wp.abs(r - last_range) > _JUMP):
-                if not hidden and not (is_near and r < last_range):
-                    add_segment(b, recent, first, last, origin, width_max, scan, segments)
-                first = -1
-            if first < 0:
-                first = k
-                hidden = is_near and last_range < r
+            if wp.abs(r - last_range) > _JUMP:
+                if r < last_range:
+                    return  # hidden
+                break
             last = k
             last_range = r
-    if first >= 0 and not hidden and last < begin + BINS:
-        add_segment(b, recent, first, last, origin, width_max, scan, segments)
+        k += 1
+    if last - first < BINS // 3:
+        circle = circle_of_segment(
+            b, recent, first, last, origin_of_scan(b, recent, rows, cloud), params[b].predict_width, scan
+        )
+        circles.center[b, recent, first] = wp.vec2(circle[0], circle[1])
+        circles.radius[b, recent, first] = circle[2]
+
+
+@wp.kernel
+def list_segments(
+    # in
+    circles: Circles,
+    # out
+    segments: Segments,
+):
+    """List the circles of each sweep in the order of their bins. Launched over [B, RECENT]."""
+    b, recent = wp.tid()
+    count = int(0)
+    read = _Radii()
+    for first in range(0, BINS, _READ_WIDTH):
+        for j in range(_READ_WIDTH):
+            read[j] = circles.radius[b, recent, first + j]
+        for j in range(_READ_WIDTH):
+            if read[j] > 0.0 and count < MOVERS:
+                segments.center[b, recent, count] = circles.center[b, recent, first + j]
+                segments.radius[b, recent, count] = read[j]
+                count += 1
+    segments.count[b, recent] = count

@@ -280,18 +280,21 @@ def merge_tracks(
         return
     origin = origin_of_scan(b, 0, rows, cloud)
     number = cloud.number[row]
-    for back in range(1, _MEMORY_SWEEPS + 1):
-        earlier = row_with_tracks(number - back, oldest, cloud)
+    elapsed = float(0.0)
+    back = int(1)
+    earlier = row_with_tracks(number - 1, oldest, cloud)
+    while back <= _MEMORY_SWEEPS and not elapsed >= _MEMORY:  # NaN without stamps
         before = row_with_tracks(number - back - 1, oldest, cloud)
-        if earlier >= 0 and before >= 0:
+        if earlier >= 0:
             elapsed = float(cloud.time[b, row] - cloud.time[b, earlier])
-            # False without stamps.
-            if elapsed > 0.0 and elapsed < _MEMORY:
-                known = cloud.track_count[b, row]
-                for i in range(cloud.track_seen[b, earlier]):
-                    velocity = cloud.track_velocity[b, earlier, i]
-                    position = cloud.track_position[b, earlier, i] + elapsed * velocity
-                    radius = cloud.track_radius[b, earlier, i]
-                    is_moving = is_confirmed(b, earlier, i, before, cloud)
-                    if is_moving and is_blocked(b, position, radius, origin, scan):
-                        add_track(b, row, position, velocity, radius, known, cloud)
+        if earlier >= 0 and before >= 0 and elapsed > 0.0 and elapsed < _MEMORY:
+            known = cloud.track_count[b, row]
+            for i in range(cloud.track_seen[b, earlier]):
+                velocity = cloud.track_velocity[b, earlier, i]
+                position = cloud.track_position[b, earlier, i] + elapsed * velocity
+                radius = cloud.track_radius[b, earlier, i]
+                is_moving = is_confirmed(b, earlier, i, before, cloud)
+                if is_moving and is_blocked(b, position, radius, origin, scan):
+                    add_track(b, row, position, velocity, radius, known, cloud)
+        earlier = before
+        back += 1
