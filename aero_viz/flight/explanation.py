@@ -45,7 +45,7 @@ def explain(
         return f"{subject} {clearance:.3f} m from {solid}, closer than the radius of {rules.radius:g} m, {where}."
     if reason == "stall":
         return (
-            f"The drone came less than {rules.stall_distance:g} m closer to the goal within {rules.stall_time:g} s; "
+            f"The drone moved by less than {rules.stall_distance:g} m within {rules.stall_time:g} s; "
             f"it stalled {where}, {remaining:.1f} m from the goal."
         )
     if reason == "out_of_bounds":

@@ -56,8 +56,8 @@ class FlightRecord:
     """Mean acceleration over the last tick [m/s^2]."""
     velocity: wp.vec3
     """Velocity at the last tick [m/s]."""
-    nearest_goal: float
-    """Distance to the goal when progress was last made [m]."""
+    progress_position: wp.vec3
+    """Position at which progress was last made [m], world frame."""
     progress_time: float
     """Time at which progress was last made [s]."""
     goal_tick: int
@@ -95,9 +95,9 @@ def update_record(
     r.length += wp.length(position - position_before)
     r.speed_max = wp.max(r.speed_max, wp.length(velocity))
     r.ticks = tick
-    remaining = wp.length(r.goal - position)
-    if remaining <= r.nearest_goal - rules.stall_distance:
-        r.nearest_goal = remaining
+    # Progress is motion, not motion toward the goal: the way out of a dead end leads away from it.
+    if wp.length(position - r.progress_position) >= rules.stall_distance:
+        r.progress_position = position
         r.progress_time = float(tick) * rules.period
     return r
 

@@ -134,7 +134,7 @@ def initial_records(starts: NDArray[np.float64], goals: NDArray[np.float64]) -> 
     records = np.zeros(len(starts), dtype=np.dtype(struct.numpy_dtype()))
     records["goal"] = goals
     records["clearance_min"] = np.inf
-    records["nearest_goal"] = np.linalg.norm(goals - starts, axis=1)
+    records["progress_position"] = starts
     return records
 
 

@@ -33,7 +33,7 @@ class FlightRules(ParameterSection, section="rules"):
     arrival_radius: float = live(1.0, "m", 1e-3, 1e3, "Arrival: the centre is within this distance of the goal.")
     stall_distance: float = live(
         1.0, "m", 1e-3, 1e3,
-        "Stall: the smallest distance to the goal has not decreased by this much within stall_time.",
+        "Stall: the drone has not moved this far, in whatever direction, within stall_time.",
     )  # fmt: skip
-    stall_time: float = live(5.0, "s", 1e-3, 1e9, "Time within which the drone must come stall_distance nearer.")
+    stall_time: float = live(5.0, "s", 1e-3, 1e9, "Time within which the drone must move by stall_distance.")
     time_limit: float = live(60.0, "s", 1e-3, 1e9, "Timeout: this much time has passed since the goal was set.")

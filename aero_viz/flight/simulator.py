@@ -204,7 +204,7 @@ class Simulator:
         records, outcome = self.records(), self.outcome.numpy().copy()
         for name, value in changes.items():
             records[name] = value
-        records["nearest_goal"] = np.linalg.norm(records["goal"] - self.vehicle.position.numpy(), axis=1)
+        records["progress_position"] = self.vehicle.position.numpy()
         records["progress_time"] = self.time
         records["goal_tick"] = self.tick
         outcome[np.isin(outcome, list(ended))] = FLYING

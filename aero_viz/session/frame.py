@@ -84,7 +84,7 @@ def end_sentence(name: str, outcome: str, explanation: str | None) -> str:
     ending = {
         "arrived": "arrived at the goal.",
         "collision": "collided with an obstacle.",
-        "stall": "stalled: no progress toward the goal.",
+        "stall": "stalled: it no longer moves on.",
         "out_of_bounds": "left the world.",
         "timeout": "ran out of time.",
         "end": "end of the recording.",

@@ -40,7 +40,7 @@ def test_a_start_in_an_obstacle_is_reported_as_a_collision(tables, sentence):
         ("arrived", 1.0, None),
         ("collision", 0.21, "After 3.00 s the drone was 0.210 m from the ground, closer than the radius of 0.25 m, "
          "at (3, 0, 0.2)."),
-        ("stall", 1.0, "The drone came less than 1 m closer to the goal within 5 s; it stalled at (3, 0, 0.2), "
+        ("stall", 1.0, "The drone moved by less than 1 m within 5 s; it stalled at (3, 0, 0.2), "
          "6.3 m from the goal."),
         ("out_of_bounds", 1.0, "The drone left the world's bounds, x -35 to 45, y -40 to 40, z -11 to 12, "
          "at (3, 0, 0.2)."),
