@@ -99,7 +99,12 @@ class CloudArrays:
 class MotionArrays:
     """What moves among the obstacles of each drone; see `aero_planner.kernels.motion` and `.tracks`."""
 
-    scan: wp.array = array(wp.int32, "B L A", "", "Nearest range of each bin of the recent sweeps, as an integer.")
+    scan: wp.array = array(
+        wp.int32,
+        "B L A+K",
+        "",
+        "Nearest range of each bin of the recent sweeps, as an integer; then block counts.",
+    )
     circle_center: wp.array = array(wp.vec2, "B L A", "m", "Centre of the segment from each bin on, world frame.")
     circle_radius: wp.array = array(wp.float32, "B L A", "m", "Radius of its circle; 0 for none.")
     segment_count: wp.array = array(wp.int32, "B L", "", "Number of segments of each of these sweeps.")

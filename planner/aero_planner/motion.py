@@ -12,6 +12,7 @@ from aero_planner.array_memory import allocate
 from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs
 from aero_planner.kernels.motion import (
     BINS,
+    BLOCK,
     RECENT,
     Circles,
     RecentRows,
@@ -31,6 +32,7 @@ class _Sizes(NamedTuple):
     B: int
     L: int = int(RECENT)
     A: int = int(BINS)
+    K: int = int(BINS) // int(BLOCK)
     X: int = int(MOVERS)
     Y: int = int(STARTS)
 
@@ -76,10 +78,11 @@ class MotionEstimator:
         self._scan_obstacles = record(
             scan_obstacles, (int(RECENT), 1), [recent, sweeps, i.ground_height, params], [self._scan]
         )
-        circles = bundle(Circles, center=a.circle_center, radius=a.circle_radius)
+        counts: Any = self._scan[:, :, int(BINS) :]
+        circles = bundle(Circles, center=a.circle_center, radius=a.circle_radius, count=counts)
         bins, starts = (int(RECENT), int(BINS)), (int(STARTS), int(MOVERS))
         self._find_segments = record(find_segments, bins, [recent, sweeps, params, self._scan], [circles])
-        self._list_segments = record(list_segments, (int(RECENT),), [circles], [segments])
+        self._list_segments = record(list_segments, bins, [circles], [segments])
         self._follow_segments = record(follow_segments, starts, [recent, sweeps, params, self._scan, segments], [found])
         self._merge = record(merge_tracks, (), [recent, 0, params, self._scan, found], [a.newest, sweeps])
         self._find_wakes = record(find_wakes, (len(cloud.start),), [0, 0, params], [sweeps])

@@ -175,7 +175,7 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
                     pack_coordinates[b, pack, 1, j] = point[1]
                     pack_coordinates[b, pack, 2, j] = point[2]
 
-    return tuning.set_options(fill_rows)
+    return fill_rows  # without `set_options`: it must find the very cells that `count_points` counted
 
 
 @functools.cache

@@ -69,6 +69,7 @@ class KernelTuning(NamedTuple):
             kernel.module.options["fast_math"] = True
         elif keep_loops:
             kernel.module.options["max_unroll"] = 2
+        kernel.module.mark_modified()  # Warp has hashed the module with its options before
         return kernel
 
 

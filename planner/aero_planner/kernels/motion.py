@@ -44,9 +44,8 @@ _LARGEST_SINE = wp.constant(0.7)
 _NEAREST = wp.constant(0x7F000000)
 """Entry of a scan for the range 0; it falls with the range, and is 0 for an empty bin."""
 
-_READ_WIDTH = wp.constant(16)
-"""Values that a thread reads at once."""
-_Radii: Any = wp.types.vector(length=_READ_WIDTH, dtype=wp.float32)
+BLOCK = wp.constant(30)
+"""Bins of a block, in which circles are counted."""
 
 RecentRows: Any = wp.types.vector(length=RECENT, dtype=wp.int32)
 """Rows of the newest sweeps, newest first; -1 where there are fewer."""
@@ -58,6 +57,7 @@ class Circles:
 
     center: wp.array3d(dtype=wp.vec2)  # [B, RECENT, BINS], world frame [m]
     radius: wp.array3d(dtype=float)  # [B, RECENT, BINS], [m]; 0 for none
+    count: wp.array3d(dtype=int)  # [B, RECENT, BINS / BLOCK], number of circles of each block of bins
 
 
 @wp.struct
@@ -173,7 +173,7 @@ def find_segments(
     # in
     scan: wp.array3d(dtype=int),
     # out
-    circles: Circles,
+    circles: Circles,  # the counts are 0 before
 ):
     """Find the circle of the segment that begins at each bin, unless something hides either end.
 
@@ -210,6 +210,8 @@ def find_segments(
         )
         circles.center[b, recent, first] = wp.vec2(circle[0], circle[1])
         circles.radius[b, recent, first] = circle[2]
+        if circle[2] > 0.0:
+            wp.atomic_add(circles.count, b, recent, first // BLOCK, 1)
 
 
 @wp.kernel
@@ -219,16 +221,24 @@ def list_segments(
     # out
     segments: Segments,
 ):
-    """List the circles of each sweep in the order of their bins. Launched over [B, RECENT]."""
-    b, recent = wp.tid()
-    count = int(0)
-    read = _Radii()
-    for first in range(0, BINS, _READ_WIDTH):
-        for j in range(_READ_WIDTH):
-            read[j] = circles.radius[b, recent, first + j]
-        for j in range(_READ_WIDTH):
-            if read[j] > 0.0 and count < MOVERS:
-                segments.center[b, recent, count] = circles.center[b, recent, first + j]
-                segments.radius[b, recent, count] = read[j]
-                count += 1
-    segments.count[b, recent] = count
+    """List the circles of each sweep in the order of their bins. Launched over [B, RECENT, BINS]."""
+    b, recent, bin = wp.tid()
+    radius = circles.radius[b, recent, bin]
+    if radius == 0.0 and bin > 0:
+        return
+    slot = int(0)
+    total = int(0)
+    block = bin // BLOCK
+    for k in range(BINS // BLOCK):
+        count = circles.count[b, recent, k]
+        total += count
+        if k < block:
+            slot += count
+    for k in range(block * BLOCK, bin):
+        if circles.radius[b, recent, k] > 0.0:
+            slot += 1
+    if radius > 0.0 and slot < MOVERS:
+        segments.center[b, recent, slot] = circles.center[b, recent, bin]
+        segments.radius[b, recent, slot] = radius
+    if bin == 0:
+        segments.count[b, recent] = wp.min(total, MOVERS)

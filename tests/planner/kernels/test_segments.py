@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.kernels.motion import BINS, RECENT, Circles, RecentRows, Segments, find_segments, list_segments
+from aero_planner.kernels.motion import BINS, BLOCK, RECENT, Circles, RecentRows, Segments, find_segments, list_segments
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.records import CloudSweeps, bundle
@@ -24,6 +24,7 @@ def circles_of(scans: NDArray[np.float32], device: str) -> list[NDArray[np.float
         Circles,
         center=wp.zeros((1, L, A), dtype=wp.vec2, device=device),
         radius=wp.zeros((1, L, A), dtype=float, device=device),
+        count=wp.zeros((1, L, A // int(BLOCK)), dtype=int, device=device),
     )
     segments = bundle(
         Segments,
@@ -34,7 +35,7 @@ def circles_of(scans: NDArray[np.float32], device: str) -> list[NDArray[np.float
     params = wp.array(np.array([pack(config_of(partition__predict_width=WIDTH_MAX))]), dtype=Params, device=device)
     inputs = [RecentRows(*range(L)), bundle(CloudSweeps, origin=origin), params, wp.array(entries, device=device)]
     wp.launch(find_segments, (1, L, A), inputs=inputs, outputs=[circles], device=device)
-    wp.launch(list_segments, (1, L), inputs=[circles], outputs=[segments], device=device)
+    wp.launch(list_segments, (1, L, A), inputs=[circles], outputs=[segments], device=device)
     found = np.concatenate((segments.center.numpy()[0], segments.radius.numpy()[0, :, :, None]), axis=-1)
     return [found[i, :count].astype(np.float64) for i, count in enumerate(segments.count.numpy()[0])]
 
