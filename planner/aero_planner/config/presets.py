@@ -48,6 +48,7 @@ _PX4: dict[str, Value] = {
     "costs.q_control_rate": 100.0,
     "costs.q_control_jump": 60.0,
     "costs.q_height": 3.0,
+    "costs.soft_weight": 100.0,  # as in the flights with PX4 of docs/onboard.md
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

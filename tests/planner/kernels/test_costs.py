@@ -71,9 +71,9 @@ def test_quadratic_edges(device: str):
     config = PlannerConfig()
     d_min, d_max = np.float32(config.costs.distance_min), np.float32(config.costs.distance_max)
     edges = [0.0, np.nextafter(d_min, np.float32(0)), d_min, (d_min + d_max) / 2, d_max, 5.0]
-    np.testing.assert_allclose(collision(device, np.array(edges), config), [2e5, 1e5, 100, 25, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(collision(device, np.array(edges), config), [2e5, 1e5, 200, 50, 0, 0], rtol=1e-6)
     slow = config.replace({"vehicle.speed_limit": 1.4})  # a fifth of soft_speed: five times as many steps in a gap
-    np.testing.assert_allclose(collision(device, np.array(edges), slow), [2e5, 1e5, 20, 5, 0, 0], rtol=1e-6)
+    np.testing.assert_allclose(collision(device, np.array(edges), slow), [2e5, 1e5, 40, 10, 0, 0], rtol=1e-6)
 
 
 @settings(max_examples=50, deadline=None)

@@ -78,7 +78,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Penalty decay rate", symbol="a", group="Obstacles",
     )  # fmt: skip
     soft_weight: float = live(
-        100.0, "", 0.0, 1e6, "Weight of the quadratic penalty for speed limits of at least soft_speed.",
+        200.0, "", 0.0, 1e6, "Weight of the quadratic penalty for speed limits of at least soft_speed.",
         label="Quadratic penalty weight", group="Obstacles", basic=True,
     )  # fmt: skip
     soft_speed: float = live(
