@@ -19,7 +19,7 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "forrest"], "forest"),
         (["fly", "forest", "--config", "papr"], "paper"),
         (["fly", "forest", "--costs.q-track", "-3"], "costs.q_track is -3"),
-        (["fly", "forest", "--device", "cuda:77"], "cuda:77"),
+        (["fly", "forest", "--device", "cuda:77"], "device 'cuda:77' is not available: this machine has cpu"),
         (["fly", "forest", "--speed", "-1"], "speed_limit"),
         (["fly", "missing.json"], "missing.json"),
         (["inspect", "missing.bag"], "missing.bag"),
