@@ -110,7 +110,7 @@ def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["tune", "forest"], "nothing to tune; name a parameter"),
+        (["tune", "forest"], "nothing to tune; name a parameter, such as --over costs.q_track"),
         (["tune", "forest", "--over", "costs.q_trak"], "did you mean 'costs.q_track'?"),
         (["tune", "forest", "--over", "sampling.steps"], "sampling.steps is structural"),
         (["tune", "forrest", "--over", "costs.q_track"], "forest"),
