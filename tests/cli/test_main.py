@@ -62,8 +62,8 @@ def test_a_mistake_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], a
 @pytest.mark.parametrize(
     ("arguments", "messages"),
     [
-        (["fly", "forest", "--sampling.samples", "many"], ["--sampling.samples", "invalid literal", "'many'"]),
-        (["fly", "forest", "--speed", "abc"], ["--speed", "could not convert string to float: 'abc'"]),
+        (["fly", "forest", "--sampling.samples", "many"], ["--sampling.samples: 'many' is not a whole number"]),
+        (["fly", "forest", "--speed", "abc"], ["--speed: 'abc' is not a number"]),
         (["fly", "forest", "--drone.drg", "1"], ["Unrecognized options: --drone.drg", "meant", "--drone.drag FLOAT"]),
         (["export"], ["Missing", "OUT[.tar]", "aero-viz export --help"]),
     ],
