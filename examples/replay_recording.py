@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from aero_planner import PlanStatus
+from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, fly
 from aero_viz.logs import flight_recorder
 from aero_viz.recordings import RecordingSource, inspect, open_recording
@@ -24,10 +25,13 @@ def record_flight() -> Path:
 
 
 path = Path(sys.argv[1]) if len(sys.argv) > 1 else record_flight()
-info = inspect(path)
+try:
+    info, recording = inspect(path), open_recording(path)
+except UserError as error:  # its message is written for the user
+    sys.exit(f"replay_recording.py: {error}")
 print(f"{path.name}: {info.format}, {info.duration_s:.1f} s, {info.sweeps} sweeps, {info.poses} poses")
 
-session = Session(RecordingSource(open_recording(path), goal_ahead=8.0))
+session = Session(RecordingSource(recording, goal_ahead=8.0))
 frame = session.tick()
 while frame.outcome is None:
     if frame.index % 10 == 0:

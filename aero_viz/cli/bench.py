@@ -38,7 +38,7 @@ class RunFlags:
     """Warp device, such as cpu or cuda:0."""
     seed: int = 0
     """First seed of the worlds, LiDARs and planners."""
-    lidar: Literal["mid360", "full-sphere", "spinning64"] | None = None
+    lidar: Annotated[Literal["mid360", "full-sphere", "spinning64"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """LiDAR model of all rows; by default each row has its own."""
     batch: OptionalInt = None
     """Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU."""

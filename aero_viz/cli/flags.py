@@ -19,7 +19,7 @@ from aero_viz.flight.vehicle import PLANNED
 from aero_viz.recordings.odometry import OdometryChoice
 from aero_viz.scenes import World
 from aero_viz.scenes.map_files import has_voxels
-from aero_viz.sensors import LidarModel, lidar_model
+from aero_viz.sensors import LIDARS, LidarModel, lidar_model
 
 T = TypeVar("T")
 Inline = Annotated[T, tyro.conf.arg(name="")]
@@ -55,11 +55,23 @@ def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:
     metavar = "{" + ",".join(values) + "}" if values else kind.__name__.upper()
     bounds = "" if values else f" In [{info.low:g}, {info.high:g}]."
     unit = f" [{info.unit}]" if info.unit else ""
-    default = f"vehicle.{info.name}" if info.section == "drone" and info.name in PLANNED else f"{info.default}"
     argument = tyro.conf.arg(
-        help=f"{info.help.rstrip('.')}{unit}.{bounds}", metavar=metavar, help_behavior_hint=f"(default: {default})"
+        help=f"{info.help.rstrip('.')}{unit}.{bounds}",
+        metavar=metavar,
+        help_behavior_hint=f"(default: {_default(info)})",
     )
     return info.name, Annotated[kind | None, argument], None
+
+
+def _default(info: ParameterInfo) -> str:
+    """Return what a flag's help says of its default."""
+    if info.section == "drone" and info.name in PLANNED:
+        return f"vehicle.{info.name}"
+    if info.section == "lidar":
+        values = {name: getattr(model, info.name) for name, model in LIDARS.items()}
+        if len(set(values.values())) > 1:
+            return ", ".join(f"{value} for {name}" for name, value in values.items())
+    return f"{info.default}"
 
 
 def _flags_type(name: str, infos: Iterable[ParameterInfo], description: str) -> Any:

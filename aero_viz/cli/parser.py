@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from types import NoneType
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from aero_planner.config.parameter import did_you_mean
 from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,8 @@ def parse(
         if name in commands:
             import tyro
 
-            return tyro.cli(_deferred(commands[name].load()), prog=f"{prog} {name}", args=arguments[words:])
+            with _value_rules():
+                return tyro.cli(_deferred(commands[name].load()), prog=f"{prog} {name}", args=arguments[words:])
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help"):
         print(_format_help(commands, prog=prog, description=description))
@@ -66,6 +71,58 @@ def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]
     return bind
 
 
+def _value_rules() -> ConstructorRegistry:
+    """Return how tyro reads the values of flags, where its own rules give messages in terms of Python."""
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+    rules = ConstructorRegistry()
+
+    @rules.primitive_rule
+    def number(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+        kind = info.type
+        if kind not in (int, float):
+            return None
+
+        def read(values: list[str]) -> float:
+            try:
+                return kind(values[0])
+            except ValueError:
+                raise ValueError(f"{values[0]!r} is not a {'whole ' if kind is int else ''}number") from None
+
+        return PrimitiveConstructorSpec(
+            nargs=1,
+            metavar=kind.__name__.upper(),
+            instance_from_str=read,
+            is_instance=lambda value: isinstance(value, int | kind) and not isinstance(value, bool),
+            str_from_instance=lambda value: [str(value)],
+        )
+
+    @rules.primitive_rule
+    def optional(info: PrimitiveTypeInfo) -> Any:
+        # None stands for a flag that is absent. It is no value that a user could give.
+        kinds = [kind for kind in get_args(info.type) if kind is not NoneType]
+        if NoneType not in get_args(info.type) or len(kinds) != 1:
+            return None
+        spec = ConstructorRegistry.get_primitive_spec(PrimitiveTypeInfo.make(kinds[0], info.markers))
+        if not isinstance(spec, PrimitiveConstructorSpec):
+            return spec  # an error
+
+        def read_tuple(values: list[str]) -> Any:
+            try:
+                return spec.instance_from_str(values)
+            except ValueError:
+                raise ValueError(f"{' '.join(values)!r} does not fit {spec.metavar}") from None
+
+        return replace(
+            spec,
+            instance_from_str=read_tuple if get_origin(kinds[0]) is tuple else spec.instance_from_str,
+            is_instance=lambda value: value is None or spec.is_instance(value),
+            str_from_instance=lambda value: ["none"] if value is None else spec.str_from_instance(value),
+        )
+
+    return rules
+
+
 def _format_help(commands: Mapping[str, Command], *, prog: str, description: str) -> str:
     width = max(map(len, commands))
     lines = [f"  {name:{width}}  {command.summary}" for name, command in commands.items()]
@@ -82,4 +139,5 @@ def _parse_with_all(commands: Mapping[str, Command], arguments: Sequence[str], *
         if " " in name:
             continue  # the shell completes the first word
         app.command(_deferred(command.load()), name=name)
-    return app.cli(prog=prog, args=arguments)
+    with _value_rules():
+        return app.cli(prog=prog, args=arguments)

@@ -45,6 +45,10 @@ class _NoControl(ValueError):
     """A visitor without control has used a control that all share."""
 
 
+class _TooLarge(ValueError):
+    """A visitor uploads a file that is too large, and has been told so."""
+
+
 class PageConnection(ServerConnection):
     """Connection that viser receives messages from.
 
@@ -80,6 +84,8 @@ class PageConnection(ServerConnection):
         self._reminder_due = 0.0
         self._upload_limit = upload_limit
         self._upload: UploadStart | None = None
+        self._refused = ""
+        """Name of the last transfer that was refused."""
         self._bytes_left = 0
         """Bytes of the announced file that have not arrived yet."""
         self._parts_left: set[int] = set()
@@ -102,6 +108,8 @@ class PageConnection(ServerConnection):
                 return self._checked(*self._admitted.popleft())
             except _NoControl:
                 self._remind()
+            except _TooLarge:
+                pass
             except ValueError as error:
                 self._warn(f"A message is ignored, since no page sends it: {error}.")
 
@@ -202,13 +210,15 @@ class PageConnection(ServerConnection):
             raise ValueError("another upload is still running")
         if start.size_bytes > self._upload_limit:
             self._refuse_upload(start)
-            raise ValueError(f"a file of {start.size_bytes} bytes is larger than {self._upload_limit}")
+            raise _TooLarge
         if start.part_count > min(start.size_bytes, _PARTS_MAX) or (start.size_bytes and not start.part_count):
             raise ValueError("its number of parts is impossible")
         self._upload, self._bytes_left, self._parts_left = start, start.size_bytes, set(range(start.part_count))
 
     def _continue_upload(self, part: UploadPart) -> None:
         upload, size = self._upload, len(part.content)
+        if part.transfer_uuid == self._refused:  # the page sends it all the same
+            raise _TooLarge
         if upload is None or part.transfer_uuid != upload.transfer_uuid or part.part_index not in self._parts_left:
             raise ValueError("it is part of a file that was not announced")
         most = self._bytes_left - len(self._parts_left) + 1  # no part is empty
@@ -220,15 +230,15 @@ class PageConnection(ServerConnection):
 
     def _refuse_upload(self, start: UploadStart) -> None:
         """Tell the client why, and end the display of the upload's progress."""
-        client = self._client()
+        self._refused, client = start.transfer_uuid, self._client()
         if client is None:
             return
         sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
         client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
         client.add_notification(
             "Error",
-            f"The file has {start.size_bytes / 1000:.0f} kB and is ignored: the page takes files of up to "
-            f"{self._upload_limit / 1000:.0f} kB.",
+            f"{start.filename} has {start.size_bytes / 1000:.0f} kB and is not uploaded: the page takes files of up to "
+            f"{self._upload_limit / 1000:.0f} kB. A recording is played with: aero-viz play FILE",
             color="red",
         )
 

@@ -36,10 +36,9 @@ class Folders:
         except (OSError, ValueError, RuntimeError):  # a name that no file can have
             found = None
         if found is None:
-            raise UserError(
-                f"There is no file {name} in the folders that this page may open. Start aero-viz with --folder DIR "
-                "to add a folder."
-            )
+            folders = " or ".join(map(str, self.paths))
+            where = f"in {folders}, where this page may open files" if folders else "that this page may open"
+            raise UserError(f"There is no file {name} {where}. Start aero-viz with --folder DIR to add a folder.")
         if not found.is_file() and not found.is_dir():
             raise UserError(f"{name} is neither a file nor a folder with a recording.")
         if found.is_dir() and not _may_be_recording(found):

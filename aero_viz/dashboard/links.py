@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo
+from aero_planner.config import ParameterInfo, did_you_mean
 from aero_viz.flight.conditions import OFFERED
 from aero_viz.session.source import Conditions
 
@@ -83,7 +83,11 @@ class Link:
             elif path in parameters:
                 config[path] = _value(parameters[path], text)
             else:
-                raise ValueError(f"The link has an entry {path!r}, which this version does not know.")
+                hint = did_you_mean(path, [*conditions, *parameters])
+                raise ValueError(
+                    f"The link has an entry {path!r}, which this version does not know{hint}; "
+                    f"{PlannerConfig.listing} lists all parameters."
+                )
         PlannerConfig().replace(config)  # raises for a value out of its bounds
         has_conditions = bool(values) or count is not None or lidar is not None
         opening = Opening(spec, seed, Conditions(count, lidar, values) if has_conditions else None)

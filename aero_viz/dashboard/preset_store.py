@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aero_planner import PlannerConfig
+from aero_planner.config import did_you_mean
 from aero_planner.config.file import ConfigFile, format_config, format_goal, write_text
 from aero_viz.errors import UserError
 
@@ -85,11 +86,23 @@ class PresetStore:
         Raises:
             UserError: there is none of this name, or it cannot be removed.
         """
-        path = self._path(name)
+        path = self.path(name)
         try:
             path.unlink()
         except OSError as error:
             raise UserError(f"{path} cannot be removed: {error.strerror or error}.") from error
+
+    def path(self, name: str) -> Path:
+        """Return the file of a preset.
+
+        Raises:
+            UserError: there is none of this name; the message lists those that there are.
+        """
+        path, names = self._path(name), self.names()
+        if name not in names:
+            saved = f"saved presets: {', '.join(names)}" if names else "none has been saved"
+            raise UserError(f"There is no saved preset {name!r}{did_you_mean(name, names)}; {saved}.")
+        return path
 
     def _path(self, name: str) -> Path:
         if name in PlannerConfig.presets():

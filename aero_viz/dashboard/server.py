@@ -57,6 +57,11 @@ _STYLE = "".join(
         ".mantine-ScrollArea-content [role=tab]{padding:0 0.8em!important}",
         # A number or a checkbox needs little room, its label much.
         f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
+        # The floating panel stays beside the docked one. On a phone, the controls are a sheet below the drone.
+        '.mantine-Paper-root[style*="position: absolute"]{max-width:calc(100vw - 384px)}',
+        '@media(max-width:36em){.mantine-Paper-root[style*="max-height: 60%"]'
+        "{width:100%!important;max-height:40%!important}"
+        '.mantine-ScrollArea-content>[style="width: 20em;"]{width:100%!important}}',
         # A slider without a label belongs to the number field above it: it takes the whole row and has no number.
         "div:has(>.mantine-Text-root>label:empty){display:none}",
         "div:has(>.mantine-Flex-root>div>.mantine-Text-root>label:empty){padding-bottom:1.1em!important}",
@@ -336,7 +341,14 @@ def notify(
 
 def configure_theme(gui: viser.GuiApi, *, light: bool = False) -> None:
     """Give the panels of all visitors, or of one, the look of the page."""
-    gui.configure_theme(dark_mode=not light, show_logo=False, show_share_button=False, brand_color=palette.BRAND)
+    # After the window was as narrow as a phone, viser forgets the width of a panel and takes that of the theme.
+    gui.configure_theme(
+        dark_mode=not light,
+        show_logo=False,
+        show_share_button=False,
+        brand_color=palette.BRAND,
+        control_width="large",
+    )
 
 
 def _require_free(host: str, port: int) -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import warp as wp
-
 from aero_planner import PlannerConfig
-from aero_planner.warp_init import init_warp
+from aero_planner.warp_init import find_device
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.scenes import World
@@ -52,8 +50,7 @@ def default_batch(device: str) -> int:
     Raises:
         UserError: the device is not available.
     """
-    init_warp()
     try:
-        return 256 if wp.get_device(device).is_cuda else 1
+        return 256 if find_device(device).is_cuda else 1
     except ValueError as error:
-        raise UserError(f"The device {device!r} is not available: {error}.") from error
+        raise UserError(str(error)) from error

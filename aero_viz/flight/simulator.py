@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.warp_init import init_warp
+from aero_planner.warp_init import find_device
 from aero_viz.flight.estimate import StateEstimate, StateNoise
 from aero_viz.flight.flight_end import ARRIVED, FLYING, STALL, TIMEOUT, FlightRecord, clearance_kernel, judge_kernel
 from aero_viz.flight.metrics import initial_records, pack_rules
@@ -91,8 +91,7 @@ class Simulator:
         self.tick = 0
         self.observers: list[Callable[[], None]] = []
         self.timer: StageTimer | None = None
-        init_warp()
-        self.device = wp.get_device(device)
+        self.device = find_device(device)
         self._worlds = DeviceWorlds(worlds, device=self.device)
         starts = np.stack([world.start for world in worlds])
         goals = np.stack([world.goal for world in worlds])

@@ -169,7 +169,7 @@ def read_bin(path: Path) -> NDArray[np.float64]:
     """Return the points of a cloud of KITTI (rows of x, y, z, intensity) or nuScenes (.. and ring) [n, 3] [m].
 
     Raises:
-        UserError: the file cannot be read or has another size than such a cloud.
+        UserError: the file cannot be read, has another size than such a cloud, or holds implausible points.
     """
     try:
         with open_user_file(path) as file:
@@ -177,17 +177,30 @@ def read_bin(path: Path) -> NDArray[np.float64]:
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
     with np.errstate(invalid="ignore"):  # the bytes may not be numbers
-        if data and not len(data) % (_BIN_ROW + 4):
-            rows = np.frombuffer(data, "<f4").reshape(-1, 5)
-            ring = rows[:, 4]
-            if len(data) % _BIN_ROW or ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
-                return rows[:, :3].astype(np.float64)
-        if data and not len(data) % _BIN_ROW:
-            return np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
-    raise UserError(
-        f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are not rows of {_BIN_ROW} or "
-        f"{_BIN_ROW + 4}, or too many."
-    )
+        rows = _rows(data)
+    if rows is None:
+        raise UserError(
+            f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are not rows of {_BIN_ROW} "
+            f"or {_BIN_ROW + 4}, or too many."
+        )
+    points = rows[:, :3]
+    returns = np.count_nonzero((points != 0).any(axis=1))
+    if 2 * np.count_nonzero(valid_points(points)) < returns:
+        raise UserError(
+            f"{path} is not a cloud of KITTI or nuScenes: read as float32, most of its {returns} points are not finite "
+            "or lie beyond the range of any LiDAR; give a file with rows of x, y, z [m] and intensity."
+        )
+    return points.astype(np.float64)
+
+
+def _rows(data: bytes) -> NDArray[np.float32] | None:
+    """Return the content of a .bin as rows of 4 or 5 values; None if its size fits neither."""
+    if data and not len(data) % (_BIN_ROW + 4):
+        rows = np.frombuffer(data, "<f4").reshape(-1, 5)
+        ring = rows[:, 4]
+        if len(data) % _BIN_ROW or ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
+            return rows
+    return np.frombuffer(data, "<f4").reshape(-1, 4) if data and not len(data) % _BIN_ROW else None
 
 
 class PacketClouds(CloudSequence):

@@ -254,7 +254,8 @@ def _missing(path: Path) -> str:
     if close:
         return f"{path} does not exist; did you mean {' or '.join(close)}?"
     names = _recordings_in(parent)
-    return f"{path} does not exist; {parent} holds {_list_names(names) if names else 'no recording'}"
+    where = "this folder" if parent == Path() else parent
+    return f"{path} does not exist; {where} holds {_list_names(names) if names else 'no recording'}"
 
 
 def _no_recording(path: Path) -> str:

@@ -56,7 +56,8 @@ def find_device(name: str) -> wp.Device:
         return wp.get_device(name)
     except Exception as error:
         known = ", ".join(str(device) for device in wp.get_devices())
-        raise ValueError(f"device {name!r} is not available: {error}; this machine has {known}.") from error
+        advice = "choose one of these" if wp.is_cuda_available() else "choose that one, or install the GPU's driver"
+        raise ValueError(f"device {name!r} is not available: this machine has {known}; {advice}.") from error
 
 
 _load = wp.Module.load

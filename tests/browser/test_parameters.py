@@ -118,6 +118,25 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser)
         assert session.config == tomorrow.known(PlannerConfig.preset("paper"))
 
 
+def test_a_preset_is_deleted_after_a_question(tune):
+    desk = tune
+    desk.open_folder("Save as a preset", "Save preset")
+    name = desk.control("Name").locator("input")
+    name.fill("room")
+    desk.click("Delete preset")
+    desk.refusal("There is no saved preset 'room'").wait_for()
+    desk.click("Save preset")
+    desk.wait_for(lambda: PresetStore().names() == ["room"], "the preset")
+    for answer, names in (("Keep it", ["room"]), ("Delete", [])):
+        desk.click("Delete preset")
+        desk.page.get_by_text("Delete this preset?").wait_for()
+        desk.page.get_by_text(str(PresetStore().path("room"))).wait_for()
+        desk.click(answer)
+        desk.page.get_by_text("Delete this preset?").wait_for(state="detached")
+        desk.wait_for(lambda: PresetStore().names() == names, answer)  # noqa: B023
+    desk.page.get_by_text("The preset 'room' was deleted.").wait_for()
+
+
 def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):
     desk = tune
     desk.choose("Show", "expert")

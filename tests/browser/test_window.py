@@ -62,3 +62,25 @@ def test_every_scene_on_offer_has_a_name_that_fits_and_a_description(small):
         small.page.get_by_text(kind.description).wait_for()
         assert field.input_value() == name
         assert field.evaluate("(e) => e.scrollWidth <= e.clientWidth"), f"{name} is cut off"
+
+
+def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(fresh_desk):
+    desk = fresh_desk
+
+    def box(tab: str) -> dict[str, float]:
+        panel = desk.page.locator(".mantine-Paper-root", has=desk.page.get_by_role("tab", name=tab)).last
+        return panel.bounding_box() or {}
+
+    def resize(width: int) -> None:
+        desk.page.set_viewport_size({"width": width, "height": 800})
+        desk.settled(lambda: box("Fly")["width"], "the layout")
+
+    resize(600)
+    assert box("Planner")["x"] + box("Planner")["width"] <= box("Fly")["x"]
+    resize(480)
+    assert box("Fly")["width"] == 480
+    place = desk.place_on_page(desk.session.frame.observation.state.position)
+    assert place[1] < box("Fly")["y"], "the drone is above the controls"
+    resize(1000)
+    rows = {tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()}
+    assert len(rows) == 1, "all tabs of the controls are in one row"

@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from command_line import run, terminal_text
 
 from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, WorldFlags
@@ -28,6 +29,14 @@ def flags(config: str = "default", **costs: Any) -> ConfigFlags:
 )
 def test_only_the_paper_preset_ignores_the_ground(config_flags: ConfigFlags, use_ground: bool):
     assert config_flags.load().costs.use_ground == use_ground
+
+
+def test_the_help_of_a_lidar_flag_names_the_default_of_each_model(capsys: pytest.CaptureFixture[str]):
+    code, text, _ = run(capsys, "fly", "--help")
+    assert code == 0
+    text = terminal_text(text)
+    assert "Scan pattern. (default: livox for mid360, even for full-sphere, rings for spinning64)" in text
+    assert "Fraction of the returns that are lost. In [0, 1]. (default: 0.02)" in text
 
 
 def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):

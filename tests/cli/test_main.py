@@ -19,7 +19,7 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "forrest"], "forest"),
         (["fly", "forest", "--config", "papr"], "paper"),
         (["fly", "forest", "--costs.q-track", "-3"], "costs.q_track is -3"),
-        (["fly", "forest", "--device", "cuda:77"], "cuda:77"),
+        (["fly", "forest", "--device", "cuda:77"], "device 'cuda:77' is not available: this machine has cpu"),
         (["fly", "forest", "--speed", "-1"], "speed_limit"),
         (["fly", "missing.json"], "missing.json"),
         (["inspect", "missing.bag"], "missing.bag"),
@@ -62,8 +62,8 @@ def test_a_mistake_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], a
 @pytest.mark.parametrize(
     ("arguments", "messages"),
     [
-        (["fly", "forest", "--sampling.samples", "many"], ["--sampling.samples", "invalid literal", "'many'"]),
-        (["fly", "forest", "--speed", "abc"], ["--speed", "could not convert string to float: 'abc'"]),
+        (["fly", "forest", "--sampling.samples", "many"], ["--sampling.samples: 'many' is not a whole number"]),
+        (["fly", "forest", "--speed", "abc"], ["--speed: 'abc' is not a number"]),
         (["fly", "forest", "--drone.drg", "1"], ["Unrecognized options: --drone.drg", "meant", "--drone.drag FLOAT"]),
         (["export"], ["Missing", "OUT[.tar]", "aero-viz export --help"]),
     ],

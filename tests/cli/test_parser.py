@@ -23,6 +23,7 @@ def paint(
     colour: Literal["red", "green"] = "red",
     gloss: float | None = None,
     layers: int | None = None,
+    finish: Literal["matt", "silk"] | None = None,
 ) -> None:
     """Paint a wall.
 
@@ -33,8 +34,9 @@ def paint(
         colour: colour of the paint.
         gloss: gloss of the paint.
         layers: layers of the paint.
+        finish: finish of the paint.
     """
-    CALLS.append((wall, coats, place, colour, gloss, layers))
+    CALLS.append((wall, coats, place, colour, gloss, layers, finish))
 
 
 def wash(*, soap: str) -> None:
@@ -59,7 +61,7 @@ def test_parsing_does_not_call_the_command():
     assert CALLS == []
     command()
     call("wash", "--soap", "hard")()
-    assert CALLS == [("north", 2, (1.0, -2.0, 30.0), "red", None, None), ("wash", "hard")]
+    assert CALLS == [("north", 2, (1.0, -2.0, 30.0), "red", None, None, None), ("wash", "hard")]
 
 
 @pytest.mark.parametrize(
@@ -68,10 +70,13 @@ def test_parsing_does_not_call_the_command():
         ("paint north --coat 2", ["Unrecognized options: --coat", "meant", "--coats INT", "house paint --help"]),
         ("paint north south", ["Unrecognized options: south", "house paint --help"]),
         ("paint", ["Missing from house paint:", "WALL", "house paint --help"]),
-        ("paint north --coats two", ["Error parsing --coats", "invalid literal for int() with base 10: 'two'"]),
-        ("paint north --layers two", ["Error parsing --layers", "invalid literal for int() with base 10: 'two'"]),
-        ("paint north --gloss much", ["Error parsing --gloss", "could not convert string to float: 'much'"]),
-        ("paint north --place 1 2", ["--place", "FLOAT FLOAT FLOAT"]),
+        ("paint north --coats two", ["Error parsing --coats: 'two' is not a whole number"]),
+        ("paint north --layers two", ["Error parsing --layers: 'two' is not a whole number"]),
+        ("paint north --gloss much", ["Error parsing --gloss: 'much' is not a number"]),
+        ("paint north --place 1 2", ["Missing value for argument '--place'. Expected 3 values"]),
+        ("paint north --place 1 2 far", ["Error parsing --place: '1 2 far' does not fit FLOAT FLOAT FLOAT"]),
+        ("paint north --finish gold", ["'gold' for argument '--finish'. Expected one of ('matt', 'silk')"]),
+        ("paint north --gloss None", ["Error parsing --gloss: 'None' is not a number"]),
         ("paint north --colour blue", ["invalid choice 'blue' for argument '--colour'", "'red', 'green'"]),
         ("paint north --coats", ["Missing value for argument '--coats'"]),
         ("wash --sope hard", ["--soap STR", "--sope hard", "house wash --help"]),

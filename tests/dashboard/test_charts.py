@@ -12,7 +12,7 @@ from aero_viz.dashboard import Dashboard, palette
 from aero_viz.dashboard.history import COLUMNS
 from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.charts import CURVES, ChartPanel
+from aero_viz.dashboard.panels.charts import CURVES, ChartPanel, table
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
@@ -107,3 +107,10 @@ def test_a_curve_of_which_a_log_holds_nothing_is_left_out(session, dashboard, tm
     drawing = content_of(compared, ChartPanel, session.frame)
     compared.close()
     assert "effective samples" not in drawing and 'data-curve="speed"' in drawing
+
+
+def test_a_figure_that_is_not_known_is_an_empty_cell():
+    rows = np.ones((2, len(COLUMNS)))
+    rows[1, COLUMNS.index("samples")] = np.nan
+    (curve,) = (curve for curve in CURVES if curve.columns == ("samples",))
+    assert table(rows, [curve]) == "time,samples\n1,1\n1,\n"

@@ -164,16 +164,18 @@ def test_a_file_up_to_the_limit_arrives(client, uploads):
     wait_for(lambda: len(contents) == 2, "the next upload")
 
 
-def test_a_file_above_the_limit_is_refused_before_its_first_part(server, client, uploads):
+def test_a_file_above_the_limit_is_refused_before_its_first_part(server, client, uploads, caplog):
     button, contents = uploads
-    start_upload(client, button, LIMIT + 1, parts=2)
-    read_until(client, "the page takes files of up to 1 kB")
+    start_upload(client, button, 5 * LIMIT, parts=2)
+    reason = "the page takes files of up to 1 kB. A recording is played with: aero-viz play FILE"
+    read_until(client, f"f.yaml has 5 kB and is not uploaded: {reason}")
     assert not unfinished(server)
     send_part(client, button, b"a" * LIMIT)
     start_upload(client, button, 1, name="b")
     send_part(client, button, b"b", name="b")
     wait_for(lambda: contents, "the small file")
     assert contents == [b"b"]
+    assert "no page sends it" not in caplog.text
 
 
 def test_a_client_cannot_send_more_than_it_announced(server, client, uploads):

@@ -34,7 +34,8 @@ def test_an_address_without_a_source_has_no_link():
         ("source=forest&costs.q_track=many", "costs.q_track = 'many'"),
         ("source=forest&costs.q_track=1e9", "costs.q_track"),
         ("source=forest&costs.use_ground=maybe", "True or False"),
-        ("source=forest&color=red", "'color'"),
+        ("source=forest&color=red", "'color', which this version does not know; aero-viz parameters lists all"),
+        ("source=forest&costs.q_trak=8", r"'costs\.q_trak', .* \(did you mean 'costs\.q_track'\?\)"),
     ],
 )
 def test_a_link_that_cannot_be_used_is_refused(query, words):

@@ -83,6 +83,10 @@ def controls(desk: SimpleNamespace) -> list[Any]:
     return list(desk.dashboard.server.gui._gui_input_handle_from_uuid.values())
 
 
+def scene_list(desk: SimpleNamespace) -> Any:
+    return next(control for control in controls(desk) if control.label == "Scene")
+
+
 def open_path(desk: SimpleNamespace, path: object) -> None:
     set_control(desk, "Path", str(path))
     set_control(desk, "Open path", True)
@@ -105,6 +109,17 @@ def test_a_world_in_the_folder_is_opened(desk, folder):
     before = desk.session.source
     open_path(desk, "poles.json")  # relative to the folder
     wait_for(lambda: desk.session.source is not before, "the world again")
+
+
+def test_a_file_is_listed_once_by_whatever_path_it_was_opened(desk, folder):
+    (folder / "link.json").symlink_to("poles.json")
+    for path in ("poles.json", folder / "poles.json", "./poles.json", "link.json"):
+        before = desk.session.source
+        open_path(desk, path)
+        wait_for(lambda: desk.session.source is not before, "the world")  # noqa: B023
+        wait_for(nothing_is_being_opened, "the end of the opening")
+    desk.dashboard.drain()
+    assert scene_list(desk).options == ("slow", "late", "poles.json")
 
 
 def test_what_the_planner_knows_is_that_of_the_flight_and_nothing_for_a_recording(desk, folder):
@@ -142,7 +157,7 @@ def test_a_malformed_file_is_explained_in_the_terminal_only(desk, folder, caplog
 def test_other_folders_are_closed_and_nothing_is_told_about_them(desk, folder, caplog, name):
     path = folder.parent / "closed" / name
     open_path(desk, path)
-    heard = read_until(desk.client, f"There is no file {path} in the folders that this page may open")
+    heard = read_until(desk.client, f"There is no file {path} in {folder}, where this page may open files")
     assert "passwords" not in heard.replace(str(path), "") and SECRET not in heard + caplog.text
 
 
@@ -261,5 +276,5 @@ def test_a_folder_without_a_recording_is_refused(folder):
 
 
 def test_without_folders_no_file_is_open(folder):
-    with pytest.raises(UserError, match="There is no file"):
+    with pytest.raises(UserError, match=r"json that this page may open\. Start aero-viz with --folder DIR"):
         Folders([folder / "absent"]).find(str(folder / "poles.json"))

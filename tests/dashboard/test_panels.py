@@ -14,7 +14,9 @@ from aero_viz.dashboard.panels.conditions import ConditionControls
 from aero_viz.dashboard.panels.configuration import parse_upload
 from aero_viz.dashboard.panels.controls import SliderControl, add_control
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
+from aero_viz.dashboard.panels.study import progress
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.evaluation.tune.stored_study import StudyView
 from aero_viz.scenes import SCENES
 from aero_viz.session.source import Conditions
 
@@ -104,3 +106,15 @@ def test_the_number_of_obstacles_is_that_of_each_scene_and_a_wrong_one_is_refuse
         count.value = wrong
         with pytest.raises(ValueError, match=f"obstacles is {wrong}; it must be"):
             controls.read("forest")
+
+
+@pytest.mark.parametrize(
+    ("finished", "flights", "text"),
+    [
+        (0, 0, "no flight has ended yet, 8 candidates to fly"),
+        (0, 2, "0 of 8 candidates, 2 flights"),
+        (3, 8, "3 of 8 candidates, 8 flights"),
+    ],
+)
+def test_a_study_says_how_far_it_is(finished: int, flights: int, text: str):
+    assert progress(StudyView("poles", finished, 8, flights, 0.0, (), (), ())) == text

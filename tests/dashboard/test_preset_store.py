@@ -51,6 +51,15 @@ def test_a_name_that_cannot_be_used_is_refused(store, name):
     assert not store.folder.exists() or os.listdir(store.folder) == []
 
 
+def test_a_preset_that_is_not_there_cannot_be_deleted(store):
+    with pytest.raises(UserError, match=r"There is no saved preset 'room'; none has been saved\."):
+        store.delete("room")
+    store.save("rooms", CONFIG, None)
+    with pytest.raises(UserError, match=r"no saved preset 'room' \(did you mean 'rooms'\?\); saved presets: rooms\."):
+        store.delete("room")
+    assert store.names() == ["rooms"]
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -34,6 +34,13 @@ def test_an_example_prints_its_results_only(name: str, tmp_path: Path):
     assert re.search(OUTPUT[name], result.stdout, flags=re.DOTALL), result.stdout
 
 
+def test_replay_recording_refuses_a_missing_file_in_one_sentence(tmp_path: Path):
+    command = [sys.executable, str(EXAMPLES["replay_recording"]), "missing.mcap"]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr == "replay_recording.py: missing.mcap does not exist; this folder holds no recording\n"
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_is_short_and_explains_itself(name: str):
     text = EXAMPLES[name].read_text(encoding="utf-8")

@@ -179,6 +179,8 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
         ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
         ("flight.ulg", b"ULog\x01\x12\x35\x01", "flight.ulg cannot be read"),
         ("odd.bin", bytes(17), "not rows of 16 or 20"),
+        ("random.bin", np.random.default_rng(0).bytes(16_000), "beyond the range of any LiDAR"),
+        ("text.bin", b"These are not points" * 100, "beyond the range of any LiDAR"),
         ("flight.zip", b"PK\3\4" + bytes(30), "unpack this archive"),
         ("flight.tar", bytes(257) + b"ustar" + bytes(250), "tar -xf"),
         ("scan.e57", b"ASTM-E57" + bytes(40), "pdal translate"),
@@ -193,6 +195,15 @@ def test_what_cannot_be_played_names_the_next_step(
     path.write_bytes(content)
     error = run_refused(capsys, "inspect", str(path))
     assert message in error and name in error
+
+
+def test_a_bin_may_hold_missing_returns_and_some_damaged_points(tmp_path: Path):
+    rows = np.zeros((1000, 4), "<f4")
+    rows[:100, :3] = bags.wall(100)
+    rows[100:150, :3] = np.nan
+    rows.tofile(tmp_path / "cloud.bin")
+    with open_recording(tmp_path / "cloud.bin") as recording:
+        assert len(recording.sweep(0).points) == 100
 
 
 def test_a_cloud_of_foxglove(tmp_path: Path):

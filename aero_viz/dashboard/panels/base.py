@@ -95,6 +95,33 @@ class Page:
             self.refresh()
         return True
 
+    def ask(
+        self, client: viser.ClientHandle, question: str, detail: str, *, yes: str, no: str, action: Callable[[], Any]
+    ) -> None:
+        """Ask a visitor in a dialog; run `action` if the answer is `yes` and the visitor has control.
+
+        Args:
+            client: the visitor.
+            question: title of the dialog.
+            detail: what the question is about, HTML. Not Markdown, which may hold pictures of other servers.
+            yes, no: texts of the two buttons.
+            action: what to do, as for `attempt`.
+        """
+        modal = client.gui.add_modal(question)
+        with modal:
+            client.gui.add_html(detail)
+            answer = client.gui.add_button_group("", (yes, no))
+
+            @answer.on_click
+            async def _(_: viser.GuiEvent) -> None:
+                modal.close()
+                if answer.value != yes:
+                    return
+                if not self.server.visitors.has_control(client.client_id):  # the modal is the visitor's own
+                    notify(self.server, "You are watching; take control first.", level="error", client=client)
+                    return
+                self.attempt(action, client)
+
 
 class Panel:
     """Part of the control panel: turns clicks into calls of the session, and shows the state of the session.

@@ -106,12 +106,13 @@ class ChartPanel(Panel):
 
 
 def table(rows: Array, curves: Sequence[Curve]) -> str:
-    """Return rows of a history as CSV: the time and the columns of some curves."""
+    """Return rows of a history as CSV: the time and the columns of some curves. What is not known is an empty cell."""
     columns = ["time", *dict.fromkeys(column for curve in curves for column in curve.columns)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows([[f"{value:.9g}" for value in row] for row in rows[:, [COLUMNS.index(name) for name in columns]]])
+    values = rows[:, [COLUMNS.index(name) for name in columns]]
+    writer.writerows([["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in values])
     return text.getvalue()
 
 

@@ -17,6 +17,7 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.preset_store import PresetStore
+from aero_viz.dashboard.server import notify
 from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
@@ -116,7 +117,8 @@ class ConfigurationPanel(Panel):
         @delete.on_click
         async def _(event: viser.GuiEvent) -> None:
             await asyncio.sleep(TYPING_DELAY)
-            self.page.attempt(lambda: self._delete(name.value.strip()), event.client)
+            if (client := event.client) is not None:
+                self.page.attempt(lambda: self._ask_to_delete(name.value.strip(), client), client)
 
     def _create_files(self, gui: viser.GuiApi) -> None:
         save = gui.add_button(
@@ -166,8 +168,19 @@ class ConfigurationPanel(Panel):
         self._saved = self._store.names()
         self._baseline.name, self._baseline.config = name, config
 
-    def _delete(self, name: str) -> None:
+    def _ask_to_delete(self, name: str, client: viser.ClientHandle) -> None:
+        self.page.ask(
+            client,
+            "Delete this preset?",
+            markup.block(f"<b>{markup.text(name)}</b>", markup.text(str(self._store.path(name)))),
+            yes="Delete",
+            no="Keep it",
+            action=lambda: self._delete(name, client),
+        )
+
+    def _delete(self, name: str, client: viser.ClientHandle) -> None:
         self._store.delete(name)
+        notify(self.page.server, f"The preset {name!r} was deleted.", client=client)
         self._saved = self._store.names()
         if self._baseline.name == name:
             self._baseline.name, self._baseline.config = "default", PlannerConfig()

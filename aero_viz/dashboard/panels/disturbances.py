@@ -26,6 +26,8 @@ _ENDS = {
 _DRAG = 0.3
 """Drag of a drone that had none when wind was asked for: wind acts through it [1/s]."""
 
+_HINT = "It acts at once; the same name in the Fly tab acts from the next flight on."
+
 
 class DisturbancePanel(Panel):
     """Sliders of the parameters that may change during a flight, and the drone itself.
@@ -53,7 +55,7 @@ class DisturbancePanel(Panel):
         self._changes = Mailbox(self._change, name="aero-viz-conditions")
         self._moves = Mailbox(self._move, name="aero-viz-drone")
         for slider in self._sliders:
-            slider.number.label += " now"  # unlike that of the next flight, in the Fly tab
+            slider.number.hint = f"{slider.number.hint} {_HINT}"
             slider.on_change(lambda _, slider=slider: self._take(slider))
 
         @self._drag.on_update

@@ -138,21 +138,14 @@ class SharePanel(Panel):
     def _offer(self, client: viser.ClientHandle, link: Link) -> None:
         moment = f"{link.opening.spec}, seed {link.opening.seed}, at {link.time:.2f} s"
         changes = (f"{path} = {value}" for path, value in link.config.items())
-        modal = client.gui.add_modal("Open this link?")
-        with modal:
-            # Not as Markdown, which may hold pictures of other servers.
-            client.gui.add_html(markup.block(f"<b>{markup.text(moment)}</b>", *map(markup.text, changes)))
-            answer = client.gui.add_button_group("", ("Open", "Keep what is shown"))
-
-            @answer.on_click
-            async def _(_: viser.GuiEvent) -> None:
-                modal.close()
-                if answer.value != "Open":
-                    return
-                if not self.page.server.visitors.has_control(client.client_id):  # the modal is the visitor's own
-                    notify(self.page.server, "Take control before you open a link.", level="error", client=client)
-                    return
-                self._sources.open_link(link, client)
+        self.page.ask(
+            client,
+            "Open this link?",
+            markup.block(f"<b>{markup.text(moment)}</b>", *map(markup.text, changes)),
+            yes="Open",
+            no="Keep what is shown",
+            action=lambda: self._sources.open_link(link, client),
+        )
 
     def _start(self, suffix: str, client: viser.ClientHandle) -> None:
         if not self._busy.acquire(blocking=False):

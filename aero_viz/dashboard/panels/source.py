@@ -137,7 +137,8 @@ class SourcePanel(Panel):
         if self._is_listed or not self._choices:
             return []
         self._is_listed, spec = True, self._opened
-        name = next((name for name, (_, offered) in self._choices.items() if offered == spec), None)
+        place = _place(spec)
+        name = next((name for name, (_, offered) in self._choices.items() if _place(offered) == place), None)
         if name is None:
             name = spec if Path(spec).name in self._choices else Path(spec).name
             self._choices[name] = (spec, spec)
@@ -208,8 +209,9 @@ class SourcePanel(Panel):
         self._cancel.visible = True
         try:
             with self._progress_notification(f"Opening {spec} ..", reader, client):
-                source = self._read(reader, spec, options, client)
-                if source is not None and self._use(source, spec, seed=options["seed"]):
+                path = self._find(spec, client)
+                source = None if path is None else self._read(reader, path, spec, options, client)
+                if path is not None and source is not None and self._use(source, path, seed=options["seed"]):
                     self.opening = Opening(spec, options["seed"], options.get("conditions"))
                     if link is not None:
                         self._go_to(link, reader)
@@ -237,7 +239,7 @@ class SourcePanel(Panel):
                     return
                 frame = self.session.frame
 
-    def _use(self, source: Source, spec: str, *, seed: int) -> bool:
+    def _use(self, source: Source, path: str, *, seed: int) -> bool:
         """Make `source` the session's. It plays if the one before it did, also if that had come to its end.
 
         Returns:
@@ -252,7 +254,7 @@ class SourcePanel(Panel):
             is_used = self._controls.set_source(source, seed=seed).exception() is None
             if is_used:
                 self._plan_as_known(frame, source)
-                self._opened, self._is_listed = spec, False
+                self._opened, self._is_listed = path, False
             if was_playing or (is_used and had_ended):
                 self.session.play()
             return is_used
@@ -264,15 +266,18 @@ class SourcePanel(Panel):
             old, new = before.source, source.info
             self._controls.convert_configs(lambda config: config_for_next_flight(config, before=old, after=new))
 
-    def _read(
-        self, reader: ReaderProcess, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
-    ) -> Source | None:
-        """Return the source, or None if it cannot be opened."""
+    def _find(self, spec: str, client: viser.ClientHandle | None) -> str | None:
+        """Return the argument of the opener for a name or a path; None if the page may not open it."""
         try:
-            path = spec if spec in self._offered else str(self._folders.find(spec))
+            return spec if spec in self._offered else str(self._folders.find(spec))
         except UserError as error:
             notify(self.page.server, str(error), level="error", client=client)
             return None
+
+    def _read(
+        self, reader: ReaderProcess, path: str, spec: str, options: dict[str, Any], client: viser.ClientHandle | None
+    ) -> Source | None:
+        """Return the source, or None if it cannot be opened; messages name it as the user did, by `spec`."""
         try:
             source = self._open_source(path, read=reader, **options)
             if not reader.is_cancelled:
@@ -311,3 +316,8 @@ class SourcePanel(Panel):
             thread.join()
             for notification in shown:
                 notification.remove()
+
+
+def _place(spec: str) -> Path:
+    """Return what is the same for all paths of a file; a name that is no file stays as it is."""
+    return Path(spec).expanduser().resolve() if Path(spec).expanduser().exists() else Path(spec)

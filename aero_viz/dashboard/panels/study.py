@@ -142,14 +142,20 @@ def _unit(axis: str) -> str:
     return axis.partition("[")[2].rstrip("]")
 
 
+def progress(view: StudyView) -> str:
+    """Return how far a study is, in words. The incumbent flies before the first candidate."""
+    if not view.flights:
+        return f"no flight has ended yet, {view.asked} candidates to fly"
+    return f"{view.finished} of {view.asked} candidates, {view.flights} flights"
+
+
 def _state(view: StudyView) -> str:
-    counts = f"{view.finished} of {view.asked} candidates, {view.flights} flights"
-    return f'<div class="aero-study">{markup.heading(view.name, counts)}</div>'
+    return f'<div class="aero-study">{markup.heading(view.name, progress(view))}</div>'
 
 
 def _legend(view: StudyView) -> str:
     if not view.points:
-        return markup.muted("No candidate has flown in all worlds yet.")
+        return markup.muted("The results appear here once the incumbent or a candidate has flown in all worlds.")
     return markup.muted(
         f"Green: candidates that no other one beats, at most {_BUTTONS}; click one to make it B. Grey: the others that "
         "flew in all worlds. Square: the incumbent. Lines: 95 % intervals."

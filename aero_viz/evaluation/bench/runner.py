@@ -137,7 +137,7 @@ def run_benchmark(
         BenchmarkInterrupted: Ctrl-C was pressed during the flights; the results so far are written.
     """
     if flights < 1 or (batch is not None and batch < 1):
-        raise UserError("The number of flights and the batch size must be at least 1.")
+        raise UserError("--flights and --batch must be at least 1.")
     size = batch or default_batch(device)
     base, rules, first_seed = config or PlannerConfig(), rules or FlightRules(), seed + benchmark.first_seed
     header = {

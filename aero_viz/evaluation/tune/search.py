@@ -144,13 +144,14 @@ def tune(
 
 def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequence[World], batch: int | None) -> None:
     if search.trials < 1 or search.generation < 1:
-        raise UserError("The number of trials and the size of a generation must be at least 1.")
-    if not 1 <= search.rungs <= max(len(worlds), 1):
-        raise UserError(
-            f"{len(worlds)} flights cannot be divided into {search.rungs} rungs; each needs at least one flight."
-        )
+        raise UserError("--trials and --generation must be at least 1.")
     if not worlds or not fresh_worlds or (batch is not None and batch < 1):
-        raise UserError("The number of flights, of flights in the check, and the batch size must be at least 1.")
+        raise UserError("--flights, --check and --batch must be at least 1.")
+    if not 1 <= search.rungs <= len(worlds):
+        raise UserError(
+            f"{len(worlds)} flights cannot be divided into {search.rungs} rungs, each of at least one flight; "
+            f"give --rungs between 1 and {len(worlds)}, or more --flights."
+        )
 
 
 def _definition(

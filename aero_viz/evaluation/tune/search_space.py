@@ -42,7 +42,9 @@ def parse_ranges(texts: Sequence[str], config: PlannerConfig) -> tuple[Parameter
             its range is empty, out of bounds, or missing although the value is not positive.
     """
     if not texts:
-        raise UserError("There is nothing to tune; name a parameter, such as costs.q_track or costs.q_track=1:20.")
+        raise UserError(
+            "There is nothing to tune; name a parameter, such as --over costs.q_track or --over costs.q_track=1:20."
+        )
     ranges: list[ParameterRange] = []
     for text in texts:
         name, has_limits, limits = text.partition("=")

@@ -175,6 +175,8 @@ class SectionedConfig:
 
     noun: ClassVar[str] = "parameter"
     """Word for a parameter in error messages."""
+    listing: ClassVar[str] = "aero-viz parameters"
+    """Command that lists all parameters."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """New path of each parameter by its old path, which remains valid for one release."""
     removed: ClassVar[Mapping[str, str]] = {}
@@ -222,10 +224,13 @@ class SectionedConfig:
         if path not in known:
             if path in cls.removed:
                 raise ValueError(f"{path} was removed: {cls.removed[path]}.")
-            # The right name in the wrong section, or in none, is nearer than any other spelling.
-            name = str(path).rpartition(".")[2]
-            same_name = [info.path for info in known.values() if info.name == name]
-            raise ValueError(f"unknown {cls.noun} {path!r}{did_you_mean(path, same_name[:1] or known)}.")
+            # Only names are compared: the right name in the wrong section, or in none, is near, and another name in the
+            # right section is not.
+            section, _, name = str(path).rpartition(".")
+            close = difflib.get_close_matches(name, [info.name for info in known.values()], n=1)
+            near = sorted((info for info in known.values() if info.name in close), key=lambda i: i.section != section)
+            hint = f" (did you mean {near[0].path!r}?)" if near else ""
+            raise ValueError(f"unknown {cls.noun} {path!r}{hint}; {cls.listing} lists all.")
         return known[path]
 
     @classmethod

@@ -285,6 +285,7 @@ class OnboardConfig(SectionedConfig):
     """
 
     noun: ClassVar[str] = "setting"
+    listing: ClassVar[str] = "aero-planner config show"
 
     lidar: LidarSettings = field(default_factory=LidarSettings)
     mavlink: MavlinkSettings = field(default_factory=MavlinkSettings)

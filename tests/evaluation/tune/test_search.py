@@ -178,9 +178,9 @@ def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path):
     ("options", "message"),
     [
         ({"rungs": 0}, "cannot be divided into 0 rungs"),
-        ({"rungs": 3}, "2 flights cannot be divided into 3 rungs"),
-        ({"trials": 0}, "number of trials and the size of a generation must be at least 1"),
-        ({"check": 0}, "at least 1"),
+        ({"rungs": 3}, "give --rungs between 1 and 2, or more --flights"),
+        ({"trials": 0}, "--trials and --generation must be at least 1"),
+        ({"check": 0}, "--flights, --check and --batch must be at least 1"),
         ({"batch": 0}, "at least 1"),
         ({"device": "cuda:77"}, "'cuda:77' is not available"),
         ({"sampler": "cmaes", "objectives": ("time", "clearance")}, "CMA-ES has one objective only"),

@@ -27,7 +27,7 @@ def test_range_is_explicit_or_follows_from_the_value(text: str, expected: Parame
     ("texts", "message"),
     [
         ([], "nothing to tune; name a parameter"),
-        (["costs.q_trak"], "unknown parameter 'costs.q_trak' (did you mean 'costs.q_track'?)"),
+        (["costs.q_trak"], "unknown parameter 'costs.q_trak' (did you mean 'costs.q_track'?); aero-viz parameters"),
         (["lookahead=1:2"], "did you mean 'anchors.lookahead'?"),
         (["sampling.samples=8:64"], "sampling.samples is structural"),
         (["candidates.brake"], "candidates.brake is structural"),

@@ -129,12 +129,18 @@ def test_minima_must_be_below_maxima(low: str, high: str):
         ("q_track", "costs.q_track"),
         ("vehicle.penalty", "costs.penalty"),
         ("sampling.sample", "sampling.samples"),
+        ("samples", "sampling.samples"),
     ],
 )
 def test_misspelt_names_get_a_suggestion(misspelt: str, meant: str):
     for call in (PlannerConfig.find, PlannerConfig().get, lambda path: replace(path, 1.0)):
         with pytest.raises(ValueError, match=f"unknown parameter '{misspelt}' .did you mean '{meant}'"):
             call(misspelt)
+
+
+def test_a_name_like_no_other_gets_no_suggestion_and_the_list():
+    with pytest.raises(ValueError, match=r"^unknown parameter 'costs\.zzz'; aero-viz parameters lists all\.$"):
+        PlannerConfig.find("costs.zzz")
 
 
 def test_from_dict_names_the_error():

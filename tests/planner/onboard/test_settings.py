@@ -127,6 +127,7 @@ def test_settings_may_be_in_a_separate_file(tmp_path: Path):
         ("onboard:\n  limits:\n    - 5\n", 3, "'- 5' is not understood"),
         ("onboard:\n\tlimits:\n", 2, "there is a tab"),
         ("onboards:\n  limits:\n", 1, "unknown section 'onboards'"),
+        ("onboard:\n  limits:\n    plan_ages: 1\n", 3, "'limits.plan_age'?); aero-planner config show lists all."),
         ("onboard:\n  costs:\n    q_track: 1\n", 2, "unknown section 'costs'"),
         ("costs:\n  q_trak: 1\nonboard:\n", 2, "unknown parameter 'costs.q_trak'"),
     ],
