@@ -36,7 +36,7 @@ class Folders:
         except (OSError, ValueError, RuntimeError):  # a name that no file can have
             found = None
         if found is None:
-            folders = " or ".join(map(str, self.paths))
+            folders = " or ".join(path.name for path in self.paths)  # visitors need not know where they are
             where = f"in {folders}, where this page may open files" if folders else "that this page may open"
             raise UserError(f"There is no file {name} {where}. Start aero-viz with --folder DIR to add a folder.")
         if not found.is_file() and not found.is_dir():

@@ -157,7 +157,7 @@ def test_a_malformed_file_is_explained_in_the_terminal_only(desk, folder, caplog
 def test_other_folders_are_closed_and_nothing_is_told_about_them(desk, folder, caplog, name):
     path = folder.parent / "closed" / name
     open_path(desk, path)
-    heard = read_until(desk.client, f"There is no file {path} in {folder}, where this page may open files")
+    heard = read_until(desk.client, f"There is no file {path} in {folder.name}, where this page may open files")
     assert "passwords" not in heard.replace(str(path), "") and SECRET not in heard + caplog.text
 
 
