@@ -100,13 +100,13 @@ class MotionArrays:
     """What moves among the obstacles of each drone; see `aero_planner.kernels.motion` and `.tracks`."""
 
     scan: wp.array = array(
-        wp.int32,
-        "B L A+K",
-        "",
-        "Nearest range of each bin of the recent sweeps, as an integer; then block counts.",
+        wp.int32, "B L A+K", "",
+        "Nearest range of each bin of the recent sweeps, as an integer; then the number of circles of each block.",
+    )  # fmt: skip
+    circle_center: wp.array = array(
+        wp.vec2, "B L A", "m", "Centre of the circle of the segment that begins at each bin, world frame."
     )
-    circle_center: wp.array = array(wp.vec2, "B L A", "m", "Centre of the segment from each bin on, world frame.")
-    circle_radius: wp.array = array(wp.float32, "B L A", "m", "Radius of its circle; 0 for none.")
+    circle_radius: wp.array = array(wp.float32, "B L A", "m", "Radius of this circle; 0 for none.")
     segment_count: wp.array = array(wp.int32, "B L", "", "Number of segments of each of these sweeps.")
     segment_center: wp.array = array(wp.vec2, "B L X", "m", "Centres of their circles, world frame.")
     segment_radius: wp.array = array(wp.float32, "B L X", "m", "Radii of their circles.")

@@ -221,24 +221,27 @@ def list_segments(
     # out
     segments: Segments,
 ):
-    """List the circles of each sweep in the order of their bins. Launched over [B, RECENT, BINS]."""
-    b, recent, bin = wp.tid()
-    radius = circles.radius[b, recent, bin]
-    if radius == 0.0 and bin > 0:
+    """List the circles of each sweep in the order of their first bins. Launched over [B, RECENT, BINS].
+
+    The slot of a circle is the number of those before it: in whole blocks, and in its own.
+    """
+    b, recent, first = wp.tid()
+    radius = circles.radius[b, recent, first]
+    if radius == 0.0 and first > 0:
         return
     slot = int(0)
     total = int(0)
-    block = bin // BLOCK
+    block = first // BLOCK
     for k in range(BINS // BLOCK):
         count = circles.count[b, recent, k]
         total += count
         if k < block:
             slot += count
-    for k in range(block * BLOCK, bin):
+    for k in range(block * BLOCK, first):
         if circles.radius[b, recent, k] > 0.0:
             slot += 1
     if radius > 0.0 and slot < MOVERS:
-        segments.center[b, recent, slot] = circles.center[b, recent, bin]
+        segments.center[b, recent, slot] = circles.center[b, recent, first]
         segments.radius[b, recent, slot] = radius
-    if bin == 0:
+    if first == 0:
         segments.count[b, recent] = wp.min(total, MOVERS)
