@@ -14,6 +14,7 @@ from aero_viz.cli.flags import (
     FlightFlags,
     Inline,
     OptionalFileName,
+    OptionalFloat,
     OptionalPath,
     RecordingFlags,
     WorldFlags,
@@ -49,6 +50,7 @@ def demo(
     scene: WorldName = "forest",
     *,
     tour: bool = False,
+    speed: OptionalFloat = None,
     lidar: str = "mid360",
     seed: int = 0,
     device: str = "cpu",
@@ -64,6 +66,7 @@ def demo(
     Args:
         scene: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
         tour: Loop through scenes for an exhibition screen, with captions and a moving camera, and without panels.
+        speed: Speed limit [m/s]; overrides vehicle.speed_limit.
         lidar: LiDAR model: mid360, full-sphere or spinning64.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
@@ -83,10 +86,10 @@ def demo(
             raise UserError("--tour always plays and opens no files; leave out --paused and --folder.")
         from aero_viz.cli.tour import serve_tour
 
-        config = config_flags.load()
+        config = config_flags.load(speed=speed)
         opener = flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device)
         return serve_tour(opener, config, page_flags, seed=seed, device=device)
-    flags = (world_flags, flight_flags, config_flags.load(), page_flags)
+    flags = (world_flags, flight_flags, config_flags.load(speed=speed), page_flags)
     serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log, study=study_flags)
 
 

@@ -39,6 +39,7 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "forest", "--rules.ticks-per-plan", "0"], "rules.ticks_per_plan is 0"),
         (["fly", "forest", "--rules.period", "0.03"], "not a multiple of the tick"),
         (["demo", "forest", "--noise.attitude", "999"], "noise.attitude is 999.0"),
+        (["demo", "forest", "--speed", "99"], "vehicle.speed_limit is 99.0"),
         (["bench", "rooms", "--drone.latency", "-1"], "drone.latency is -1.0"),
         (["fly", "forest", "--goal", "30", "0", "-0.2"], "goal (30, 0, -0.2) lies inside an obstacle"),
         (["fly", "forest", "--goal", "300", "0", "2"], "goal (300, 0, 2) lies outside the bounds"),
