@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
+from tests.dashboard.page_client import wait_for
 
 
 @pytest.fixture
@@ -30,8 +32,15 @@ def session() -> Iterator[Session]:
 @pytest.fixture
 def dashboard(session: Session) -> Iterator[Dashboard]:
     dashboard = Dashboard(session, port=0)
+    # The frame arrives in the background, and would replace one that a test adds for the same tick.
+    wait_for(lambda: len(dashboard.history.past().rows), "the session's frame in the history")
     yield dashboard
     dashboard.close()
+
+
+def later(frame: Frame, ticks: int, **changes: Any) -> Frame:
+    """Return a frame of a later tick, which the session has not reached, with changed fields."""
+    return dataclasses.replace(frame, index=frame.index + ticks, time=frame.time + 0.02 * ticks, **changes)
 
 
 def content_of(dashboard: Dashboard, kind: type, frame: Frame) -> str:
@@ -51,9 +60,7 @@ def content_of(dashboard: Dashboard, kind: type, frame: Frame) -> str:
     ],
 )
 def test_an_outcome_has_the_same_colour_in_the_curves_and_in_the_status(session, dashboard, outcome, color):
-    dashboard.history.add(session.frame)
-    session.tick()
-    ended = dataclasses.replace(session.frame, outcome=outcome)
+    ended = later(session.frame, 1, outcome=outcome)
     dashboard.history.add(ended)
     drawing = content_of(dashboard, ChartPanel, ended)
     assert re.findall(r'class="aero-event"[^>]* fill="([^"]*)"', drawing) == [css(color)]
@@ -68,10 +75,8 @@ def axis(drawing: str, name: str) -> float:
 
 
 def test_the_first_plan_which_compiles_does_not_flatten_the_curve_of_plan_times(session, dashboard):
-    for tick, plan_ms in enumerate([6391.0, *[10.0, 14.0] * 10]):
-        if tick:
-            session.tick()
-        dashboard.history.add(dataclasses.replace(session.frame, timings_ms={"plan": plan_ms}))
+    for ticks, plan_ms in enumerate([6391.0, *[10.0, 14.0] * 10]):
+        dashboard.history.add(later(session.frame, ticks, timings_ms={"plan": plan_ms}))
     drawing = content_of(dashboard, ChartPanel, session.frame)
     assert 14.0 <= axis(drawing, "plan_ms") < 20.0
     assert dashboard.history.past().rows[0, COLUMNS.index("plan_ms")] == 6391.0, "the value itself stays"
@@ -83,7 +88,6 @@ def test_one_plan_has_a_curve(session, dashboard):
 
 
 def test_each_cost_is_named_in_the_colour_of_its_curve(session, dashboard):
-    dashboard.history.add(session.frame)
     drawing, plan = content_of(dashboard, ChartPanel, session.frame), session.frame.plan
     (curve,) = (curve for curve in CURVES if curve.is_log)
     assert curve.label.endswith("(log)") and curve.label in drawing
