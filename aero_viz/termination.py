@@ -1,19 +1,28 @@
-"""SIGTERM, which service managers and `timeout` send. It ends a command as Ctrl-C does, so that results are kept."""
+"""Signals that end a command: SIGTERM, which service managers and `timeout` send, does so as Ctrl-C: results are kept.
+
+Python ignores an exception that is raised while an object is finalized, such as the thousands of arrays of a batch of
+flights. A signal that arrives meanwhile is raised again a moment later.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from types import FrameType
 
 _received = threading.Event()
+_RETRY_AFTER = 0.01
+"""Time after which a signal that would be ignored is sent again [s]."""
 
 
 def install_handler() -> None:
-    """Handle SIGTERM from now on. Does nothing outside of the main thread."""
+    """Handle SIGTERM and Ctrl-C from now on. Does nothing outside of the main thread."""
     _received.clear()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, _raise)
 
 
 def is_terminating() -> bool:
@@ -25,5 +34,21 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     _received.set()
     handler = signal.getsignal(signal.SIGINT)
     if not callable(handler):  # a background job of a shell ignores Ctrl-C
-        raise KeyboardInterrupt
-    handler(signal.SIGINT, frame)
+        handler = _raise
+    handler(number, frame)
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    if _is_finalizing(frame):
+        threading.Timer(_RETRY_AFTER, os.kill, (os.getpid(), number)).start()
+        return
+    raise KeyboardInterrupt
+
+
+def _is_finalizing(frame: FrameType | None) -> bool:
+    """Return True if the frame, or one that called it, finalizes an object."""
+    while frame is not None:
+        if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__") == "weakref":
+            return True
+        frame = frame.f_back
+    return False
