@@ -14,7 +14,7 @@ def test_a_flight_with_changes_and_a_fork_is_repeated_bit_for_bit():
         for _ in range(12):
             session.tick()
         session.seek(0.1)
-        session.configure({"costs.q_position": 6.0})
+        session.configure({"costs.q_position": 9.0})
         session.set_goal([15.0, 2.0, 2.0])
         session.seek(0.1)
         frames = {frame.time: frame for frame in [session.tick() for _ in range(6)]}

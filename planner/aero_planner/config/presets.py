@@ -24,10 +24,13 @@ _PAPER: dict[str, Value] = {
     "candidates.speed_margin": 0.0,
     "candidates.between_steps": False,
     "candidates.brake_fan": 0.0,
+    "sampling.temperature": 0.1,
     "sampling.correlation": 0.0,
     "sampling.keep_nominal": False,
     "sampling.fresh_noise": False,
+    "costs.q_position": 3.0,
     "costs.q_track": 15.0,
+    "costs.q_control": 0.5,
     "costs.q_speed": 0.0,
     "costs.distance_min": 0.4,
     "costs.distance_max": 1.0,
@@ -48,7 +51,14 @@ _PX4: dict[str, Value] = {
     "costs.q_control_rate": 100.0,
     "costs.q_control_jump": 60.0,
     "costs.q_height": 3.0,
-    "costs.soft_weight": 100.0,  # as in the flights with PX4 of docs/onboard.md
+    # As in the flights with PX4 of docs/onboard.md: defaults of that time.
+    "partition.continue_before": 1.0,
+    "candidates.stop_clearance": 0.3,
+    "sampling.temperature": 0.1,
+    "costs.q_position": 3.0,
+    "costs.q_control": 0.5,
+    "costs.soft_weight": 100.0,
+    "costs.blocked_radius": 0.35,
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

@@ -50,7 +50,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
         label="Proven stop",
     )  # fmt: skip
     stop_clearance: float = live(
-        0.3, "m", 0.0, 5.0, "Clearance of a proven stop, at most safe_clearance.", label="Clearance of a stop"
+        0.28, "m", 0.0, 5.0, "Clearance of a proven stop, at most safe_clearance.", label="Clearance of a stop"
     )
     stop_seen: bool = switch(
         True, "A proven stop lies in space that is seen from the drone: not behind the nearest point of a fine cell.",

@@ -12,7 +12,7 @@ class CostConfig(ParameterSection, section="costs"):
     """Weights of the costs. Stage I: S1 = J_track + J_vnorm + J_ctrl + S2. Stage II: S2 = J_goal + J_col."""
 
     q_position: float = live(
-        3.0, "1/m", 0.0, 1e3, "Weight of the distance to the goal.",
+        6.0, "1/m", 0.0, 1e3, "Weight of the distance to the goal; 3 in the paper.",
         label="Goal position weight", symbol="Q_p", group="Goal", basic=True,
     )  # fmt: skip
     q_velocity: float = live(
@@ -37,7 +37,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Guide tracking weight", symbol="Q_track", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control: float = live(
-        0.5, "", 0.0, 1e3, "Weight of the squared controls.",
+        0.25, "", 0.0, 1e3, "Weight of the squared controls; 0.5 in the paper.",
         label="Control effort weight", symbol="Q_c", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control_rate: float = live(
@@ -117,6 +117,6 @@ class CostConfig(ParameterSection, section="costs"):
         label="Cost-to-go range", group="Cost-to-go",
     )  # fmt: skip
     blocked_radius: float = live(
-        0.35, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
+        0.3, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
         label="Cost-to-go clearance", group="Cost-to-go",
     )  # fmt: skip

@@ -52,7 +52,7 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Continuation above",
     )  # fmt: skip
     continue_before: float = live(
-        1.0, "m", 0.0, 1e3, "Surfaces also continue in front of points that are farther by more than this: a point "
+        2.0, "m", 0.0, 1e3, "Surfaces also continue in front of points that are farther by more than this: a point "
         "that was seen from elsewhere does not prove that the way to it is free.",
         label="Continuation before points",
     )  # fmt: skip

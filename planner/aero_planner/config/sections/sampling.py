@@ -17,7 +17,7 @@ class SamplingConfig(ParameterSection, section="sampling"):
     )
     dt: float = live(0.05, "s", 0.005, 0.5, "Length of a time step.", label="Time step", symbol="dt", group="Horizon")
     temperature: float = live(
-        0.1, "", 1e-3, 1e3, "Temperature of the weights: higher values average over more samples.",
+        0.03, "", 1e-3, 1e3, "Temperature of the weights: higher values average over more samples; 0.1 in the paper.",
         scale="log", symbol="lambda", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_thrust: float = live(
