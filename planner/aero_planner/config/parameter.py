@@ -227,9 +227,9 @@ class SectionedConfig:
             # Only names are compared: the right name in the wrong section, or in none, is near, and another name in the
             # right section is not.
             section, _, name = str(path).rpartition(".")
-            close = difflib.get_close_matches(name, [info.name for info in known.values()], n=1)
-            near = sorted((info for info in known.values() if info.name in close), key=lambda i: i.section != section)
-            hint = f" (did you mean {near[0].path!r}?)" if near else ""
+            nearest = _nearest(name, (info.name for info in known.values()))
+            same_name = sorted((i for i in known.values() if i.name == nearest), key=lambda i: i.section != section)
+            hint = _suggest(same_name[0].path if same_name else None)
             raise ValueError(f"unknown {cls.noun} {path!r}{hint}; {cls.listing} lists all.")
         return known[path]
 
@@ -305,5 +305,14 @@ def _warn(message: str, *values: str) -> None:
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
     """Return " (did you mean ..?)" with the known name nearest to `name`, or "" if none is near."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+    return _suggest(_nearest(name, known))
+
+
+def _nearest(name: Any, known: Iterable[str]) -> str | None:
+    """Return the known name nearest to `name`, or None if none is near."""
+    return next(iter(difflib.get_close_matches(str(name), list(known), n=1)), None)
+
+
+def _suggest(name: str | None) -> str:
+    """Return the hint at a name for the end of an error's first clause, or "" for None."""
+    return f" (did you mean {name!r}?)" if name is not None else ""
