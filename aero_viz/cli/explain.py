@@ -9,6 +9,7 @@ import tyro
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalFloat, OptionalPath, WorldFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -26,6 +27,7 @@ def explain(
     json: bool = False,
     trajectory: OptionalPath = None,
     log: OptionalPath = None,
+    overwrite: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
     config_flags: Inline[ConfigFlags] = _CONFIG,
@@ -45,6 +47,7 @@ def explain(
         json: Print one JSON object, and no progress bar.
         trajectory: CSV file to write with the columns t,x,y,z,vx,vy,vz.
         log: MCAP file to write during the flight.
+        overwrite: Replace existing files.
         world_flags: The world.
         flight_flags: The flight.
         config_flags: The planner's configuration.
@@ -54,6 +57,7 @@ def explain(
     from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
     from aero_viz.flight import FlightInterrupted, fly
 
+    check_output_files(picture, trajectory, log, overwrite=overwrite)
     if flight.endswith(".mcap"):
         is_flag_set = world_flags != _WORLD or flight_flags != _FLIGHT or config_flags != _CONFIG or speed is not None
         if is_flag_set or trajectory is not None or log is not None or (lidar, seed) != ("mid360", 0):

@@ -21,6 +21,7 @@ from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, announce_foxglove
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -40,6 +41,7 @@ def fly(
     json: bool = False,
     trajectory: OptionalPath = None,
     log: OptionalPath = None,
+    overwrite: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
     page_flags: Inline[PageFlags] = _PAGE,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
@@ -59,11 +61,13 @@ def fly(
         json: Print one JSON object, and no progress bar.
         trajectory: CSV file to write with the columns t,x,y,z,vx,vy,vz.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
+        overwrite: Replace existing files.
         world_flags: The world.
         page_flags: The page.
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
+    check_output_files(trajectory, log, overwrite=overwrite)
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")

@@ -31,6 +31,7 @@ from aero_viz.cli.serving import (
     wait_for,
 )
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 from aero_viz.reader_process import read_here
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def demo(
     seed: int = 0,
     device: str = "cpu",
     log: OptionalPath = None,
+    overwrite: bool = False,
     world_flags: Inline[WorldFlags] = _WORLD,
     page_flags: Inline[PageFlags] = _PAGE,
     study_flags: Inline[StudyFlags] = _STUDY,
@@ -71,6 +73,7 @@ def demo(
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
+        overwrite: Replace an existing file.
         world_flags: The world.
         page_flags: The page.
         study_flags: A study of `aero-viz tune`, as a tab of the page.
@@ -89,6 +92,7 @@ def demo(
         config = config_flags.load(speed=speed)
         opener = flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device)
         return serve_tour(opener, config, page_flags, seed=seed, device=device)
+    check_output_files(log, overwrite=overwrite)
     flags = (world_flags, flight_flags, config_flags.load(speed=speed), page_flags)
     serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log, study=study_flags)
 

@@ -10,6 +10,7 @@ import tyro
 from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 
 _RECORDING = RecordingFlags()
 
@@ -41,6 +42,7 @@ def convert(
     topics: tuple[str, ...] = (),
     decimate: int = 1,
     to: Literal["mcap", "rrd"] = "mcap",
+    overwrite: bool = False,
     recording_flags: Inline[RecordingFlags] = _RECORDING,
     json: bool = False,
 ) -> None:
@@ -50,12 +52,13 @@ def convert(
 
     Args:
         file: Recording of any format that `play` reads.
-        output: MCAP file to write; an existing one is replaced.
+        output: MCAP file to write.
         start: Leave out messages before this time, counted from the first message [s].
         end: Leave out messages after this time, counted from the first message [s].
         topics: Write these topics only.
         decimate: Keep every n-th point of each cloud.
         to: Format to write. Rerun opens MCAP itself; rrd says how it is converted.
+        overwrite: Replace an existing file.
         recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
         json: Print one JSON object.
     """
@@ -68,6 +71,7 @@ def convert(
             f"AERO-Viz does not write {rrd}: write {mcap}, which Rerun opens (`rerun {mcap}`) or converts "
             f"(`rerun mcap convert {mcap} -o {rrd}`)"
         )
+    check_output_files(output, overwrite=overwrite)
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -21,6 +22,7 @@ def share(
     *,
     duration: float = 60.0,
     layers: OptionalText = None,
+    overwrite: bool = False,
     lidar: str = "mid360",
     seed: int = 0,
     device: str = "cpu",
@@ -38,6 +40,7 @@ def share(
         output: File to write; its extension determines the format.
         duration: Longest time to show [s].
         layers: Layers to show, separated by commas, such as rollouts,drone,obstacles; by default those of the page.
+        overwrite: Replace an existing file.
         lidar: LiDAR model of a flight: mid360, full-sphere or spinning64.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation.
@@ -52,6 +55,7 @@ def share(
     from aero_viz.flight.known_drone import config_for_flight
 
     check_path(output)
+    check_output_files(output, overwrite=overwrite)
     config = config_flags.load()
     if Path(source).exists() and not (source.endswith(".json") or is_map(source)):
         if (world_flags, flight_flags, lidar) != (_WORLD, _FLIGHT, "mid360"):
@@ -81,6 +85,8 @@ def _command(source: str, output: Path, *, closed_loop: bool) -> str:
     for word in words:
         if word in ("--duration", "--layers"):
             next(words, None)
-        elif word != source and Path(word) != output and not word.startswith(("--duration=", "--layers=")):
+            continue
+        is_of_file = word.startswith(("--duration=", "--layers=", "--overwrite", "--no-overwrite"))
+        if word != source and Path(word) != output and not is_of_file:
             flags.append(word)
     return shlex.join(["aero-viz", "demo" if closed_loop else "play", source, *flags])

@@ -9,6 +9,7 @@ import tyro
 from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _WORLD = WorldFlags()
@@ -23,6 +24,7 @@ def snapshot(
     layers: OptionalText = None,
     legend: bool = False,
     size: tuple[int, int] = (1600, 1000),
+    overwrite: bool = False,
     seed: int = 0,
     device: str = "cpu",
     points_topic: OptionalText = None,
@@ -41,6 +43,7 @@ def snapshot(
         layers: Layers to show, separated by commas, such as rollouts,drone; by default those of the page.
         legend: Explain the colours in a corner of the picture.
         size: Width and height [pixels].
+        overwrite: Replace an existing file.
         seed: Seed of the scene, the LiDAR and the planner's noise.
         device: Warp device of planner and simulation.
         points_topic: Topic of the point clouds; by default it is found by its type.
@@ -51,6 +54,7 @@ def snapshot(
     from aero_viz.dashboard.snapshot import snapshot as take_snapshot
     from aero_viz.flight.known_drone import config_for_flight
 
+    check_output_files(output, overwrite=overwrite)
     config = config_flags.load()
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
     take_snapshot(
@@ -85,6 +89,7 @@ def world_export(
     output: OutputPath,
     *,
     spacing: float = 0.1,
+    overwrite: bool = False,
     seed: int = 0,
     world_flags: Inline[WorldFlags] = _WORLD,
 ) -> None:
@@ -94,11 +99,13 @@ def world_export(
         world: Scene, such as forest, or file of a world (JSON), point-cloud map or mesh.
         output: .pcd, .ply or .npy file for points on the world's surfaces, or .json file for the world itself.
         spacing: Spacing of the points [m].
+        overwrite: Replace an existing file.
         seed: Seed of the scene.
         world_flags: The world.
     """
     from aero_viz.evaluation.world_export import export_world
 
+    check_output_files(output, overwrite=overwrite)
     points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
     print(f"{output}: {points} points" if points else str(output))
 
@@ -134,6 +141,7 @@ def export(
     config: str = "default",
     arch: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="sm_87")] = (),
     cpu: bool = False,
+    overwrite: bool = False,
 ) -> None:
     """Compile all kernels ahead of time for a drone that has no compiler.
 
@@ -145,11 +153,12 @@ def export(
         config: Preset or YAML file; the file may contain the node's settings under 'onboard:'.
         arch: GPU architecture; may be repeated.
         cpu: Compile for this machine's CPU, too.
+        overwrite: Replace an existing tar file.
     """
     from aero_planner.cli import write_bundle
 
     try:
-        summary = write_bundle(output, config=config, architectures=arch, cpu=cpu)
+        summary = write_bundle(output, config=config, architectures=arch, cpu=cpu, overwrite=overwrite)
     except OSError as error:
         raise UserError(f"{output} can't be written: {error.strerror or error}.") from error
     print(summary)

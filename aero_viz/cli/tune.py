@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
@@ -27,6 +26,7 @@ from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, StudyFlags
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 from aero_viz.termination import is_terminating
 
 ObjectiveName = Literal["time", "clearance", "smoothness"]
@@ -85,7 +85,7 @@ def tune(
         storage: Database of the studies, as a URL that Optuna understands, or memory to keep nothing.
         study: Name of the study; by default derived from all options, so that the same command continues it.
         output: YAML file to write, for --config.
-        overwrite: Replace the output file if it exists.
+        overwrite: Replace an existing file.
         speed: Speed limit [m/s]; overrides vehicle.speed_limit.
         lidar: LiDAR model of all drones.
         seed: First seed of the worlds, the LiDARs and all noise.
@@ -109,8 +109,7 @@ def tune(
     check_flights = 2 * flights if check is None else check
     if flights < 1 or check_flights < 1:
         raise UserError("--flights and --check must be at least 1.")
-    if output is not None:
-        _check_output(output, overwrite=overwrite)
+    check_output_files(output, overwrite=overwrite)
     if page and storage == "memory":
         raise UserError("--page reads the study from its storage; leave out --storage memory.")
     config = config_flags.load(speed=speed)
@@ -164,13 +163,3 @@ def tune(
             shown.wait()
     if tuning.interrupted:
         raise SystemExit(130)
-
-
-def _check_output(output: Path, *, overwrite: bool) -> None:
-    """Raise a UserError where the output could not be written, before hours of flying rather than after."""
-    if output.is_dir():
-        raise UserError(f"{output} is a folder; give --output the name of a file.")
-    if output.exists() and not overwrite:
-        raise UserError(f"{output} exists already; add --overwrite to replace it, or choose another --output.")
-    if not output.absolute().parent.is_dir():
-        raise UserError(f"The folder {output.parent} does not exist; make it, or choose another --output.")

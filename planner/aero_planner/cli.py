@@ -123,6 +123,7 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
         "--arch", action="append", default=[], metavar="sm_87", help="GPU architecture; may be repeated"
     )
     export.add_argument("--cpu", action="store_true", help="compile for this machine's CPU")
+    export.add_argument("--overwrite", action="store_true", help="replace an existing tar file")
     export.set_defaults(call=_export)
 
     config = commands.add_parser("config", help="show or validate a configuration")
@@ -208,15 +209,20 @@ def _export(options: argparse.Namespace) -> int:
 
     If this machine has one of the requested processors, the bundle also contains the graph for the C++ host.
     """
-    print(write_bundle(options.out, config=options.config, architectures=options.arch, cpu=options.cpu))
+    summary = write_bundle(
+        options.out, config=options.config, architectures=options.arch, cpu=options.cpu, overwrite=options.overwrite
+    )
+    print(summary)
     return 0
 
 
-def write_bundle(out: str | os.PathLike[str], *, config: str, architectures: Iterable[str], cpu: bool) -> str:
+def write_bundle(
+    out: str | os.PathLike[str], *, config: str, architectures: Iterable[str], cpu: bool, overwrite: bool
+) -> str:
     """Write a bundle and return a summary in one line.
 
     Args:
-        out, config, cpu: as for `aero_planner.onboard.bundle_export.export_bundle`, which also names the errors.
+        out, config, cpu, overwrite: as for `aero_planner.onboard.bundle_export.export_bundle`, with the same errors.
         architectures: GPU architectures, such as "sm_87".
     """
     from aero_planner.deploy.export import parse_architecture
@@ -224,7 +230,7 @@ def write_bundle(out: str | os.PathLike[str], *, config: str, architectures: Ite
 
     started = time.monotonic()
     numbers = [parse_architecture(name) for name in architectures]
-    manifest = export_bundle(out, config=config, architectures=numbers, cpu=cpu)
+    manifest = export_bundle(out, config=config, architectures=numbers, cpu=cpu, overwrite=overwrite)
     targets = [f"sm_{number}" for number in manifest["architectures"]]
     if manifest["cpu"]:
         targets.append(manifest["cpu"])

@@ -105,7 +105,7 @@ def test_the_voxel_size_of_a_map_is_a_flag(capsys: pytest.CaptureFixture[str], t
     result = run_json(capsys, "fly", path, *endpoints, "--voxel", "0.4", "--speed", "4", "--sampling.samples", "16")
     assert result["arrived"] and result["scene"] == "hall"
     for voxel in ("0.2", "0.4"):
-        run(capsys, "world", "export", path, str(tmp_path / "w.json"), *endpoints, "--voxel", voxel)
+        run(capsys, "world", "export", path, str(tmp_path / "w.json"), *endpoints, "--voxel", voxel, "--overwrite")
         world = json.loads((tmp_path / "w.json").read_text())
         assert world["start"] == [0.0, 0.0, 2.0]
         assert min(box[5] for box in world["boxes"]) == pytest.approx(float(voxel))

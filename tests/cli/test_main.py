@@ -27,7 +27,7 @@ from tests.planner.interruption import interrupted_at_import
         (["play", "world.json"], "aero-viz demo world.json"),
         (["play", "forest"], "forest is a scene, not a recording; fly it with: aero-viz demo forest"),
         (["demo", "--host", "203.0.113.7"], "not an address of this machine; choose another one with --host"),
-        (["snapshot", "forest", "/"], "/ cannot be written: it is a folder"),
+        (["snapshot", "forest", "/"], "/ is a folder; give the name of a file"),
         (["demo", "forrest"], "forest"),
         (["snapshot", "forrest", "out.png"], "forest"),
         (["nonsense"], "nonsense"),

@@ -13,7 +13,7 @@ def test_the_page_names_the_command_without_the_flags_of_the_file(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, poles: str, tmp_path: Path
 ):
     monkeypatch.chdir(tmp_path)
-    arguments = ["share", poles, "./out.html", "--duration=0.1", "--layers", "drone", "--seed", "3"]
+    arguments = ["share", poles, "./out.html", "--duration=0.1", "--layers", "drone", "--overwrite", "--seed", "3"]
     monkeypatch.setattr("sys.argv", ["aero-viz", *arguments])
     assert run(capsys, *arguments)[0] == 0
     command = re.search(r"<code>(.*?)</code>", Path("out.html").read_text(encoding="utf-8"))

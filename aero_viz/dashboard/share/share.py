@@ -17,6 +17,7 @@ from aero_viz.dashboard.history import true_clearance
 from aero_viz.dashboard.share.page import page
 from aero_viz.dashboard.share.scene_recording import SceneRecording
 from aero_viz.errors import UserError
+from aero_viz.output_files import check_output_files
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
@@ -80,14 +81,11 @@ def share(
 
 
 def check_path(path: Path) -> None:
-    """Raise a UserError unless a file of a known kind can be written there."""
+    """Raise a UserError unless a file of a known kind can be written there, in place of an existing one."""
     if path.suffix.lower() not in SUFFIXES:
         kinds = ", ".join(f"{suffix} ({kind})" for suffix, kind in SUFFIXES.items())
         raise UserError(f"The name {path} does not say what to write; end it in one of {kinds}.")
-    if not path.parent.is_dir():
-        raise UserError(f"There is no folder {path.parent}; create it first.")
-    if path.is_dir():
-        raise UserError(f"{path} is a folder; give the name of a file.")
+    check_output_files(path, overwrite=True)
 
 
 class FlightFiles:

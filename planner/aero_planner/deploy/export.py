@@ -41,17 +41,24 @@ _GRAPH_FILE = "planner.wrp"
 
 
 def export(
-    out: str | os.PathLike[str], *, config: str, max_points: int, architectures: Iterable[int] = (), cpu: bool = False
+    out: str | os.PathLike[str],
+    *,
+    config: str,
+    max_points: int,
+    architectures: Iterable[int] = (),
+    cpu: bool = False,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write a bundle.
 
     Args:
-        out: folder, which must be empty or not exist, or file name that ends in ".tar", which is replaced.
+        out: folder, which must be empty or not exist, or name of a file that ends in ".tar".
         config: text of the configuration file, which is stored unchanged.
         max_points: capacity of the graph for the C++ host, the largest number of points of a cloud.
         architectures: GPU compute capabilities without the dot, such as 87 for a Jetson Orin. If this machine has a
             GPU of one of them, the bundle contains its graph for the C++ host.
         cpu: True to include kernels and graph for this machine's CPU.
+        overwrite: True to replace an existing tar file; a folder is never replaced.
 
     Returns:
         The manifest.
@@ -70,6 +77,8 @@ def export(
     is_tar = target.suffix == ".tar"
     if target.is_dir() if is_tar else target.exists() and not (target.is_dir() and not any(target.iterdir())):
         raise ValueError(f"{out} exists already; remove it, or give the bundle another name.")
+    if is_tar and target.exists() and not overwrite:
+        raise ValueError(f"{out} exists already; add --overwrite to replace it, or give the bundle another name.")
     if not target.parent.is_dir():
         raise ValueError(f"the folder {target.parent} does not exist; make it, or write the bundle to another folder.")
     init_warp()

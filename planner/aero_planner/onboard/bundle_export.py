@@ -19,11 +19,12 @@ def export_bundle(
     config: str | os.PathLike[str] = "default",
     architectures: Iterable[int] = (),
     cpu: bool = False,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write a bundle for `aero-planner run --bundle` and for the C++ host; return its manifest.
 
     Args:
-        out, architectures, cpu: as for `aero_planner.deploy.export.export`.
+        out, architectures, cpu, overwrite: as for `aero_planner.deploy.export.export`.
         config: preset or configuration file, which is copied into the bundle unchanged.
 
     Raises:
@@ -34,4 +35,11 @@ def export_bundle(
     check_together(planner, onboard)
     is_file = str(config) not in PlannerConfig.presets() and Path(config).exists()
     text = read_text(config) if is_file else f"{format_config(planner)}\n{format_onboard(onboard)}"
-    return export(out, config=text, max_points=onboard.lidar.cloud_points_max, architectures=architectures, cpu=cpu)
+    return export(
+        out,
+        config=text,
+        max_points=onboard.lidar.cloud_points_max,
+        architectures=architectures,
+        cpu=cpu,
+        overwrite=overwrite,
+    )

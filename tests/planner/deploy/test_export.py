@@ -131,10 +131,13 @@ def test_preflight_checks_the_bundle(bundle: Path, tmp_path: Path):
 
 
 @pytest.mark.usefixtures("cpu_compiler")
-def test_a_tar_file_replaces_an_older_one(tmp_path: Path, bundle_config: Path):
+def test_a_tar_file_replaces_an_older_one_on_request_only(tmp_path: Path, bundle_config: Path):
     out = tmp_path / "drone.tar"
     out.write_text("older")
-    manifest = export_bundle(out, config=bundle_config, cpu=True)
+    with pytest.raises(ValueError, match=r"drone\.tar exists already; add --overwrite to replace it"):
+        export_bundle(out, config=bundle_config, cpu=True)
+    assert out.read_text() == "older"
+    manifest = export_bundle(out, config=bundle_config, cpu=True, overwrite=True)
     assert out.stat().st_size > 100_000
     assert manifest["graphs"] == (["cpu"] if makes_graphs() else [])
     assert os.listdir(tmp_path) == ["drone.tar"]

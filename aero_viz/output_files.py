@@ -1,0 +1,27 @@
+"""The check of files that a command or a function is about to write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from aero_viz.errors import UserError
+
+
+def check_output_files(*paths: Path | None, overwrite: bool) -> None:
+    """Check that files can be written before the work that makes them, which may take hours.
+
+    Args:
+        paths: files that a user has named; None is left out.
+        overwrite: replace existing files.
+
+    Raises:
+        UserError: a path is a folder, its folder does not exist, or it is a file and `overwrite` is False. A device or
+            a pipe holds nothing that could be lost.
+    """
+    for path in filter(None, paths):
+        if path.is_dir():
+            raise UserError(f"{path} is a folder; give the name of a file to write.")
+        if not path.absolute().parent.is_dir():
+            raise UserError(f"There is no folder {path.parent}; create it first, or choose another file.")
+        if path.is_file() and not overwrite:
+            raise UserError(f"{path} exists already; add --overwrite to replace it, or choose another file.")

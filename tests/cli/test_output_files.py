@@ -1,0 +1,63 @@
+"""Files that a command would write over."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import run, run_refused
+
+from aero_viz.catalog import shipped_recordings
+
+WRITERS = {
+    "fly --log": ("fly", "{world}", "--log", "{file}.mcap"),
+    "fly --trajectory": ("fly", "{world}", "--trajectory", "{file}.csv"),
+    "fly in the browser": ("fly", "{world}", "--no-headless", "--port", "0", "--log", "{file}.mcap"),
+    "demo --log": ("demo", "{world}", "--port", "0", "--log", "{file}.mcap"),
+    "explain --log": ("explain", "{world}", "--log", "{file}.mcap"),
+    "explain --trajectory": ("explain", "{world}", "--trajectory", "{file}.csv"),
+    "explain --picture": ("explain", "{world}", "--picture", "{file}.svg"),
+    "share": ("share", "{world}", "{file}.html"),
+    "snapshot": ("snapshot", "{world}", "{file}.png"),
+    "world export": ("world", "export", "{world}", "{file}.pcd"),
+    "convert": ("convert", "{recording}", "{file}.mcap"),
+    "tune": ("tune", "{world}", "--over", "costs.q_track", "--output", "{file}.yaml"),
+    "export": ("export", "{file}.tar", "--cpu"),
+}
+
+
+@pytest.mark.parametrize("arguments", WRITERS.values(), ids=WRITERS)
+def test_an_existing_file_is_kept(
+    capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path, arguments: tuple[str, ...]
+):
+    recording = next(iter(shipped_recordings().values()))[0]
+    words = [word.format(world=short_poles, file=tmp_path / "old", recording=recording) for word in arguments]
+    old = next(Path(word) for word in words if word.startswith(str(tmp_path / "old")))
+    old.write_text("old")
+    error = run_refused(capsys, *words)
+    assert f"{old} exists already; add --overwrite to replace it" in error and error.count("\n") == 1
+    assert old.read_text() == "old" and list(tmp_path.iterdir()) == [old]
+
+
+def test_overwrite_replaces_a_file(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
+    path = tmp_path / "world.json"
+    path.write_text("old")
+    assert run(capsys, "world", "export", short_poles, str(path), "--overwrite") == (0, f"{path}\n", "")
+    assert path.read_text() == Path(short_poles).read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("", "is a folder; give the name of a file to write"), ("absent/t.csv", "There is no folder {folder}/absent")],
+)
+def test_a_file_that_cannot_be_written_is_reported_before_the_flight(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, message: str
+):
+    error = run_refused(capsys, "fly", "forest", "--trajectory", str(tmp_path / name))
+    assert message.format(folder=tmp_path) in error
+
+
+def test_a_pipe_is_written_to(short_poles: str):
+    command = [sys.executable, "-m", "aero_viz", "fly", short_poles, "--rules.time-limit", "0.1", "--json"]
+    done = subprocess.run([*command, "--trajectory", "/dev/stderr"], capture_output=True, text=True, timeout=300.0)
+    assert done.returncode == 0 and done.stderr.startswith("t,x,y,z,vx,vy,vz\n"), done.stderr
