@@ -7,8 +7,8 @@ import os
 import sys
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output
+from aero_planner.termination import install_handler
 from aero_viz.errors import UserError
-from aero_viz.termination import install_handler
 
 __all__ = ["main"]
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from aero_planner.termination import is_terminating
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -27,7 +28,6 @@ from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, StudyFlags
 from aero_viz.errors import UserError
 from aero_viz.output_files import check_output_files
-from aero_viz.termination import is_terminating
 
 ObjectiveName = Literal["time", "clearance", "smoothness"]
 _CONFIG = ConfigFlags()

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 
+from aero_planner.termination import raise_interrupt
 from aero_viz.flight.metrics import FlightResult
 
 
@@ -38,7 +39,7 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal pressed
         if pressed:
-            raise KeyboardInterrupt
+            raise_interrupt(number, frame)
         pressed = True
 
     def is_interrupted() -> bool:

@@ -23,9 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     from aero_planner.warp_init import init_warp
     from aero_viz.errors import UserError
-    from aero_viz.termination import install_handler
 
-    install_handler()  # otherwise SIGTERM would leave the node's process behind
     options = _parser().parse_args(arguments)
     init_warp()
     try:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version
+from aero_planner.termination import install_handler
 
 if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
@@ -31,7 +32,8 @@ _COMMANDS = ("run", "preflight", "export", "config")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return 0 on success, 2 for a user error or a failed check, 130 after Ctrl-C."""
+    """Run the command line; return 0 on success, 2 for a user error or a failed check, 130 after Ctrl-C or SIGTERM."""
+    install_handler()
     try:
         # Imported here so that Ctrl-C during the import also ends the program quietly.
         from importlib.metadata import entry_points

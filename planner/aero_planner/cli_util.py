@@ -6,8 +6,10 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
+from aero_planner.termination import install_handler
+
 INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+"""Exit code after Ctrl-C or SIGTERM."""
 
 
 def abandon_output() -> int:
@@ -28,7 +30,11 @@ def installed_version(distribution: str) -> str:
 
 
 def run_command(command: Callable[[Sequence[str] | None], int]) -> None:
-    """Run the `main` function of a module and exit; a ValueError or OSError becomes one line on stderr and code 2."""
+    """Run the `main` function of a module and exit; a ValueError or OSError becomes one line on stderr and code 2.
+
+    Ctrl-C and SIGTERM give code 130.
+    """
+    install_handler()
     try:
         code = command(None)
         sys.stdout.flush()

@@ -1,5 +1,6 @@
 import signal
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -41,6 +42,18 @@ def test_the_first_ctrl_c_waits_and_the_second_does_not():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_second_ctrl_c_while_an_object_is_finalized_is_not_lost():
+    class Finalized:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt), deferred_interrupt() as pressed:
+        signal.raise_signal(signal.SIGINT)
+        assert pressed()
+        Finalized()
+        time.sleep(20.0)
 
 
 @pytest.fixture

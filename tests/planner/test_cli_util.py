@@ -1,4 +1,4 @@
-"""Ctrl-C during the start of `aero-planner`."""
+"""Ctrl-C during the start of `aero-planner` and of other programs."""
 
 import pytest
 
@@ -22,4 +22,17 @@ START = {
 )
 def test_ctrl_c_during_imports_ends_quietly(start: str, call: str, module: str):
     done = interrupted_at_import(module, start, "aero-planner", *call.split())
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        START["the script"],
+        "from aero_planner.cli_util import run_command; run_command(lambda _: __import__('aero_planner.config.file'))",
+    ],
+)
+def test_ctrl_c_while_an_object_is_finalized_is_not_lost(start: str):
+    module = "aero_planner.config.file"
+    done = interrupted_at_import(module, start, "aero-planner", "config", "show", finalizing=True)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

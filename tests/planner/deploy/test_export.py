@@ -6,6 +6,7 @@ import signal
 import struct
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -142,6 +143,20 @@ def test_a_tar_file_replaces_an_older_one_on_request_only(tmp_path: Path, bundle
     assert manifest["graphs"] == (["cpu"] if makes_graphs() else [])
     assert os.listdir(tmp_path) == ["drone.tar"]
     assert plan("cpu", out)[1] == "0"
+
+
+@pytest.mark.usefixtures("cpu_compiler")
+def test_sigterm_ends_an_export_and_leaves_nothing(tmp_path: Path):
+    command = [sys.executable, "-m", "aero_planner", "export", str(tmp_path / "drone.tar"), "--cpu"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not list(tmp_path.iterdir()) and process.poll() is None:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        try:
+            printed = process.communicate(timeout=60.0)
+        finally:
+            process.kill()
+    assert (process.returncode, printed, list(tmp_path.iterdir())) == (130, ("", ""), [])
 
 
 @pytest.mark.parametrize(

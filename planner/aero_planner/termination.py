@@ -22,7 +22,7 @@ def install_handler() -> None:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, _raise)
+            signal.signal(signal.SIGINT, raise_interrupt)
 
 
 def is_terminating() -> bool:
@@ -30,19 +30,23 @@ def is_terminating() -> bool:
     return _received.is_set()
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    _received.set()
-    handler = signal.getsignal(signal.SIGINT)
-    if not callable(handler):  # a background job of a shell ignores Ctrl-C
-        handler = _raise
-    handler(number, frame)
+def raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, or send the signal again a moment later while an object is finalized.
 
-
-def _raise(number: int, frame: FrameType | None) -> None:
+    This is a handler of signals, and the end of a handler that does not always interrupt.
+    """
     if _is_finalizing(frame):
         threading.Timer(_RETRY_AFTER, os.kill, (os.getpid(), number)).start()
         return
     raise KeyboardInterrupt
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _received.set()
+    handler = signal.getsignal(signal.SIGINT)
+    if not callable(handler):  # a background job of a shell ignores Ctrl-C
+        handler = raise_interrupt
+    handler(number, frame)
 
 
 def _is_finalizing(frame: FrameType | None) -> bool:

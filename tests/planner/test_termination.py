@@ -8,7 +8,7 @@ import pytest
 
 PROGRAM = """
 import os, sys, time, weakref
-from aero_viz.termination import install_handler
+from aero_planner.termination import install_handler
 
 install_handler()
 number = int(sys.argv[1])
