@@ -57,10 +57,8 @@ class LiveSession(BaseSession):
         self._epoch = 0
         self._closed = threading.Event()
         self._lock = threading.RLock()
-        self._threads = [
-            threading.Thread(target=target, name=f"aero-viz-live-{name}", daemon=True)
-            for name, target in (("listen", self._run), ("age", self._watch_age))
-        ]
+        self._listener = threading.Thread(target=self._run, name="aero-viz-live-listen", daemon=True)
+        self._age_watcher = threading.Thread(target=self._watch_age, name="aero-viz-live-age", daemon=True)
 
     # --- state ------------------------------------------------------------------------------------------------------
 
@@ -149,8 +147,8 @@ class LiveSession(BaseSession):
     def start(self, *, play: bool = True) -> None:
         """Start to receive frames."""
         self._set_playing(play)
-        for thread in self._threads:
-            thread.start()
+        self._listener.start()
+        self._age_watcher.start()
 
     def _run(self) -> None:
         while not self._closed.is_set():
@@ -172,8 +170,12 @@ class LiveSession(BaseSession):
     def _try_to_reconnect(self, reconnect: Callable[[], NodeClient]) -> bool:
         while not self._closed.wait(_RETRY_PERIOD):
             with contextlib.suppress(UserError):
-                self._client = reconnect()
-                self._connected = True
+                client = reconnect()
+                with self._lock:
+                    if self._closed.is_set():
+                        client.close()
+                        return False
+                    self._client, self._connected = client, True
                 self.notify("The drone is connected again.")
                 return True
         return False
@@ -206,9 +208,12 @@ class LiveSession(BaseSession):
 
     def close(self) -> None:
         """Close the connection and the sinks."""
-        self._closed.set()
+        with self._lock:
+            self._closed.set()
         self._client.close()
-        for thread in self._threads:
+        # An attempt to reconnect cannot be interrupted and may take seconds: the thread then ends, and closes what it
+        # has opened, on its own.
+        for thread in (self._listener, self._age_watcher) if self._connected else (self._age_watcher,):
             if thread.is_alive():
                 thread.join(timeout=5.0)
         self.close_sinks()

@@ -219,6 +219,27 @@ def test_a_live_session_reconnects_to_a_lost_drone(records: list[PlanRecord]):
         assert watcher.frames[-1].epoch > watcher.frames[0].epoch
 
 
+def test_closing_does_not_wait_for_an_attempt_to_reconnect(telemetry: Telemetry):
+    attempted, released, gave_up = threading.Event(), threading.Event(), []
+    late = NodeClient("127.0.0.1", telemetry.port)
+
+    def reconnect() -> NodeClient:
+        attempted.set()
+        if not released.wait(4.0):
+            gave_up.append(True)
+        return late
+
+    first = NodeClient("127.0.0.1", telemetry.port)
+    session = LiveSession(first, reconnect=reconnect)
+    session.start()
+    first.close()
+    assert attempted.wait(60.0)
+    session.close()
+    assert gave_up == []
+    released.set()
+    assert list(late) == [], "it was closed, as nobody uses it"
+
+
 def test_the_dashboard_shows_a_live_session(
     live: tuple[LiveSession, Watcher], telemetry: Telemetry, records: list[PlanRecord]
 ):
