@@ -39,6 +39,18 @@ def is_map(spec: str) -> bool:
     return Path(spec).suffix.lower() in (*MAP_SUFFIXES, *SOLID_SUFFIXES) and not Path(spec).is_dir()
 
 
+def is_recording(spec: str) -> bool:
+    """Return True if `spec` is a path that is neither a scene nor a file of a world; there may be no file."""
+    from aero_viz.scenes import SCENES
+
+    return spec not in SCENES and _is_path(spec) and not (spec.endswith(".json") or is_map(spec))
+
+
+def _is_path(spec: str) -> bool:
+    """Return True if `spec` can only be a path, or is one of a file or folder."""
+    return "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
+
+
 def refuse_irregular(spec: str) -> None:
     """Refuse pipes, devices and sockets: opening one may block forever, and reading one changes it.
 
@@ -77,7 +89,7 @@ def load_world(
     from aero_viz.scenes.map_files import has_voxels
 
     refuse_irregular(spec)
-    is_file = spec not in SCENES and ("/" in spec or Path(spec).suffix != "" or Path(spec).exists())
+    is_file = spec not in SCENES and _is_path(spec)
     if is_file and count is not None:
         raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
     if is_map(spec):
@@ -136,8 +148,7 @@ def open_source(
     """
     from aero_viz.scenes import SCENES
 
-    is_path = "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
-    if not as_recording and (spec in SCENES or spec.endswith(".json") or is_map(spec) or not is_path):
+    if not as_recording and not is_recording(spec):
         from aero_viz.flight import FlightRules, FlightSource, VehicleModel
         from aero_viz.flight.conditions import with_conditions
         from aero_viz.flight.explanation import refuse_impossible

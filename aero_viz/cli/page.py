@@ -217,7 +217,7 @@ def flight_opener(
     It opens `spec` with the world flags, and every other scene or world that the page asks for without them, but with
     the same drone and LiDAR.
     """
-    from aero_viz.catalog import is_map, open_source
+    from aero_viz.catalog import is_recording, open_source
     from aero_viz.flight import FlightSource
     from aero_viz.flight.conditions import with_conditions
     from aero_viz.flight.explanation import refuse_impossible
@@ -227,7 +227,7 @@ def flight_opener(
 
     def opener(name: str, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
         is_first = _is_same(name, spec)
-        if not is_first and not (name in SCENES or name.endswith(".json") or is_map(name)):
+        if not is_first and is_recording(name):
             return open_source(name, seed=seed, device=device, read=read)
         load = read_here if name in SCENES else read
         flags, chosen = world_flags if is_first else WorldFlags(), options

@@ -48,7 +48,7 @@ def share(
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
-    from aero_viz.catalog import is_map, open_source
+    from aero_viz.catalog import is_recording, open_source
     from aero_viz.cli.page import flight_opener
     from aero_viz.dashboard.share import share as write
     from aero_viz.dashboard.share.share import check_path
@@ -57,7 +57,7 @@ def share(
     check_path(output)
     check_output_files(output, overwrite=overwrite)
     config = config_flags.load()
-    if Path(source).exists() and not (source.endswith(".json") or is_map(source)):
+    if is_recording(source):
         if (world_flags, flight_flags, lidar) != (_WORLD, _FLIGHT, "mid360"):
             raise UserError(f"{source} is a recording: leave out the flags of the world, the LiDAR and the flight.")
         flight = open_source(source, seed=seed, device=device)

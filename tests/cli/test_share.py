@@ -28,6 +28,14 @@ def test_a_shared_flight_is_the_one_that_fly_flies(capsys: pytest.CaptureFixture
     assert run_json(capsys, "compare", str(flown), str(shared), "--json")["parameters"] == {}
 
 
+def test_a_scene_is_flown_also_next_to_a_folder_of_its_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    (tmp_path / "wall").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, "share", "wall", "wall.mcap", "--duration", "0.1")[0] == 0
+
+
 def test_flags_of_a_flight_are_refused_for_a_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     recording = str(next(iter(shipped_recordings().values()))[0])
     message = run_refused(capsys, "share", recording, str(tmp_path / "out.mcap"), "--count", "3")
