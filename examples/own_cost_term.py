@@ -38,9 +38,7 @@ for weight in (0.0, 200.0):
     heights = []
     while source.outcome is None:
         seen = source.observe()
-        plan = planner.plan(
-            seen.state, seen.goal, seen.sweeps, cloud_age=seen.cloud_age, ground_height=seen.ground_height
-        )
+        plan = seen.plan_with(planner)
         source.advance(with_height_cost(plan, weight))
         heights.append(np.asarray(seen.state.position)[2])
     deviation = np.abs(np.array(heights) - HEIGHT).mean()

@@ -127,11 +127,7 @@ class Replanner:
             )
         planner = self._configured(frame)
         planner.restore(frame.checkpoint.planner)
-        seen = frame.observation
-        plan = planner.plan(
-            seen.state, seen.goal, seen.sweeps, cloud_age=seen.cloud_age, ground_height=seen.ground_height, samples=True
-        )
-        return _evidence(frame, plan, planner)
+        return _evidence(frame, frame.observation.plan_with(planner, samples=True), planner)
 
     def close(self) -> None:
         """Release the planner."""

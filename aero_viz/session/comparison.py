@@ -172,11 +172,7 @@ class Comparison:
         elif self._planner.config is not self.pinned:
             self._planner.configure(self.pinned)
         self._planner.restore(history)
-        observation = frame.observation
-        plan = self._planner.plan(
-            observation.state, observation.goal, observation.sweeps, cloud_age=observation.cloud_age,
-            ground_height=observation.ground_height,
-        )  # fmt: skip
+        plan = frame.observation.plan_with(self._planner)
         timings = {**frame.timings_ms, "plan": plan.stage_ms.get("total", 0.0)}
         return dataclasses.replace(frame, plan=plan, config=self.pinned, timings_ms=timings)
 

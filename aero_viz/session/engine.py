@@ -203,14 +203,7 @@ class Engine:
         else:
             # Only after `_configure`: the history fits a planner of the same structure.
             self._planner.restore(history)
-        plan = self._planner.plan(
-            observation.state,
-            observation.goal,
-            observation.sweeps,
-            cloud_age=observation.cloud_age,
-            ground_height=observation.ground_height,
-            samples=self.samples,
-        )
+        plan = observation.plan_with(self._planner, samples=self.samples)
         planned = time.perf_counter()
         if is_new:
             checkpoint = Checkpoint(observation.time, self.source.checkpoint(), history)

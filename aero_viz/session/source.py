@@ -13,6 +13,7 @@ from aero_planner import Goal, Plan, PlanStatus, Sweeps, VehicleState
 from aero_viz.reader_process import Reader, read_here
 
 if TYPE_CHECKING:
+    from aero_planner import Planner
     from aero_viz.scenes import World
 
 
@@ -45,6 +46,17 @@ class Observation:
     def points(self) -> NDArray[np.float32]:
         """Joined cloud [m], shape [P, 3], world frame; the same array as long as the sweeps are the same."""
         return self.sweeps.points
+
+    def plan_with(self, planner: Planner, *, samples: bool = False) -> Plan:
+        """Return the plan of a planner for this observation; arguments and errors as for `Planner.plan`."""
+        return planner.plan(
+            self.state,
+            self.goal,
+            self.sweeps,
+            cloud_age=self.cloud_age,
+            ground_height=self.ground_height,
+            samples=samples,
+        )
 
     @property
     def actual_state(self) -> VehicleState:
