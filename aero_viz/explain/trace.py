@@ -85,7 +85,7 @@ def _small(frame: Frame) -> Frame:
 
 @contextlib.contextmanager
 def recorder(trace: FlightTrace, log: str | Path | None = None) -> Iterator[FlightRecorder]:
-    """Return a recorder of `fly` that fills a trace and, on request, a log.
+    """Give the context a recorder for `fly` that fills a trace and, on request, a log.
 
     Raises:
         UserError: the log cannot be written.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -38,10 +38,6 @@ class Seen:
     "forgotten" or "no ray hit it"; None if it always was there."""
     detail: str
     """The same as a part of a sentence, such as "hidden by box 3 in 41 of 50 ticks"."""
-
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 def find_seen(frames: Sequence[Frame], place: Array) -> Seen:

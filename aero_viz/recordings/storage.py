@@ -83,7 +83,7 @@ class Storage:
             self._stack.close()
             raise
         self.format = "+".join(sorted(formats))
-        """"mcap", "rosbag1", "rosbag2-mcap" or "rosbag2-sqlite3"."""
+        """Name of the format, such as "mcap", "rosbag2-sqlite3" or "lvx2"; several are joined by "+"."""
 
     def _open(self, path: Path, packed: Path | None = None) -> tuple[str, BagFile]:
         """Return the format of a file and its reader.

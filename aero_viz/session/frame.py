@@ -52,9 +52,9 @@ class Frame:
     source: SourceInfo
     """The source of the observation; another object means another source."""
     checkpoint: Checkpoint | None = None
-    """Recipe that repeats this tick, also with another configuration; None where the tick cannot be repeated."""
+    """Checkpoint with which this tick is planned again, also by another configuration; None where it cannot be."""
     seed: int = 0
-    """Seed of the planner\'s noise."""
+    """Seed of the planner's noise."""
     device: str = "cpu"
     """Warp device of the planner."""
 
