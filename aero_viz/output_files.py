@@ -15,10 +15,13 @@ def check_output_files(*paths: Path | None, overwrite: bool) -> None:
         overwrite: replace existing files.
 
     Raises:
-        UserError: a path is a folder, its folder does not exist, or it is a file and `overwrite` is False. A device or
-            a pipe holds nothing that could be lost.
+        UserError: a path is given twice, it is a folder, its folder does not exist, or it is a file and `overwrite` is
+            False. A device or a pipe holds nothing that could be lost.
     """
-    for path in filter(None, paths):
+    named = [path for path in paths if path is not None]
+    for i, path in enumerate(named):
+        if path in named[:i]:
+            raise UserError(f"{path} cannot hold two outputs; choose another file for one of them.")
         if path.is_dir():
             raise UserError(f"{path} is a folder; give the name of a file to write.")
         if not path.absolute().parent.is_dir():

@@ -71,6 +71,8 @@ def convert(
             f"AERO-Viz does not write {rrd}: write {mcap}, which Rerun opens (`rerun {mcap}`) or converts "
             f"(`rerun mcap convert {mcap} -o {rrd}`)"
         )
+    if output.suffix.lower() != ".mcap":
+        raise UserError(f"{output} would hold MCAP; give a name that ends in .mcap, such as {output.stem}.mcap.")
     check_output_files(output, overwrite=overwrite)
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:

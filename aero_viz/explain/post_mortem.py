@@ -261,7 +261,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
         f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan."
         + ("" if not blocking else f" Near them: {', '.join(f'{name} ({n})' for name, n in blocking.most_common(4))}."),
-        *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items()),
+        *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
     ]
     if weight > 0.0:
         free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
@@ -269,8 +269,9 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
             f"The cost-to-go finds the way to the goal free beyond {free} of {len(anchors)} anchors; beyond the others "
             f"up to {to_go.max() / weight:.1f} m of {last.config.costs.blocked_range:g} m are blocked."
         )
-    if len(evidence.problem.places):
-        sentences.append(f"{len(evidence.problem.places)} places without progress are remembered nearby.")
+    if places := len(evidence.problem.places):
+        are = "place without progress is" if places == 1 else "places without progress are"
+        sentences.append(f"{places} {are} remembered nearby.")
     cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)])
     return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
 

@@ -141,7 +141,7 @@ def _flight(path: Path, contents: LogContents) -> LoggedFlight:
         _logger.warning("%s: %s", path, contents.damage)
     world, config = contents.world(), contents.config(contents.plans[-1].config_version)
     if config is None:
-        raise UserError(f"{path} holds no configuration, so that it cannot be compared.")
+        raise UserError(f"{path} holds no configuration, so that it cannot be compared; give a log with one.")
     settings = contents.settings()
     if world is not None:
         settings["world"] = hashlib.sha256(contents.attachments["world.json"]).hexdigest()[:12]

@@ -83,8 +83,8 @@ def inspect(
         options: other options of `open_recording`.
 
     Raises:
-        UserError: there is no recording at `path`, nothing in it can be read, or a named topic does not exist or is of
-            the wrong type.
+        UserError: there is no recording at `path`, nothing in it can be read, a named topic does not exist or is of
+            the wrong type, or another option is wrong.
     """
     storage = open_storage(path)
     try:
@@ -95,9 +95,9 @@ def inspect(
             report = RecordingInfo(str(storage.path), storage.format, contents.duration, topics)
             try:
                 recording = Recording(storage, contents, points_topic, pose_topic)
-                configure_recording(recording, storage, contents, **options)
             except UserError as error:
                 return replace(report, problems=(*contents.problems, str(error)))
+            configure_recording(recording, storage, contents, **options)
             counts = recording.sweep_counts
             return replace(
                 report,

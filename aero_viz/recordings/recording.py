@@ -61,7 +61,7 @@ class Recording:
         self._mask: NDArray[np.float32] | None = None
         self.path = storage.path
         self.format = storage.format
-        """"mcap", "rosbag1", "rosbag2-mcap" or "rosbag2-sqlite3"."""
+        """Name of the format, such as "mcap", "rosbag2-sqlite3" or "lvx2"."""
         self.problems: list[str] = list(contents.problems)
         """Notices for the user, one sentence each."""
         cloud = choose_cloud_topic(contents, points_topic)
@@ -235,7 +235,7 @@ def open_recording(
     mask: Sequence[float] | None = None,
     progress: OdometryProgress = lambda done, total: None,
 ) -> Recording:
-    """Open an MCAP file, a rosbag2 folder, a .db3 file or a ROS 1 bag.
+    """Open a recording of any supported format: a bag, files or folders of clouds, or a capture of packets.
 
     One pass over the file reads the poses and finds the sweeps; a sweep is read when it is asked for.
 
@@ -291,7 +291,10 @@ def configure_recording(
     if extrinsic is not None:
         recording.mount(_mounting(extrinsic))
     if mask is not None:
-        recording.mask(_checked(mask, "--mask", "the corners of a box"))
+        lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
+        if not all(low < high for low, high in zip(lower, upper, strict=True)):
+            raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}")
+        recording.mask(mask)
     if poses is not None:
         from aero_viz.recordings.pose_files import add_poses
 

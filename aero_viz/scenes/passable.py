@@ -45,8 +45,9 @@ def is_passable(
     Raises:
         ValueError: radius or cell is not positive, or the grid would be too large.
     """
-    if not (0.0 < radius < math.inf and 0.0 < cell < math.inf):
-        raise ValueError(f"radius is {radius!r} and cell {cell!r}; both must be positive and finite.")
+    for name, length in (("radius of the drone", radius), ("cell of the grid", cell)):
+        if not 0.0 < length < math.inf:
+            raise ValueError(f"the {name} is {length:g} m; it must be positive and finite.")
     if world.distance([world.start, world.goal]).min() < radius:
         return False
     for h in (4.0 * cell, 2.0 * cell, cell):

@@ -38,7 +38,7 @@ class NodeClient:
         timeout: longest wait for the connection and for the first message [s].
 
     Raises:
-        UserError: nothing answers there, or what answers is not a node of this release.
+        UserError: the port is out of range, nothing answers there, or what answers is not a node of this release.
     """
 
     def __init__(self, host: str, port: int = 14650, *, timeout: float = 5.0) -> None:
@@ -50,6 +50,8 @@ class NodeClient:
         """Settings of the node."""
         self._reader = MessageReader()
         self._ready: deque[Message] = deque()
+        if not 0 < port < 1 << 16:
+            raise UserError(f"{self.name} has no valid port; give one from 1 to 65535, that of telemetry.port.")
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout)
         except (OSError, UnicodeError) as error:

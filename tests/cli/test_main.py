@@ -53,6 +53,14 @@ from tests.planner.interruption import interrupted_at_import
         (["fly", "map.pcd", "--count", "3"], "--count applies to generated scenes only"),
         (["fly", "forest", "--port", "9000"], "add --no-headless"),
         (["fly", "forest", "--no-headless", "--json"], "leave out --no-headless"),
+        (["fly", "wall", "--log", "a", "--trajectory", "a"], "a cannot hold two outputs"),
+        (["share", "wall", "a.html", "--duration", "0"], "The duration is 0 s; it must be positive"),
+        (["share", "wall", "a.html", "--duration", "nan"], "The duration is nan s; it must be positive"),
+        (["share", "missing.mcap", "a.html"], "missing.mcap does not exist"),
+        (["convert", "a.bag", "b.bag"], "b.bag would hold MCAP; give a name that ends in .mcap, such as b.mcap"),
+        (["connect", "127.0.0.1", "--drone-port", "99999"], "127.0.0.1:99999 has no valid port; give one from 1 to"),
+        (["world", "info", "wall", "--radius", "-1"], "the radius of the drone is -1 m; it must be positive"),
+        (["bench", "compare", "none", "none"], "none holds no results; give a folder that `aero-viz bench` wrote"),
     ],
 )
 def test_a_mistake_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str):

@@ -120,10 +120,14 @@ def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, 
         (["tune", "forest", "--over", "costs.q_track", "--output", "/absent/a.yaml"], "There is no folder /absent;"),
         (["tune", "forest", "--over", "costs.q_track", "--output", "/"], "/ is a folder"),
         (["tune", "forest", "--over", "costs.q_track", "--lidar.dropout", "2"], "lidar.dropout is 2.0"),
+        (["tune", "{world}", "--over", "costs.q_track", "--seed", "-1"], "--seed is -1; it must be in [0, 2^32 - 1]"),
+        (["tune", "{world}", "--over", "costs.q_track", "--storage", "foo"], "give a URL such as sqlite:///results"),
     ],
 )
-def test_mistakes_are_reported_in_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str):
-    error = run_refused(capsys, *arguments)
+def test_mistakes_are_reported_in_one_line(
+    capsys: pytest.CaptureFixture[str], short_poles: str, arguments: list[str], message: str
+):
+    error = run_refused(capsys, *(argument.format(world=short_poles) for argument in arguments))
     assert message in error and error.count("\n") == 1 and error.startswith("aero-viz: ")
 
 

@@ -104,5 +104,5 @@ def test_mistakes_leave_no_file(
 def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest.CaptureFixture[str]):
     source = mcap_of(bags.drive())
     before = source.read_bytes()
-    assert "is the recording itself" in run_refused(capsys, "convert", str(source), str(source))
+    assert "is the recording itself" in run_refused(capsys, "convert", str(source), str(source), "--overwrite")
     assert source.read_bytes() == before

@@ -3,6 +3,8 @@
 import json
 
 import bags
+import pytest
+from command_line import run_refused
 
 from aero_viz.recordings import inspect
 
@@ -25,3 +27,17 @@ def test_empty_recording_has_no_sweeps(mcap_of):
     info = inspect(mcap_of([]))
     assert info.sweeps == 0 and info.topics == () and info.points_per_sweep is None
     assert "it holds no topics" in info.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--poses", "absent.txt"), "Cannot read the poses absent.txt"),
+        (("--extrinsic", "0", "0", "0", "0", "0", "nan"), "--extrinsic takes six finite numbers"),
+        (("--mask", "1", "1", "1", "-1", "-1", "-1"), "--mask takes the lower corner of a box before the upper one"),
+    ],
+)
+def test_a_wrong_option_is_refused(
+    mcap_of, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+):
+    assert message in run_refused(capsys, "inspect", str(mcap_of(bags.drive())), *arguments)

@@ -61,10 +61,12 @@ def share(
         report: called with the source's time [s] after each tick.
 
     Raises:
-        UserError: the name has no known suffix, a layer is unknown, the file cannot be written, or a program for
-            pictures is missing.
+        UserError: the duration is not positive, the name has no known suffix, a layer is unknown, the file cannot be
+            written, or a program for pictures is missing.
     """
     try:
+        if not duration > 0.0:
+            raise UserError(f"The duration is {duration:g} s; it must be positive.")
         check_path(Path(path))
     except UserError:
         source.close()

@@ -21,6 +21,7 @@ _COLUMNS = tuple(field.name for field in fields(FlightResult))
 _TEXTS = ("arrived", "reason", "scene", "config", "seed", "explanation")
 _NUMBERS = tuple(name for name in _COLUMNS if name not in _TEXTS)
 _FORMATS = "give NAME=TABLE.csv with a table of scored flights, or NAME=FLIGHT@WORLD.json with a flight to score"
+_APPEND = "give --table a new file, or a table of scored flights"
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ def append_to_table(result: FlightResult, path: str | Path) -> None:
     path = Path(path)
     try:
         is_new = not path.exists() or path.stat().st_size == 0
-        columns = list(_COLUMNS) if is_new else _read_csv(path)[0]
-        _check_columns(path, columns)
+        columns = list(_COLUMNS) if is_new else _read_csv(path, _APPEND)[0]
+        _check_columns(path, columns, _APPEND)
         with path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, columns, extrasaction="ignore")
             if is_new:
@@ -94,8 +95,8 @@ def _find_world_kind(world: str, benchmark: Benchmark, file: str) -> str:
 
 
 def _load_table(path: Path) -> list[Mapping[str, Any]]:
-    columns, rows = _read_csv(path)
-    _check_columns(path, columns)
+    columns, rows = _read_csv(path, _FORMATS)
+    _check_columns(path, columns, _FORMATS)
     flights = []
     for number, row in rows:
         try:
@@ -110,18 +111,18 @@ def _load_table(path: Path) -> list[Mapping[str, Any]]:
     return flights
 
 
-def _check_columns(path: Path, columns: Sequence[str]) -> None:
+def _check_columns(path: Path, columns: Sequence[str], advice: str) -> None:
     missing = [name for name in _COLUMNS if name not in columns and name != "explanation"]
     if missing:
         problem = "is a trajectory" if {"t", "x"} <= set(columns) else f"lacks the column {missing[0]!r}"
-        raise UserError(f"{path} {problem}; {_FORMATS}.")
+        raise UserError(f"{path} {problem}; {advice}.")
 
 
-def _read_csv(path: Path) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
+def _read_csv(path: Path, advice: str) -> tuple[list[str], list[tuple[int, dict[str, Any]]]]:
     """Return the names of the columns and the rows with their line numbers."""
     try:
         reader = csv.DictReader(io.StringIO(read_user_text(path, limit=TEXT_MAX), newline=""))
         return list(reader.fieldnames or ()), [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not CSV text"
-        raise UserError(f"Cannot read {path}: {reason or error}; {_FORMATS}.") from error
+        raise UserError(f"Cannot read {path}: {reason or error}; {advice}.") from error

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, check_seed, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import versions
 from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
@@ -147,6 +147,7 @@ def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequenc
         raise UserError("--trials and --generation must be at least 1.")
     if not worlds or not fresh_worlds or (batch is not None and batch < 1):
         raise UserError("--flights, --check and --batch must be at least 1.")
+    check_seed(search.seed)
     if not 1 <= search.rungs <= len(worlds):
         raise UserError(
             f"{len(worlds)} flights cannot be divided into {search.rungs} rungs, each of at least one flight; "

@@ -67,7 +67,10 @@ def open_study(
             load_if_exists=True,
         )
     except Exception as error:  # SQLAlchemy and database drivers raise their own exceptions
-        raise UserError(f"Cannot open the storage {storage} of Optuna: {first_line(error)}") from error
+        raise UserError(
+            f"Cannot open the storage {storage or 'in memory'} of Optuna: {first_line(error)}; "
+            "give a URL such as sqlite:///results/tune.db, or memory."
+        ) from error
     previous = study.user_attrs.get(DEFINITION)
     if previous is None:
         study.set_user_attr(DEFINITION, definition)
