@@ -9,7 +9,7 @@ import tyro
 
 from aero_viz.cli.flags import Inline
 from aero_viz.cli.output import print_report
-from aero_viz.cli.serving import PageFlags, announce, shutdown_event, wait_for
+from aero_viz.cli.serving import WATCHING, PageFlags, announce, serve_foxglove, shutdown_event, wait_for
 
 _PAGE = PageFlags()
 _Log = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="A.mcap")]]
@@ -30,6 +30,10 @@ def compare(
     """
     from aero_viz.logs.comparison import compare_logs
 
+    if page:
+        page_flags.refuse(besides=WATCHING, advice="the page of a comparison opens no files: leave it out")
+    else:
+        page_flags.refuse(advice="it is for the page: add --page, or leave it out")
     comparison = compare_logs(a, b)
     print_report(comparison, as_json=json)
     if not page:
@@ -50,6 +54,7 @@ def compare(
             session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host, history=history
         )
         stack.callback(dashboard.close)
+        serve_foxglove(stack, session, page_flags)
         announce(f"{b} with the ghost of {a}", dashboard, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)

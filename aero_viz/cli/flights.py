@@ -75,8 +75,7 @@ def fly(
         return serve_flight(world, *flags, lidar=lidar, seed=seed, device=device, log=log)
     port, host = page_flags.foxglove_port, page_flags.host
     used = () if port is None else ("foxglove", "host", "allow_host", "foxglove_origin")
-    if page_flags != PageFlags(**{name: getattr(page_flags, name) for name in used}):
-        raise UserError("--host, --port, --open and --paused apply to the page; add --no-headless, or leave them out.")
+    page_flags.refuse(besides=used, advice="it is for the page: add --no-headless, or leave it out")
     from aero_viz.flight import FlightInterrupted
     from aero_viz.flight import fly as fly_once
 

@@ -22,6 +22,7 @@ from aero_viz.cli.flags import (
 )
 from aero_viz.cli.output import progress_bar
 from aero_viz.cli.serving import (
+    WATCHING,
     PageFlags,
     StudyFlags,
     announce,
@@ -175,6 +176,7 @@ def connect(
     from aero_viz.session.live_session import LiveSession
     from aero_viz.session.node_client import NodeClient
 
+    page_flags.refuse(besides=WATCHING, advice="the page of a drone opens no files: leave it out")
     with contextlib.ExitStack() as stack:
         session = LiveSession(NodeClient(drone, drone_port), reconnect=lambda: NodeClient(drone, drone_port))
         stack.callback(session.close)

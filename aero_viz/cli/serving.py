@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import signal
 import threading
 import webbrowser
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
 
 _FOXGLOVE_PORT = 8765
 """Foxglove's own default."""
+
+
+WATCHING = ("host", "port", "open", "paused", "allow_host", "foxglove", "foxglove_origin")
+"""Flags of a page that opens no files."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,20 @@ class PageFlags:
         if rest or not 0 <= port < 1 << 16:
             raise UserError(f"--foxglove takes one port from 0 to 65535, not {' '.join(map(str, self.foxglove))}.")
         return port
+
+    def refuse(self, *, besides: Collection[str] = (), advice: str) -> None:
+        """Refuse flags that a command would ignore.
+
+        Args:
+            besides: names of the flags that it uses.
+            advice: what to do, for the error.
+
+        Raises:
+            UserError: another flag was set.
+        """
+        for flag in dataclasses.fields(self):
+            if flag.name not in besides and getattr(self, flag.name) != flag.default:
+                raise UserError(f"--{flag.name.replace('_', '-')} has no effect here; {advice}.")
 
     @property
     def foxglove_options(self) -> dict[str, tuple[str, ...]]:

@@ -110,6 +110,8 @@ def tune(
     if flights < 1 or check_flights < 1:
         raise UserError("--flights and --check must be at least 1.")
     check_output_files(output, overwrite=overwrite)
+    if not page:
+        page_flags.refuse(advice="it is for the page: add --page, or leave it out")
     if page and storage == "memory":
         raise UserError("--page reads the study from its storage; leave out --storage memory.")
     config = config_flags.load(speed=speed)
