@@ -14,6 +14,7 @@ from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
     Inline,
+    LidarName,
     OptionalFloat,
     OptionalInt,
     OptionalPath,
@@ -38,7 +39,7 @@ class RunFlags:
     """Warp device, such as cpu or cuda:0."""
     seed: int = 0
     """First seed of the worlds, LiDARs and planners."""
-    lidar: Annotated[Literal["mid360", "full-sphere", "spinning64"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    lidar: Annotated[LidarName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """LiDAR model of all rows; by default each row has its own."""
     batch: OptionalInt = None
     """Largest number of simultaneous flights; by default 256 on a GPU and 1 on the CPU."""

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalFloat, OptionalPath, WorldFlags
+from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, LidarName, OptionalFloat, OptionalPath, WorldFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
 from aero_viz.output_files import check_output_files
@@ -21,7 +21,7 @@ def explain(
     *,
     picture: OptionalPath = None,
     speed: OptionalFloat = None,
-    lidar: str = "mid360",
+    lidar: LidarName = "mid360",
     seed: int = 0,
     device: str = "cpu",
     json: bool = False,
@@ -41,7 +41,7 @@ def explain(
         flight: Flight log (MCAP); or a scene or a world to fly through.
         picture: SVG file to write: a map of the tick that matters most.
         speed: Speed limit [m/s]; overrides vehicle.speed_limit.
-        lidar: LiDAR model: mid360, full-sphere or spinning64.
+        lidar: LiDAR model.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device, such as cpu or cuda:0.
         json: Print one JSON object, and no progress bar.

@@ -27,6 +27,8 @@ Inline = Annotated[T, tyro.conf.arg(name="")]
 WorldName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="WORLD")]]
 FileName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE")]]
 OutputPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUTPUT")]]
+LidarName = Literal["mid360", "full-sphere", "spinning64"]
+"""A name in `LIDARS`."""
 Point = tuple[float, float, float]
 
 
@@ -38,9 +40,10 @@ def _optional(metavar: str) -> Any:
 OptionalFileName = tyro.conf.Positional[Annotated[str | None, _optional("FILE")]]
 OptionalFloat = Annotated[float | None, _optional("FLOAT")]
 OptionalInt = Annotated[int | None, _optional("INT")]
-OptionalSix = Annotated[tuple[float, float, float, float, float, float] | None, _optional("X Y Z X Y Z")]
+OptionalBox = Annotated[tuple[float, float, float, float, float, float] | None, _optional("X Y Z X Y Z")]
 OptionalPath = Annotated[Path | None, _optional("PATH")]
 OptionalPoint = Annotated[Point | None, _optional("X Y Z")]
+OptionalPose = Annotated[tuple[float, float, float, float, float, float] | None, _optional("X Y Z ROLL PITCH YAW")]
 OptionalText = Annotated[str | None, _optional("STR")]
 FoxgloveFlag = Annotated[tuple[int, ...] | None, _optional("[PORT]")]
 """None if the flag is absent, () if it has no port."""
@@ -207,9 +210,9 @@ class RecordingFlags:
     odometry: OdometryChoice = "none"
     """Estimate the motion from the sweeps: auto does so where no poses are recorded, by rko-lio with an IMU and by
     kiss-icp without; the named methods also replace recorded poses. The result is cached."""
-    extrinsic: OptionalSix = None
+    extrinsic: OptionalPose = None
     """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of the recorded ones."""
-    mask: OptionalSix = None
+    mask: OptionalBox = None
     """Leave out the points in a box in the body's frame, from its lower to its upper corner [m]."""
 
     def options(self) -> dict[str, Any]:

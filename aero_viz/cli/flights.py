@@ -9,6 +9,7 @@ from aero_viz.cli.flags import (
     FileName,
     FlightFlags,
     Inline,
+    LidarName,
     OptionalFloat,
     OptionalPath,
     OptionalText,
@@ -34,7 +35,7 @@ def fly(
     world: WorldName,
     *,
     speed: OptionalFloat = None,
-    lidar: str = "mid360",
+    lidar: LidarName = "mid360",
     seed: int = 0,
     device: str = "cpu",
     headless: bool = True,
@@ -54,7 +55,7 @@ def fly(
     Args:
         world: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
         speed: Speed limit [m/s]; overrides vehicle.speed_limit.
-        lidar: LiDAR model: mid360, full-sphere or spinning64.
+        lidar: LiDAR model.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device, such as cpu or cuda:0.
         headless: Fly without the page; --no-headless flies in the browser, as `demo` does.

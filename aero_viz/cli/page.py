@@ -13,6 +13,7 @@ from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
     Inline,
+    LidarName,
     OptionalFileName,
     OptionalFloat,
     OptionalPath,
@@ -53,7 +54,7 @@ def demo(
     *,
     tour: bool = False,
     speed: OptionalFloat = None,
-    lidar: str = "mid360",
+    lidar: LidarName = "mid360",
     seed: int = 0,
     device: str = "cpu",
     log: OptionalPath = None,
@@ -70,7 +71,7 @@ def demo(
         scene: Scene, such as forest, verticals or inclines, or file of a world (JSON), point-cloud map or mesh.
         tour: Loop through scenes for an exhibition screen, with captions and a moving camera, and without panels.
         speed: Speed limit [m/s]; overrides vehicle.speed_limit.
-        lidar: LiDAR model: mid360, full-sphere or spinning64.
+        lidar: LiDAR model.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.

@@ -6,7 +6,16 @@ import shlex
 import sys
 from pathlib import Path
 
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
+from aero_viz.cli.flags import (
+    ConfigFlags,
+    FlightFlags,
+    Inline,
+    LidarName,
+    OptionalText,
+    OutputPath,
+    WorldFlags,
+    WorldName,
+)
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
 from aero_viz.output_files import check_output_files
@@ -23,7 +32,7 @@ def share(
     duration: float = 60.0,
     layers: OptionalText = None,
     overwrite: bool = False,
-    lidar: str = "mid360",
+    lidar: LidarName = "mid360",
     seed: int = 0,
     device: str = "cpu",
     world_flags: Inline[WorldFlags] = _WORLD,
@@ -41,7 +50,7 @@ def share(
         duration: Longest time to show [s].
         layers: Layers to show, separated by commas, such as rollouts,drone,obstacles; by default those of the page.
         overwrite: Replace an existing file.
-        lidar: LiDAR model of a flight: mid360, full-sphere or spinning64.
+        lidar: LiDAR model of a flight.
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation.
         world_flags: The world.
