@@ -35,6 +35,8 @@ def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, 
         UserError: the folder holds results and `resume` is False, the results are those of another run, or the folder
             cannot be written.
     """
+    if folder.is_file():
+        raise UserError(f"{folder} is a file; give --output the name of a folder.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         previous, flights = read_folder(folder)
@@ -43,12 +45,12 @@ def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, 
             (folder / _HEADER).write_text(json.dumps(header, indent=1) + "\n", encoding="utf-8")
             return header, []
         if not resume:
-            raise UserError(f"{folder} holds results already; resume the run or choose another output folder.")
+            raise UserError(f"{folder} holds results already; add --resume to continue, or choose another --output.")
         for key in _FIXED_KEYS:
             if previous.get(key) != header[key]:
                 raise UserError(
                     f"The run in {folder} cannot be resumed: {_difference(key, previous.get(key), header[key])}; "
-                    "choose another output folder or the same options and versions."
+                    "choose another --output, or the same options and versions."
                 )
         # Drops the incomplete last line that a crash may have left.
         text = "".join(json.dumps(flight) + "\n" for flight in flights)
@@ -72,7 +74,7 @@ def read_folder(folder: Path) -> tuple[Header | None, Flights]:
     except FileNotFoundError:
         return None, []
     except (OSError, ValueError) as error:
-        raise UserError(f"{folder / _HEADER} cannot be read ({error}); choose another output folder.") from error
+        raise UserError(f"{folder / _HEADER} cannot be read ({error}); choose another folder.") from error
     flights = []
     for line in lines:
         try:

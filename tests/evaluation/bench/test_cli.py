@@ -33,7 +33,7 @@ def test_fly_export_score_and_include(capsys, tmp_path):
     summary = run_json(capsys, *arguments, "--resume")["summary"]
     assert [line["planner"] for line in summary] == ["AERO-Viz"] * 8 + ["EGO"]
     error = run_refused(capsys, *arguments)
-    assert "resume the run" in error and error.count("\n") == 1
+    assert "add --resume to continue" in error and error.count("\n") == 1
 
 
 def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(capsys, tmp_path):
@@ -116,6 +116,7 @@ def test_points_of_a_world(capsys, tmp_path):
         (["score", "none.csv", "--world", "wall"], "Cannot read the trajectory none.csv"),
         (["bench", "rooms", "--include", "EGO"], "NAME=TABLE.csv"),
         (["bench", "rooms", "--flights", "0"], "at least 1"),
+        (["bench", "rooms", "--output", __file__], "is a file; give --output the name of a folder"),
         (["bench", "rooms", "--seed", "-1"], "--seed is -1; it must be in [0, 2^32 - 1]"),
         (["bench", "table2", "--lidar.dropout", "2"], "lidar.dropout is 2"),
         (["score", "none.csv", "--world", "wall", "--rules.radius", "-1"], "rules.radius is -1"),

@@ -141,7 +141,7 @@ def test_resume_refuses_other_rows_and_versions(fly, tmp_path, benchmark_of_thre
 
 def test_results_are_not_overwritten(fly):
     fly()
-    with pytest.raises(UserError, match="resume the run or choose another output folder"):
+    with pytest.raises(UserError, match="add --resume to continue, or choose another --output"):
         fly()
 
 
