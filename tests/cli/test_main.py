@@ -64,7 +64,6 @@ from tests.planner.interruption import interrupted_at_import
         (["convert", "a.bag", "b.bag"], "b.bag would hold MCAP; give a name that ends in .mcap, such as b.mcap"),
         (["connect", "127.0.0.1", "--drone-port", "99999"], "127.0.0.1:99999 has no valid port; give one from 1 to"),
         (["world", "info", "wall", "--radius", "-1"], "the radius of the drone is -1 m; it must be positive"),
-        (["bench", "compare", "none", "none"], "none holds no results; give a folder that `aero-viz bench` wrote"),
     ],
 )
 def test_a_mistake_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], message: str):

@@ -67,4 +67,4 @@ def test_runs_that_do_not_fit_are_refused(fly: Callable[..., Run], tmp_path: Pat
     with pytest.raises(UserError, match="cannot be compared: simulation is"):
         compare_runs(tmp_path / "a", tmp_path / "b")
     error = run_refused(capsys, "bench", "compare", str(tmp_path / "a"), str(tmp_path / "none"))
-    assert "none holds no results of `aero-viz bench`" in error
+    assert "none holds no results; give a folder that `aero-viz bench` wrote" in error
