@@ -47,7 +47,7 @@ def explain(
         json: Print one JSON object, and no progress bar.
         trajectory: CSV file to write with the columns t,x,y,z,vx,vy,vz.
         log: MCAP file to write during the flight.
-        overwrite: Replace existing files.
+        overwrite: Replace an existing log.
         world_flags: The world.
         flight_flags: The flight.
         config_flags: The planner's configuration.
@@ -57,7 +57,7 @@ def explain(
     from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
     from aero_viz.flight import FlightInterrupted, fly
 
-    check_output_files(picture, trajectory, log, overwrite=overwrite)
+    check_output_files(log, overwrite=overwrite, derived=[picture, trajectory])
     if flight.endswith(".mcap"):
         is_flag_set = world_flags != _WORLD or flight_flags != _FLIGHT or config_flags != _CONFIG or speed is not None
         if is_flag_set or trajectory is not None or log is not None or (lidar, seed) != ("mid360", 0):

@@ -62,13 +62,13 @@ def fly(
         json: Print one JSON object, and no progress bar.
         trajectory: CSV file to write with the columns t,x,y,z,vx,vy,vz.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
-        overwrite: Replace existing files.
+        overwrite: Replace an existing log.
         world_flags: The world.
         page_flags: The page.
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
-    check_output_files(trajectory, log, overwrite=overwrite)
+    check_output_files(log, overwrite=overwrite, derived=[trajectory])
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")

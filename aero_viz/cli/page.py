@@ -75,7 +75,7 @@ def demo(
         seed: Seed of the scene, the LiDAR and all noise.
         device: Warp device of planner and simulation, such as cpu or cuda:0.
         log: MCAP file to write during the flight, for `play`, Foxglove, RViz and PlotJuggler.
-        overwrite: Replace an existing file.
+        overwrite: Replace an existing log.
         world_flags: The world.
         page_flags: The page.
         study_flags: A study of `aero-viz tune`, as a tab of the page.

@@ -24,7 +24,6 @@ def snapshot(
     layers: OptionalText = None,
     legend: bool = False,
     size: tuple[int, int] = (1600, 1000),
-    overwrite: bool = False,
     seed: int = 0,
     device: str = "cpu",
     points_topic: OptionalText = None,
@@ -37,13 +36,12 @@ def snapshot(
 
     Args:
         source: Scene, world file (JSON) or recording.
-        output: PNG file to write.
+        output: PNG file to write; an existing one is replaced.
         time: Time in the source [s].
         camera: follow, top or side; or position and look-at point as six numbers, such as 0,-8,4,3,0,2 [m].
         layers: Layers to show, separated by commas, such as rollouts,drone; by default those of the page.
         legend: Explain the colours in a corner of the picture.
         size: Width and height [pixels].
-        overwrite: Replace an existing file.
         seed: Seed of the scene, the LiDAR and the planner's noise.
         device: Warp device of planner and simulation.
         points_topic: Topic of the point clouds; by default it is found by its type.
@@ -54,7 +52,7 @@ def snapshot(
     from aero_viz.dashboard.snapshot import snapshot as take_snapshot
     from aero_viz.flight.known_drone import config_for_flight
 
-    check_output_files(output, overwrite=overwrite)
+    check_output_files(derived=[output], overwrite=True)
     config = config_flags.load()
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
     take_snapshot(

@@ -11,14 +11,10 @@ from aero_viz.catalog import shipped_recordings
 
 WRITERS = {
     "fly --log": ("fly", "{world}", "--log", "{file}.mcap"),
-    "fly --trajectory": ("fly", "{world}", "--trajectory", "{file}.csv"),
     "fly in the browser": ("fly", "{world}", "--no-headless", "--port", "0", "--log", "{file}.mcap"),
     "demo --log": ("demo", "{world}", "--port", "0", "--log", "{file}.mcap"),
     "explain --log": ("explain", "{world}", "--log", "{file}.mcap"),
-    "explain --trajectory": ("explain", "{world}", "--trajectory", "{file}.csv"),
-    "explain --picture": ("explain", "{world}", "--picture", "{file}.svg"),
     "share": ("share", "{world}", "{file}.html"),
-    "snapshot": ("snapshot", "{world}", "{file}.png"),
     "world export": ("world", "export", "{world}", "{file}.pcd"),
     "convert": ("convert", "{recording}", "{file}.mcap"),
     "tune": ("tune", "{world}", "--over", "costs.q_track", "--output", "{file}.yaml"),
@@ -37,6 +33,16 @@ def test_an_existing_file_is_kept(
     error = run_refused(capsys, *words)
     assert f"{old} exists already; add --overwrite to replace it" in error and error.count("\n") == 1
     assert old.read_text() == "old" and list(tmp_path.iterdir()) == [old]
+
+
+@pytest.mark.parametrize("flag", ["--trajectory", "--log"])
+def test_a_flight_replaces_a_trajectory_and_an_empty_file(
+    capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path, flag: str
+):
+    path = tmp_path / "out"
+    path.write_text("t,x" if flag == "--trajectory" else "")
+    code, _, error = run(capsys, "fly", short_poles, "--rules.time-limit", "0.1", "--json", flag, str(path))
+    assert code == 0 and path.stat().st_size > 100, error
 
 
 def test_overwrite_replaces_a_file(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
