@@ -21,11 +21,14 @@ from aero_planner.config.file import config_from_name
 from aero_planner.forest_cloud import forest_flight
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
-from aero_planner.sweeps import Sweeps, as_constant
+from aero_planner.sweeps import Arrival, Sweeps, as_constant
 
 _WARM_UP = 3
 _SWEEPS = 10
+_SWEEPS_REMEMBERED = 30
+"""Sweeps in the memory of a flight: of those before the newest `_SWEEPS`, one point in `THINNING` is kept."""
 _PLANS_PER_SWEEP = 5
+_SWEEP_PERIOD = 0.1
 _MIB = 2.0**20
 
 
@@ -52,8 +55,9 @@ def measure(
     Returns:
         "plan": {"median_ms", "p99_ms"} of `Planner.plan`, with the joined cloud in host memory and all results copied
             back;
-        "sweeps": the same with `Sweeps`, of which every fifth plan gets a new one, as at 50 Hz from a LiDAR with 10 Hz;
-            one drone only;
+        "sweeps": the same with `Sweeps` as in a flight, of which every fifth plan gets a new one, as at 50 Hz from a
+            LiDAR with 10 Hz; one drone only;
+        "new sweep": the same for these fifth plans;
         "launch": the same for `Planner.launch`, with everything on the device;
         "stages": the same for each stage; on CUDA, stages run one after another here, with an event between them;
         "plans_per_second" and "launches_per_second", over the batch;
@@ -84,7 +88,7 @@ def measure(
     launches = [elapsed_ms(planner.launch, device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
     if warp_device.is_cuda:
         stages |= planner.time_stages(repeat)
-    sweeps = _time_sweeps(planner, state, goal, cloud, repeat) if isinstance(cloud, np.ndarray) else None
+    sweeps = _time_sweeps(planner, state, goal, cloud, repeat) if isinstance(cloud, np.ndarray) else []
     planner.close()
 
     if warp_device.is_cuda and wp.is_mempool_enabled(warp_device):
@@ -106,7 +110,8 @@ def measure(
         "repeat": repeat,
         "stages": {name: _summarize(times) for name, times in stages.items()},
         "plan": _summarize(total),
-        "sweeps": None if sweeps is None else _summarize(sweeps),
+        "sweeps": _summarize(sweeps) if sweeps else None,
+        "new sweep": _summarize(sweeps[::_PLANS_PER_SWEEP]) if sweeps else None,
         "launch": _summarize(launches),
         "plans_per_second": 1e3 * batch / float(np.median(total)),
         "launches_per_second": 1e3 * batch / float(np.median(launches)),
@@ -131,17 +136,19 @@ def elapsed_ms(work: Callable[[], Any], device: str) -> float:
 
 
 def _time_sweeps(planner: Planner, state: VehicleState, goal: Goal, cloud: NDArray[Any], repeat: int) -> list[float]:
-    """Return the times of plans with sweeps that arrive one after another [ms]."""
+    """Return the times of plans with sweeps that arrive one after another [ms]; the first has a new one."""
     arriving = itertools.cycle(as_constant(part) for part in np.array_split(cloud, _SWEEPS))
-    sweeps = Sweeps(itertools.islice(arriving, _SWEEPS))
+    sweeps = Sweeps(itertools.islice(arriving, _SWEEPS_REMEMBERED), whole=_SWEEPS)
+    position = tuple(map(float, np.asarray(state.position)))
     times: list[float] = []
-    for i in range(repeat + _WARM_UP):
+    for i in range(repeat + _PLANS_PER_SWEEP * _WARM_UP):
         started = time.perf_counter()
         if i % _PLANS_PER_SWEEP == 0:
-            sweeps = sweeps.add(next(arriving), limit=_SWEEPS)
+            arrival = Arrival(_SWEEP_PERIOD * (i // _PLANS_PER_SWEEP), position)
+            sweeps = sweeps.add(next(arriving), limit=_SWEEPS_REMEMBERED, arrival=arrival)
         planner.plan(state, goal, sweeps)
         times.append(1e3 * (time.perf_counter() - started))
-    return times[_WARM_UP:]
+    return times[_PLANS_PER_SWEEP * _WARM_UP :]
 
 
 def _summarize(times: Sequence[float]) -> dict[str, float]:
@@ -161,7 +168,8 @@ def _format_report(result: dict[str, Any], preset: str) -> str:
         f"{result['steps']} steps, {result['repeat']} plans",
         f"{'':20}{'median ms':>12}{'p99 ms':>12}",
     ]
-    rows = {**result["stages"], **{name: result[name] for name in ("plan", "sweeps", "launch") if result[name]}}
+    whole_plans = {name: result[name] for name in ("plan", "sweeps", "new sweep", "launch") if result[name]}
+    rows = {**result["stages"], **whole_plans}
     lines += [f"{name:20}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
     lines += [
         f"plans per second: {result['plans_per_second']:.1f} with host copies, "

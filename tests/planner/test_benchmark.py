@@ -14,7 +14,9 @@ def test_json_report(device: str, batch: int, capsys: pytest.CaptureFixture[str]
     expected = {"device": device, "batch": batch, "points": 5000, "samples": 8, "steps": 10, "instances": 15}
     assert {name: report[name] for name in expected} == expected and report["preset"] == "paper"
     assert 100 < report["points_kept"] < 5000
-    for row in (report["plan"], report["launch"], *report["stages"].values()):
+    with_sweeps = [report["sweeps"], report["new sweep"]]
+    assert (with_sweeps == [None, None]) == (batch > 1), "sweeps are of one drone"
+    for row in (report["plan"], report["launch"], *report["stages"].values(), *filter(None, with_sweeps)):
         assert 0.0 <= row["median_ms"] <= row["p99_ms"]
     assert report["plans_per_second"] == pytest.approx(1e3 * batch / report["plan"]["median_ms"])
     assert report["memory_mib"] >= 0.0
@@ -23,7 +25,17 @@ def test_json_report(device: str, batch: int, capsys: pytest.CaptureFixture[str]
 def test_text_report(device: str, capsys: pytest.CaptureFixture[str]):
     assert main([*FAST, "--device", device, "--threads", "1"]) == 0
     text = capsys.readouterr().out
-    for word in ("median ms", "p99 ms", "plan ", "launch ", "plans per second", "points kept", "MiB", "17 instances"):
+    for word in (
+        "median ms",
+        "p99 ms",
+        "plan ",
+        "new sweep ",
+        "launch ",
+        "plans per second",
+        "points kept",
+        "MiB",
+        "17 instances",
+    ):
         assert word in text
 
 
