@@ -139,12 +139,12 @@ def _time_sweeps(planner: Planner, state: VehicleState, goal: Goal, cloud: NDArr
     """Return the times of plans with sweeps that arrive one after another [ms]; the first has a new one."""
     arriving = itertools.cycle(as_constant(part) for part in np.array_split(cloud, _SWEEPS))
     sweeps = Sweeps(itertools.islice(arriving, _SWEEPS_REMEMBERED), whole=_SWEEPS)
-    position = tuple(map(float, np.asarray(state.position)))
+    x, y, z = map(float, np.asarray(state.position))
     times: list[float] = []
     for i in range(repeat + _PLANS_PER_SWEEP * _WARM_UP):
         started = time.perf_counter()
         if i % _PLANS_PER_SWEEP == 0:
-            arrival = Arrival(_SWEEP_PERIOD * (i // _PLANS_PER_SWEEP), position)
+            arrival = Arrival(_SWEEP_PERIOD * (i // _PLANS_PER_SWEEP), (x, y, z))
             sweeps = sweeps.add(next(arriving), limit=_SWEEPS_REMEMBERED, arrival=arrival)
         planner.plan(state, goal, sweeps)
         times.append(1e3 * (time.perf_counter() - started))

@@ -18,7 +18,7 @@ from aero_viz.dashboard.layers.base import Lines, polylines
 from aero_viz.dashboard.layers.cells import FineCellLayer, UnseenCellLayer, anchor_cells, mean_ranges
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.motion import MotionLayer
-from aero_viz.dashboard.layers.rollouts import cost_scale
+from aero_viz.dashboard.layers.rollouts import RolloutLayer, cost_scale
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.flight import FlightSource
@@ -35,6 +35,15 @@ def frame():
     frames = [session.tick() for _ in range(3)]
     session.close()
     return frames[-1]
+
+
+def test_rollouts_move_with_the_drone_and_lie_where_they_are_planned(server, frame):
+    changes = {(handle.name, name): value for handle, name, value in RolloutLayer(server).update(frame)}
+    origin = changes["/rollouts/drone", "position"]
+    np.testing.assert_array_equal(origin, frame.observation.actual_state.position)
+    path = frame.plan.positions[int(frame.plan.best)]
+    drawn = changes["/rollouts/drone/chosen", "points"][: len(path) - 1, 0] + origin
+    np.testing.assert_allclose(drawn, path[:-1], atol=1e-5)
 
 
 def test_a_line_buffer_keeps_its_size_and_collapses_unused_rows_to_the_last_point(server):

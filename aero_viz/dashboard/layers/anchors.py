@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, ColorKey, DroneFrame, Layer, Lines, polylines
 from aero_viz.session.frame import Frame
 
 _RAMP = palette.unmapped((palette.ENDPOINT, palette.ANCHOR))
@@ -20,19 +20,23 @@ class AnchorLayer(Layer):
     keys = (ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR))
 
     def create(self, scene: viser.SceneApi) -> None:
+        self._drone = DroneFrame(scene, "/anchors/drone")
         self._initial, self._refined = (
             scene.add_point_cloud(
-                f"/anchors/{name}", np.zeros((1, 3), np.float32), color, point_size=size, point_shape="circle",
+                f"/anchors/drone/{name}", np.zeros((1, 3), np.float32), color, point_size=size, point_shape="circle",
                 precision="float32", point_shading="flat",
             )
             for name, color, size in (("initial", palette.ENDPOINT, 0.05), ("refined", palette.ANCHOR, 0.08))
         )  # fmt: skip
-        self._moves = Lines(scene, "/anchors/moves", thickness=1.4)
+        self._moves = Lines(scene, "/anchors/drone/moves", thickness=1.4)
 
     def update(self, frame: Frame) -> list[Change]:
         count = frame.config.anchor_count
-        initial, refined = frame.plan.initial_endpoints[:count], frame.plan.anchors[:count]
+        moved = self._drone.move(frame)
+        initial = self._drone.relative(frame.plan.initial_endpoints[:count])
+        refined = self._drone.relative(frame.plan.anchors[:count])
         return [
+            *moved,
             (self._initial, "points", initial),
             (self._refined, "points", refined),
             *self._moves.show(np.stack((initial, refined), axis=1), _RAMP),
@@ -46,7 +50,10 @@ class GuideLayer(Layer):
     keys = (ColorKey("guides", palette.GUIDE),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._lines = Lines(scene, "/guides/lines", thickness=1.2, capacity=512)
+        self._drone = DroneFrame(scene, "/guides/drone")
+        self._lines = Lines(scene, "/guides/drone/lines", thickness=1.2, capacity=512)
 
     def update(self, frame: Frame) -> list[Change]:
-        return self._lines.show(polylines(frame.plan.guides[: frame.config.anchor_count]), _GUIDE)
+        moved = self._drone.move(frame)
+        guides = self._drone.relative(frame.plan.guides[: frame.config.anchor_count])
+        return [*moved, *self._lines.show(polylines(guides), _GUIDE)]

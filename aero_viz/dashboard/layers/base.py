@@ -236,6 +236,33 @@ class Lines:
         return changes
 
 
+class DroneFrame:
+    """Node at the drone that does not turn with it. What a layer draws of a plan lies below it, relative to the drone.
+
+    A browser that draws slowly moves nodes at once and redraws lines later. Lines in the world would then begin where
+    the drone was.
+    """
+
+    def __init__(self, scene: viser.SceneApi, name: str) -> None:
+        self._node = scene.add_frame(name, show_axes=False)
+        self.origin = np.zeros(3)
+        """Position of the drone at the last move [m], shape [3], world frame."""
+
+    def move(self, frame: Frame) -> list[Change]:
+        """Return the changes that move the node to the drone."""
+        self.origin = drone_position(frame)
+        return [(self._node, "position", self.origin)]
+
+    def relative(self, positions: ArrayLike) -> NDArray[np.float32]:
+        """Return positions [m], shape [.., 3], world frame, relative to the drone."""
+        return (np.asarray(positions) - self.origin).astype(np.float32)
+
+
+def drone_position(frame: Frame) -> NDArray[np.float64]:
+    """Return the true position of the drone, or the recorded one [m], shape [3], world frame."""
+    return np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+
+
 def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the segments of polylines, shape [..., n, 3] -> [m, 2, 3]."""
     return np.stack((vertices[..., :-1, :], vertices[..., 1:, :]), axis=-2).reshape(-1, 2, 3)
@@ -250,6 +277,5 @@ def view_targets(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]
     recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
     path = frame.plan.positions[int(frame.plan.best)] if recorded is None else recorded.path
     path = np.asarray(path, dtype=np.float64)
-    drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
     path = path[[len(path) // 2, -1]]
-    return np.vstack((drone, path)), np.array([_DRONE_MARGIN, *[_PATH_MARGIN] * len(path)])
+    return np.vstack((drone_position(frame), path)), np.array([_DRONE_MARGIN, *[_PATH_MARGIN] * len(path)])

@@ -8,7 +8,18 @@ from numpy.typing import NDArray
 
 from aero_planner import Plan, PlanStatus
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Bar, BarChart, Change, ColorKey, ColorScale, Layer, Lines, Option, polylines
+from aero_viz.dashboard.layers.base import (
+    Bar,
+    BarChart,
+    Change,
+    ColorKey,
+    ColorScale,
+    DroneFrame,
+    Layer,
+    Lines,
+    Option,
+    polylines,
+)
 from aero_viz.session.frame import Frame
 
 _COST, _CHOSEN = palette.unmapped(palette.COST), palette.unmapped(palette.CHOSEN)
@@ -38,18 +49,22 @@ class RolloutLayer(Layer):
         self.options = (self.color_by,)
         self.selected: int | None = None
         """Instance that is selected."""
-        self._all = Lines(scene, "/rollouts/all", thickness=2.2, capacity=512)
-        self._chosen = Lines(scene, "/rollouts/chosen", thickness=5.0, capacity=32)
+        self._drone = DroneFrame(scene, "/rollouts/drone")
+        self._all = Lines(scene, "/rollouts/drone/all", thickness=2.2, capacity=512)
+        self._chosen = Lines(scene, "/rollouts/drone/chosen", thickness=5.0, capacity=32)
 
     def update(self, frame: Frame) -> list[Change]:
         plan = frame.plan
         best = int(plan.best)
-        rejected = np.delete(plan.positions, best, axis=0)
+        moved = self._drone.move(frame)
+        positions = self._drone.relative(plan.positions)
+        rejected = np.delete(positions, best, axis=0)
         colors = palette.colorize(np.delete(cost_scale(plan, by=self.color_by.value), best), 0.0, 1.0, _COST)
         colors = np.repeat(colors, rejected.shape[1] - 1, axis=0)[:, None, :]
         return [
+            *moved,
             *self._all.show(polylines(rejected), colors),
-            *self._chosen.show(polylines(plan.positions[best]), _CHOSEN),
+            *self._chosen.show(polylines(positions[best]), _CHOSEN),
         ]
 
     def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:

@@ -7,7 +7,7 @@ import viser
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Lines, Option, polylines
+from aero_viz.dashboard.layers.base import Change, ColorScale, DroneFrame, Layer, Lines, Option, polylines
 from aero_viz.session.frame import Frame
 
 _CHOSEN = "the chosen one"
@@ -22,17 +22,20 @@ class SampleLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self.instance = Option("Instance", _instances, _CHOSEN, hint="Instance whose samples are drawn.")
         self.options = (self.instance,)
-        self._lines = Lines(scene, "/samples/lines", thickness=1.0, capacity=4096)
+        self._drone = DroneFrame(scene, "/samples/drone")
+        self._lines = Lines(scene, "/samples/drone/lines", thickness=1.0, capacity=4096)
 
     def update(self, frame: Frame) -> list[Change]:
         plan, chosen = frame.plan, self.instance.value
         if plan.samples is None:
             return self._lines.show(np.zeros((0, 2, 3)), _COLORS[0])
         instance = int(plan.best) if chosen == _CHOSEN else min(int(chosen.split()[0]), len(plan.samples) - 1)
-        rollouts = plan.samples[instance]
+        moved = self._drone.move(frame)
+        rollouts = self._drone.relative(plan.samples[instance])
         rank = np.argsort(np.argsort(plan.stage1_cost[instance]))
         colors = palette.colorize(-rank, -1.25 * len(rank), 0.0, _COLORS)
-        return self._lines.show(polylines(rollouts), np.repeat(colors, rollouts.shape[1] - 1, axis=0)[:, None, :])
+        colors = np.repeat(colors, rollouts.shape[1] - 1, axis=0)[:, None, :]
+        return [*moved, *self._lines.show(polylines(rollouts), colors)]
 
     def legend(self, frame: Frame) -> list[ColorScale]:
         return [ColorScale("samples: rank of the Stage I cost", "worst", "best", palette.VIRIDIS[51:])]
