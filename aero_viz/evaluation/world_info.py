@@ -11,6 +11,8 @@ from aero_viz.evaluation.difficulty import describe_world
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
 
+_SINGULAR = {"cylinders": "cylinder", "boxes": "box", "spheres": "sphere", "triangles": "triangle"}
+
 
 @dataclass(frozen=True)
 class WorldInfo:
@@ -33,8 +35,10 @@ class WorldInfo:
     def format_table(self) -> str:
         """Return the report as text for a terminal."""
         about, content = self.about, self.to_dict()
-        kinds = ("cylinders", "boxes", "spheres", "triangles")
-        obstacles = ", ".join(f"{content[kind]} {kind}" for kind in kinds if content[kind]) or "none"
+        counts = {plural: content[plural] for plural in _SINGULAR}
+        counts["boxes"] -= int(self.world.ground.sum())  # the ground has a row of its own
+        named = [f"{n} {_SINGULAR[plural] if n == 1 else plural}" for plural, n in counts.items() if n]
+        obstacles = ", ".join(named) or "none"
         ground = content["ground_height"]
         rows = [
             ["world", self.world.name],
