@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,11 @@ def _devices() -> list[str]:
 QUICK_DRAWING = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 """Flags for Chromium that halve the time in which a page is drawn in software."""
 DATASETS = Path(__file__).resolve().parents[2] / "shared" / "datasets"
+
+
+def pytest_collection_finish() -> None:
+    """Exempt what was imported from the garbage collector, which takes a quarter of a second to look through it."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
