@@ -16,22 +16,25 @@ def desk(browser: Browser) -> Iterator[Desk]:
         yield desk
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def quick_desk(browser: Browser) -> Iterator[Desk]:
-    """A paused flight through the forest of which only the drone is visible, which is quick to draw."""
+    """A paused flight through the forest of which only the drone is visible, which is quick to draw.
+
+    It is one for all tests, since a page takes three seconds of processor time to open.
+    """
     with open_desk(browser, ticks=10, resolution=COARSE, layers=["drone"]) as desk:
         yield desk
 
 
 @pytest.fixture
 def restored_desk(quick_desk: Desk) -> Desk:
-    """0.2 s into the forest, on a page that the tests of a module share; see `Desk.restore` for what they share."""
+    """0.2 s into the forest, on a page that many tests share; see `Desk.restore` for what they share."""
     quick_desk.restore()
     return quick_desk
 
 
 @pytest.fixture
 def fresh_desk(browser: Browser) -> Iterator[Desk]:
-    """0.2 s into the forest, for one test. Only the drone is visible, which is quick to draw."""
+    """0.2 s into the forest, for a test that needs or changes what `Desk.restore` leaves as it is."""
     with open_desk(browser, ticks=10, resolution=COARSE, layers=["drone"]) as desk:
         yield desk

@@ -23,7 +23,7 @@ from aero_viz.evaluation.tune import StoredStudy
 from aero_viz.flight import FlightSource
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.scenes import SCENES, scene
-from aero_viz.session import Session
+from aero_viz.session import Frame, Session
 from aero_viz.session.source import Conditions, Opener, Source
 from tests.browser.pictures import Image, differing, project, rollouts_drawn
 
@@ -43,6 +43,8 @@ class Desk:
     dashboard: Dashboard
     page: Page
     console: list[str] = field(default_factory=list)
+    restored: Frame | None = None
+    """Frame that was shown when the desk was restored last."""
 
     @property
     def camera(self) -> CameraHandle:
@@ -66,18 +68,30 @@ class Desk:
 
         The fields that say what to open next keep what was typed into them.
         """
-        session = self.session
-        session.pause()
+        session, visitors = self.session, self.dashboard.server.get_clients
+        self.wait_for(lambda: len(visitors()) == 1, "the visitors of the test before to leave")
+        session.step(0).result()  # pauses, after all that the test before has caused
         session.set_speed(1.0)
-        session.configure(PlannerConfig())
-        session.set_source(FlightSource(scene("forest", seed=0))).result()
-        session.step(9).result()
-        assert session.frame is not None and session.frame.index == 9 and session.frame.config == PlannerConfig()
+        if self.restored is None or session.frame is not self.restored:
+            session.configure(PlannerConfig())
+            session.set_source(FlightSource(scene("forest", seed=0))).result()
+            session.step(9).result()
+            assert session.frame is not None and session.frame.index == 9 and session.frame.config == PlannerConfig()
+            self.restored = session.frame
+        if self.page.url != with_resolution(f"{self.dashboard.url}/", COARSE):
+            self._reload()
         self.dashboard.show_only(["drone"])
         self.open_tab("Fly")
         self.click("follow")
         self.page.evaluate("document.querySelectorAll('.mantine-Notification-root button').forEach(b => b.click())")
         self.wait_for(lambda: self.page.locator(".mantine-Notification-root").count() == 0, "no notifications")
+
+    def _reload(self) -> None:
+        """Open the page again, without what a test has added to its address."""
+        visitors = self.dashboard.server.get_clients
+        before = set(visitors())
+        self.page.goto(with_resolution(self.dashboard.url, COARSE))
+        self.wait_for(lambda: len(visitors()) == 1 and before.isdisjoint(visitors()), "the page to connect again")
 
     def click(self, name: str) -> None:
         """Click the button with this name."""

@@ -7,7 +7,7 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config, load_config
 from aero_planner.onboard.settings import load_flight_config
-from tests.browser.desk import Desk
+from tests.browser.desk import COARSE, Desk, visit
 
 DEFAULT = PlannerConfig()
 
@@ -120,8 +120,8 @@ def test_applying_the_structure_form_rebuilds_the_planner(restored_desk):
 
 
 @pytest.mark.parametrize("way", ["click", "Enter"])
-def test_a_structural_number_typed_just_before_apply_is_used(fresh_desk, way):
-    desk = fresh_desk
+def test_a_structural_number_typed_just_before_apply_is_used(restored_desk, way):
+    desk = restored_desk
     desk.open_tab("Tune")
     desk.open_folder("Structure", "Samples K")
     number = desk.parameter("sampling.samples").locator("input")
@@ -135,20 +135,19 @@ def test_a_structural_number_typed_just_before_apply_is_used(fresh_desk, way):
         desk.wait_for(lambda: desk.session.config.sampling.samples == samples, f"{samples} samples")  # noqa: B023
 
 
-def test_the_upload_of_a_file_is_shown_on_the_page_of_the_upload_only(fresh_desk, browser, tmp_path):
-    desk = fresh_desk
+def test_the_upload_of_a_file_is_shown_on_the_page_of_the_upload_only(restored_desk, browser, tmp_path):
+    desk = restored_desk
     path = tmp_path / "mine.yaml"
     path.write_text("costs:\n  q_track: 7.5\n")
-    with browser.new_page() as early, browser.new_page() as late:
-        early.goto(desk.dashboard.url)
+    with visit(browser, desk.dashboard.url, resolution=COARSE) as early:
         desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 2, "another visitor")
         desk.open_tab("Tune")
         upload(desk, path)
         desk.wait_for(lambda: desk.session.config.costs.q_track == 7.5, "the configuration of the file")
         desk.page.get_by_text("File uploaded successfully").wait_for()
-        late.goto(desk.dashboard.url)
-        desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 3, "a late visitor")
-        for page in (early, late):
-            page.get_by_role("tab", name="Tune").wait_for()
-            page.wait_for_timeout(500)
-            assert page.get_by_text("Uploading").count() == 0
+        with visit(browser, desk.dashboard.url, resolution=COARSE) as late:
+            desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 3, "a late visitor")
+            for page in (early, late):
+                page.get_by_role("tab", name="Tune").wait_for()
+                page.wait_for_timeout(500)
+                assert page.get_by_text("Uploading").count() == 0

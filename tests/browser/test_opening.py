@@ -43,8 +43,8 @@ def test_a_notification_tells_the_progress_until_the_opening_is_cancelled(slow_d
     assert desk.dashboard.failures == 0
 
 
-def test_the_notification_disappears_if_a_source_cannot_be_opened(fresh_desk, tmp_path):
-    desk, path = fresh_desk, tmp_path / "damaged.json"
+def test_the_notification_disappears_if_a_source_cannot_be_opened(restored_desk, tmp_path):
+    desk, path = restored_desk, tmp_path / "damaged.json"
     path.write_text("{")
     desk.control("Path").locator("input").fill(str(path))
     desk.click("Open path")

@@ -148,8 +148,8 @@ def test_a_wrong_path_is_reported_and_the_source_stays(restored_desk):
     desk.wait_for(lambda: desk.session.source.name in status_text(desk), "its name")
 
 
-def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(fresh_desk, browser):
-    desk = fresh_desk
+def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(restored_desk, browser):
+    desk = restored_desk
     desk.dashboard.show_only(["rollouts", "drone"])
     desk.session.set_speed(0.2)  # so that the flight still goes on when the second client has left
     second = visit(browser, desk.dashboard.url, resolution=COARSE)

@@ -64,8 +64,8 @@ def test_every_scene_on_offer_has_a_name_that_fits_and_a_description(small):
         assert field.evaluate("(e) => e.scrollWidth <= e.clientWidth"), f"{name} is cut off"
 
 
-def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(fresh_desk):
-    desk = fresh_desk
+def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(restored_desk):
+    desk = restored_desk
 
     def box(tab: str) -> dict[str, float]:
         panel = desk.page.locator(".mantine-Paper-root", has=desk.page.get_by_role("tab", name=tab)).last
@@ -84,3 +84,4 @@ def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(f
     resize(1000)
     rows = {tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()}
     assert len(rows) == 1, "all tabs of the controls are in one row"
+    desk.page.set_viewport_size({"width": 1000, "height": 600})
