@@ -1,28 +1,64 @@
 """Search, levels, resets, refusals and saved presets of the parameters, through the page."""
 
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from playwright.sync_api import Browser
 from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard.preset_store import PresetStore
 from tests.browser.desk import COARSE, Desk, open_desk
 
+CONFIG = small_config().replace({"sampling.samples": 128})
 
-@pytest.fixture
-def tune(browser, tmp_path, monkeypatch):
-    """The tab with the parameters; presets are saved in a folder of the test."""
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    config = small_config().replace({"sampling.samples": 128})
-    with open_desk(
-        browser, small_source(), ticks=3, size=(1280, 720), config=config, resolution=COARSE, layers=["drone"]
-    ) as desk:
+
+@contextlib.contextmanager
+def preset_folder(path: Path) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(path))
+        yield
+
+
+@contextlib.contextmanager
+def open_tune(browser: Browser, presets: Path) -> Iterator[Desk]:
+    """Open the tab with the parameters; presets are saved in a folder."""
+    with (
+        preset_folder(presets),
+        open_desk(
+            browser, small_source(), ticks=3, size=(1280, 720), config=CONFIG, resolution=COARSE, layers=["drone"]
+        ) as desk,
+    ):
         desk.open_tab("Tune")
         desk.parameter("costs.q_track").wait_for()
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+    with open_tune(browser, tmp_path_factory.mktemp("presets")) as desk:
+        yield desk
+
+
+@pytest.fixture
+def tune(page: Desk) -> Desk:
+    """A page that tests share, with the parameters as they were at first."""
+    page.session.configure(page.known(CONFIG))
+    page.choose("Show", "basic")
+    page.wait_for(lambda: page.page.locator(".aero-changed").count() == 0, "no changes")
+    return page
+
+
+@pytest.fixture
+def tune_alone(browser: Browser, tmp_path: Path) -> Iterator[Desk]:
+    """A page without saved presets."""
+    with open_tune(browser, tmp_path) as desk:
+        yield desk
 
 
 def is_shown(desk: Desk, path: str) -> bool:
@@ -85,8 +121,8 @@ def test_a_refused_value_says_why_in_place_and_the_old_one_stays(tune):
     reason.wait_for(state="detached")
 
 
-def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser):
-    desk: Any = tune
+def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune_alone, browser):
+    desk: Any = tune_alone
     goal = np.add(desk.session.frame.observation.goal.position, (0.0, 0.5, 0.25))
     desk.session.set_goal(goal).result()
     saved = desk.session.configure({"costs.q_track": 7.5})
@@ -118,8 +154,8 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune, browser)
         assert session.config == tomorrow.known(PlannerConfig.preset("paper"))
 
 
-def test_a_preset_is_deleted_after_a_question(tune):
-    desk = tune
+def test_a_preset_is_deleted_after_a_question(tune_alone):
+    desk = tune_alone
     desk.open_folder("Save as a preset", "Save preset")
     name = desk.control("Name").locator("input")
     name.fill("room")
