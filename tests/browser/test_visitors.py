@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.browser.desk import Desk, open_desk, visit
+from tests.browser.desk import COARSE, Desk, open_desk, visit
 from tests.browser.pictures import differing
 
 
@@ -22,7 +22,7 @@ def desk(browser: Browser) -> Iterator[Desk]:
 @pytest.fixture
 def second(desk: Desk, browser: Browser) -> Iterator[Page]:
     """Page of a second visitor."""
-    page = visit(browser, desk.dashboard.url)
+    page = visit(browser, desk.dashboard.url, resolution=COARSE)
     desk.wait_for(lambda: desk.dashboard.server.visitors.count == 2, "the second visitor")
     page.get_by_text("You are watching; your camera and layers are your own.").wait_for()
     yield page

@@ -16,6 +16,7 @@ from small_source import small_config
 from aero_viz.flight import fly
 from aero_viz.logs import flight_recorder
 from aero_viz.scenes import World
+from tests.browser.desk import COARSE, visit
 
 StartPython = Callable[..., subprocess.Popen[str]]
 
@@ -74,8 +75,7 @@ def test_ctrl_c_does_not_wait_for_a_source_that_is_being_opened(
     slow.write_text("[" + "[0, 0, 0]," * 5_000_000 + "0]")  # 50 MB
     process = start_python("-m", "aero_viz", "demo", poles, "--port", "0", "--paused", "--folder", str(tmp_path))
     url = read_url(process)
-    with browser.new_page() as page:
-        page.goto(url)
+    with visit(browser, url, resolution=COARSE) as page:
         row = page.locator("label", has_text="Path").locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
         row.locator("input").fill(str(slow))
         page.get_by_role("button", name="Open path", exact=True).click()
@@ -111,8 +111,7 @@ def test_no_headless_flies_in_the_page(start_python: StartPython, short_poles: s
     options = ["--no-headless", "--port", "0", "--speed", "5", "--sampling.samples", "16"]
     process = start_python("-m", "aero_viz", "fly", short_poles, *options)
     url = read_url(process)
-    with browser.new_page() as page:
-        page.goto(url)
+    with visit(browser, url, resolution=COARSE) as page:
         page.get_by_text("arrived at the goal").first.wait_for(timeout=180_000)
     interrupt(process)
 
@@ -129,9 +128,7 @@ def test_two_logs_are_compared_in_the_terminal_and_on_one_page(
         assert process.poll() is None
         printed += line
     assert "vehicle.speed_limit" in printed and f"{b} with the ghost of {a}" in line
-    with browser.new_page() as page:
-        page.set_default_timeout(90_000)
-        page.goto(line.split(" at ")[-1].split()[0])
+    with visit(browser, line.split(" at ")[-1].split()[0], resolution=COARSE) as page:
         page.get_by_role("tab", name="Curves").click()
         page.locator(".aero-ghost").first.wait_for(state="attached")
         page.locator(".aero-differs").first.wait_for(state="attached")
