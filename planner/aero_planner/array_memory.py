@@ -143,12 +143,14 @@ def as_dict(arrays: Any) -> dict[str, wp.array]:
     return {name: getattr(arrays, name) for name in array_specs(type(arrays))}
 
 
-def allocate(kind: type[Arrays], sizes: Any, device: wp.Device) -> Arrays:
-    """Return an instance of a dataclass of arrays, all zero, each with its own allocation."""
-    return kind(**{
+def allocate(kind: type[Arrays], sizes: Any, device: wp.Device, **present: wp.array) -> Arrays:
+    """Return an instance of a dataclass with the arrays `present` and the others all zero, each with its own memory."""
+    zeros = {
         name: wp.zeros(spec.evaluate_shape(sizes), dtype=spec.dtype, device=device)
         for name, spec in array_specs(kind).items()
-    })  # fmt: skip
+        if name not in present
+    }
+    return kind(**zeros, **present)
 
 
 def as_vectors(values: wp.array, width: int) -> wp.array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import time
 from collections.abc import Sequence
@@ -102,11 +103,11 @@ class Planner:
             self._config, batch=self._batch, workers=self._workers, tuning=self._tuning
         )
         self._outputs = PackedArrays(PlannerOutputs, sizes, self._device)
-        self._work = work = allocate(Workspace, sizes, self._device)
+        noise = _noise_table(sizes.N, sizes.T, str(self._device))
+        self._work = work = allocate(Workspace, sizes, self._device, noise=noise)
         work.cell_keys.fill_(EMPTY.value)
         with wp.ScopedDevice(self._device):
             wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
-            wp.launch(fill_noise, (sizes.N, sizes.T), outputs=[work.noise])
         self._assign_seeds()
         self.reset()
 
@@ -381,3 +382,12 @@ class Planner:
     def close(self) -> None:
         """Stop the worker threads; the planner can't be used afterwards."""
         self._pipeline.close()
+
+
+@functools.lru_cache(maxsize=4)
+def _noise_table(steps: int, sequences: int, device: str) -> wp.array:
+    """Return the table of noise, which all planners with as many steps share: to draw it takes 27 ms, on a CPU."""
+    noise = wp.zeros((steps, 4, sequences), dtype=wp.float32, device=device)
+    wp.launch(fill_noise, (steps, sequences), outputs=[noise], device=device)
+    wp.synchronize_device(device)  # another planner may have a stream of its own
+    return noise

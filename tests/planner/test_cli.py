@@ -144,7 +144,7 @@ def test_preflight_prints_a_table_or_json(call: Callable[..., Outcome], flight_f
 def test_a_device_without_memory_is_reported(
     call: Callable[..., Outcome], flight_file: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
 ):
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise RuntimeError("Failed to allocate 2147483648 bytes on device 'cuda:0'")
 
     monkeypatch.setattr("aero_planner.planner.allocate", fail)

@@ -186,10 +186,10 @@ def test_a_rebuild_that_fails_keeps_the_configuration_of_each_drone(monkeypatch:
     case, planner = random_case(0, count=0), Planner(config_of("paper"), batch=2)
     planner.configure([config_of("paper", anchors__lookahead=length) for length in (2.0, 4.0)])
 
-    def fail(kind: type[Any], sizes: Sizes, device: wp.Device) -> Any:
+    def fail(kind: type[Any], sizes: Sizes, device: wp.Device, **present: wp.array) -> Any:
         if sizes.N == 10:
             raise MemoryError("no room")
-        return allocate(kind, sizes, device)
+        return allocate(kind, sizes, device, **present)
 
     monkeypatch.setattr("aero_planner.planner.allocate", fail)
     with pytest.raises(MemoryError, match="no room"):

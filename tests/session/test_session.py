@@ -208,10 +208,10 @@ def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, m
     session.configure({"costs.q_track": 9.0})
     good = session.config
 
-    def out_of_memory(kind: type, sizes: Sizes, device: wp.Device) -> object:
+    def out_of_memory(kind: type, sizes: Sizes, device: wp.Device, **present: wp.array) -> object:
         if sizes.K > 1000:
             raise MemoryError("no room")
-        return allocate(kind, sizes, device)
+        return allocate(kind, sizes, device, **present)
 
     monkeypatch.setattr("aero_planner.planner.allocate", out_of_memory)
     session.configure({"sampling.samples": 2000})
