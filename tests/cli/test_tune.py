@@ -13,7 +13,7 @@ from aero_planner.config.file import load_config
 from aero_viz.scenes import scene
 
 SMALL = ["--sampling.samples", "16", "--lidar.points-per-sweep", "1000"]
-CRIPPLED = ["--vehicle.speed-limit", "1", "--over", "vehicle.speed_limit=1:8", *SMALL]
+CRIPPLED = ["--vehicle.speed-limit", "2", "--over", "vehicle.speed_limit=2:8", *SMALL]
 FEW = ["--flights", "2", "--rungs", "1", "--trials", "3", "--check", "1", "--storage", "memory"]
 
 
@@ -82,7 +82,7 @@ def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Pa
     )
     assert code == 130 and "Traceback" not in shown
     assert "Warning: the search was interrupted before the check" in printed and printed.endswith(f"{path}\n")
-    assert load_config(path).vehicle.speed_limit > 1.0
+    assert load_config(path).vehicle.speed_limit > 2.0
 
 
 def test_sigterm_ends_the_page_of_a_study_after_the_result(short_poles: str, tmp_path: Path):
@@ -94,7 +94,7 @@ def test_sigterm_ends_the_page_of_a_study_after_the_result(short_poles: str, tmp
         interrupt_by=signal.SIGTERM,
     )
     assert code == 130 and "Traceback" not in shown and printed.endswith(f"{path}\n")
-    assert load_config(path).vehicle.speed_limit > 1.0
+    assert load_config(path).vehicle.speed_limit > 2.0
 
 
 def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, tmp_path: Path):
