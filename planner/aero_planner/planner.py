@@ -99,12 +99,12 @@ class Planner:
 
     def _allocate(self) -> None:
         """Allocate the arrays whose sizes depend on the structure of the configuration."""
-        self._sizes = sizes = Sizes.from_config(
-            self._config, batch=self._batch, workers=self._workers, tuning=self._tuning
-        )
-        self._outputs = PackedArrays(PlannerOutputs, sizes, self._device)
+        sizes = Sizes.from_config(self._config, batch=self._batch, workers=self._workers, tuning=self._tuning)
         noise = _noise_table(sizes.N, sizes.T, str(self._device))
-        self._work = work = allocate(Workspace, sizes, self._device, noise=noise)
+        work = allocate(Workspace, sizes, self._device, noise=noise)
+        outputs = PackedArrays(PlannerOutputs, sizes, self._device)
+        # Not before: without room for new arrays, the pipeline goes on to use the present ones.
+        self._sizes, self._work, self._outputs = sizes, work, outputs
         work.cell_keys.fill_(EMPTY.value)
         with wp.ScopedDevice(self._device):
             wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
