@@ -9,10 +9,11 @@ from aero_planner import PlannerConfig
 from tests.browser.desk import COARSE, Desk, open_desk
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def desk(browser: Browser) -> Iterator[Desk]:
-    """1 s into the forest with the literal planner of the paper: 15 instances. Shared by the tests of a module."""
-    with open_desk(browser, ticks=50, config=PlannerConfig.preset("paper"), resolution=COARSE) as desk:
+    """1 s into the forest with the literal planner of the paper, of 15 instances. Tests choose the layers they need."""
+    config = PlannerConfig.preset("paper")
+    with open_desk(browser, ticks=50, config=config, resolution=COARSE, layers=["drone"]) as desk:
         yield desk
 
 

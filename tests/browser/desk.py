@@ -162,7 +162,11 @@ class Desk:
 
     def screenshot(self) -> Image:
         """The part of the page between the panels, shape [height, width, 3]."""
-        return iio.imread(io.BytesIO(self.page.screenshot()))[:, LEFT:-RIGHT, :3]
+        window = self.page.viewport_size
+        assert window is not None
+        width, height = window["width"] - LEFT - RIGHT, window["height"]
+        image = self.page.screenshot(clip={"x": LEFT, "y": 0, "width": width, "height": height})
+        return iio.imread(io.BytesIO(image))[..., :3]
 
     def settled_screenshot(self) -> Image:
         """The same, once the page has drawn everything that was sent and an update no longer changes it."""

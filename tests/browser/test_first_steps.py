@@ -25,9 +25,7 @@ def end_of_flight(desk: Desk) -> str:
 def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_it(browser, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     source, paper = open_source(SCENE, seed=1), PlannerConfig.preset("paper")
-    with open_desk(
-        browser, source, ticks=1, config=paper, size=(1280, 900), resolution=COARSE, layers=["drone"], opened=SCENE
-    ) as desk:
+    with open_desk(browser, source, ticks=1, config=paper, resolution=COARSE, layers=["drone"], opened=SCENE) as desk:
         desk.session.set_speed(10.0)  # of time on the page; the flight is the same
         assert fly(desk) == "collision"
         desk.open_tab("Why")
