@@ -103,7 +103,7 @@ class Planner:
         noise = _noise_table(sizes.N, sizes.T, str(self._device))
         work = allocate(Workspace, sizes, self._device, noise=noise)
         outputs = PackedArrays(PlannerOutputs, sizes, self._device)
-        # Not before: without room for new arrays, the pipeline goes on to use the present ones.
+        # Not before: without room for new arrays, the planner goes on with the present ones and its previous plan.
         self._sizes, self._work, self._outputs = sizes, work, outputs
         work.cell_keys.fill_(EMPTY.value)
         with wp.ScopedDevice(self._device):
@@ -206,12 +206,13 @@ class Planner:
             )
         before, self._config = self._config, configs[0]
         if structure != before.structure():
+            arrays = self._sizes, self._work, self._outputs
             try:
                 self._allocate()
                 self._replace_pipeline()
             except Exception:
                 self._config = before
-                self._allocate()
+                self._sizes, self._work, self._outputs = arrays
                 self._replace_pipeline()
                 raise
         self._write_params(configs)

@@ -199,6 +199,25 @@ def test_a_rebuild_that_fails_keeps_the_configuration_of_each_drone(monkeypatch:
     np.testing.assert_allclose(reach, np.repeat([[2.0], [4.0]], 15, 1), atol=1e-4)
 
 
+def test_a_rebuild_that_fails_keeps_the_previous_plan(monkeypatch: pytest.MonkeyPatch):
+    """Neither the arrays of the new structure nor a copy of the present ones needs to fit."""
+
+    def fail(kind: type[Any], sizes: Sizes, device: wp.Device, **present: wp.array) -> Any:
+        raise MemoryError("no room")
+
+    plans = []
+    for attempt in (False, True):
+        case, planner = random_case(0), Planner(config_of())
+        case.plan(planner)
+        if attempt:
+            monkeypatch.setattr("aero_planner.planner.allocate", fail)
+            with pytest.raises(MemoryError, match="no room"):
+                planner.configure(planner.config.replace({"sampling.steps": 10}))
+        plans.append(case.plan(planner))
+        planner.close()
+    assert_same(*plans)
+
+
 def test_live_changes_keep_the_buffers(device: str):
     case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
     before = case.plan(planner)
