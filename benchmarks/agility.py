@@ -40,9 +40,11 @@ TICKS_PER_PLAN = {"ideal": 1, "real": 5}
 
 def main() -> None:
     """Fly all variants and print a line per variant, mode, speed limit and row."""
-    options = _parse()
+    parser = make_flight_parser("agility", __doc__)
+    parser.add_argument("--variant", nargs="+", action="append", metavar="NAME SECTION.KEY=VALUE", help="repeatable")
+    options = parser.parse_args()
     deadline = time.monotonic() + options.budget
-    worlds = _worlds(options)
+    worlds = passable_worlds(options)
     named = options.variant or [["default"]]
     variants = [(name, dict(map(split_change, words))) for name, *words in named]
     with open(options.output, "a", encoding="utf-8") as file:
@@ -114,8 +116,8 @@ def format_line(line: dict[str, Any]) -> str:
     )
 
 
-def _worlds(options: Any) -> dict[str, list[World]]:
-    """Return the passable worlds of each row."""
+def passable_worlds(options: Any) -> dict[str, list[World]]:
+    """Return the passable worlds of each row, with the options of `make_flight_parser`."""
     first, _, last = options.seeds.partition("-")
     seeds = range(int(first), int(last or first) + 1)
     jobs = [(row, seed) for row in options.rows for seed in seeds]
@@ -136,8 +138,9 @@ def _is_passable(world: World) -> bool:
     return is_passable(world)
 
 
-def _parse() -> Any:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.agility", description=__doc__)
+def make_flight_parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Return the parser of `python -m benchmarks.NAME` with the options of worlds and flights."""
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--rows", nargs="+", default=ROWS, help="SCENE:COUNT")
     parser.add_argument("--seeds", default="5000-5199", help="range of the worlds' seeds")
@@ -145,14 +148,13 @@ def _parse() -> Any:
     parser.add_argument("--modes", nargs="+", default=list(TICKS_PER_PLAN), choices=TICKS_PER_PLAN)
     parser.add_argument("--speeds", nargs="+", type=float, default=[7.0], help="speed limits [m/s]")
     parser.add_argument("--lidar", default="mid360")
-    parser.add_argument("--variant", nargs="+", action="append", metavar="NAME SECTION.KEY=VALUE", help="repeatable")
     parser.add_argument("--batch", type=int, default=1024, help="largest number of flights at once")
     parser.add_argument("--time-limit", type=float, default=60.0, help="rules.time_limit [s]")
     parser.add_argument("--budget", type=float, default=math.inf, help="start no variant after this wall time [s]")
     parser.add_argument("--passable", type=Path, help="JSON of SCENE:COUNT:SEED to true or false; computed by default")
     parser.add_argument("--processes", type=int, default=2, help="processes that make worlds")
-    parser.add_argument("--output", type=Path, default=Path("agility.jsonl"), help="file to append records to")
-    return parser.parse_args()
+    parser.add_argument("--output", type=Path, default=Path(f"{name}.jsonl"), help="file to append records to")
+    return parser
 
 
 if __name__ == "__main__":
