@@ -5,9 +5,8 @@
 
 Each configuration has every parameter at its default, with a probability of one half, or else at one of the two values
 given. The first is the default. A linear model of the mean speeds and of the shares of flights that failed gives the
-effect of each value alone: with 32 parameters and 106 configurations, each effect is an average over all flights, and a
-value is told from its default by as many flights as if it had been the only one to change. Effects that depend on each
-other are not told apart: fly the chosen combinations with `python -m benchmarks.agility`, in other worlds.
+effect of each value alone. Every flight counts for every parameter, so that 100 configurations suffice for some 30. The
+model has no interactions: fly the chosen combinations with `python -m benchmarks.agility`, in other worlds.
 
 Modes, rows and the other options are those of `benchmarks.agility`.
 """
