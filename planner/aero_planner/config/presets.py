@@ -57,6 +57,7 @@ _PX4: dict[str, Value] = {
     "sampling.temperature": 0.1,
     "costs.q_position": 3.0,
     "costs.q_control": 0.5,
+    "costs.q_speed": 10.0,
     "costs.soft_weight": 100.0,
     "costs.blocked_radius": 0.35,
 }

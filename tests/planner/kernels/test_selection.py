@@ -33,7 +33,7 @@ def test_safety_is_checked_between_the_states(device: str, between: bool):
     """Without `between_steps` some selected plans pass a post between two states, with it none does."""
     changes = {"candidates.prove_stop": "off", "candidates.speed_margin": 0.0, "costs.distance_min": 0.28}
     changes |= {"partition.continue_below": 0.0, "partition.continue_above": 0.0, "costs.waypoint_distance": 3.0}
-    changes |= {"costs.soft_weight": 100.0}  # a higher one keeps all plans away from the posts
+    changes |= {"costs.soft_weight": 100.0, "costs.q_speed": 10.0}  # higher ones keep all plans away from the posts
     config = config_of(candidates__between_steps=between).replace(changes)
     planner, slipped, chosen = Planner(config, device=device), 0, 0
     for seed in range(60):
