@@ -69,9 +69,7 @@ def fit_effects(
     X, y = np.array(columns), np.asarray(outcomes, dtype=np.float64)
     freedom = len(X) - X.shape[1]
     if freedom < 1 or np.linalg.matrix_rank(X) < X.shape[1]:
-        raise ValueError(
-            f"{len(X)} configurations do not tell {len(changes)} changes apart; give more --configurations."
-        )
+        raise ValueError(f"{len(X)} configurations are too few for {len(changes)} changes; give more --configurations.")
     solution = np.linalg.lstsq(X, y)[0]
     variance = float(((y - X @ solution) ** 2).sum()) / freedom
     errors = np.sqrt(variance * np.diag(np.linalg.inv(X.T @ X)))
@@ -91,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     grouped = [[(path, value) for value in values] for path, *values in options.change]
     changes = [change for own in grouped for change in own]
+    if not all(grouped):
+        raise ValueError("--change takes the name of a parameter and one value or more, such as costs.q_position 2 5.")
     for path, value in changes:
         PlannerConfig().replace({path: value_of(value)})  # a mistake is an error before the first flight
     designs = draw_designs(grouped, options.configurations, seed=options.seed)
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for speed in options.speeds:
             flown, speeds, failures = [], [], []
             for i, design in enumerate(designs):
-                if time.monotonic() > deadline:
+                if flown and time.monotonic() > deadline:
                     print("out of time", flush=True)
                     break
                 lines = list(fly_rows(str(i), design, mode, speed, worlds, options))

@@ -31,7 +31,7 @@ def test_the_effects_are_those_of_a_linear_model():
 
 
 def test_too_few_configurations_are_refused():
-    with pytest.raises(ValueError, match="4 configurations do not tell 4 changes apart; give more --configurations"):
+    with pytest.raises(ValueError, match="4 configurations are too few for 4 changes; give more --configurations"):
         fit_effects(draw_designs(CHANGES, 4, seed=0), FLAT, [0.0] * 4)
 
 
@@ -61,6 +61,10 @@ def test_flights_give_records_and_a_table(tmp_path: Path, capsys: pytest.Capture
     }  # fmt: skip
 
 
-def test_a_mistake_is_reported_before_the_first_flight():
-    with pytest.raises(ValueError, match=r"did you mean 'costs\.q_track'"):
-        main(["--change", "costs.q_trak", "3"])
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["costs.q_trak", "3"], r"did you mean 'costs\.q_track'"), (["costs.q_track"], "and one value or more")],
+)
+def test_a_mistake_is_reported_before_the_first_flight(words: list[str], message: str):
+    with pytest.raises(ValueError, match=message):
+        main(["--change", *words])
