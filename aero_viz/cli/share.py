@@ -18,7 +18,6 @@ from aero_viz.cli.flags import (
 )
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -63,8 +62,7 @@ def share(
     from aero_viz.dashboard.share.share import check_path
     from aero_viz.flight.known_drone import config_for_flight
 
-    check_path(output)
-    check_output_files(output, overwrite=overwrite)
+    check_path(output, overwrite=overwrite)
     config = config_flags.load()
     if is_recording(source):
         if (world_flags, flight_flags, lidar) != (_WORLD, _FLIGHT, "mid360"):

@@ -192,7 +192,7 @@ def true_clearance(frame: Frame) -> float:
 
     In a world of up to 3000 solids it is exact. Otherwise it is the distance to the nearest point of the cloud.
     """
-    position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    position = frame.drone_position
     world = frame.world
     if world is not None and len(world.cylinders) + len(world.boxes) + len(world.spheres) <= _SOLIDS_MAX:
         distance = float(world.distance(position[None])[0])

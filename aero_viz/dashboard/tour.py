@@ -139,7 +139,7 @@ class Director:
 
     def __call__(self, frame: Frame) -> tuple[Point, Point]:
         """Return the position of the camera and the point that it looks at [m], each of shape [3]."""
-        position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+        position = frame.drone_position
         eye, target = self._wanted(frame, position)
         is_cut = self._last is None or self._last.source is not frame.source or self._eye is None
         step = 0.0 if is_cut or self._last is None else max(frame.time - self._last.time, 0.0)

@@ -31,7 +31,7 @@ COLORS = {
 def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
     """Return the map around the drone. Obstacles are cut at its height; `end` is where it hit [m], shape [3]."""
     frame, plan = evidence.frame, evidence.plan
-    drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    drone = frame.drone_position
     size = 2.0 * _HALF * _PIXELS
 
     def place(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -59,6 +59,11 @@ class Frame:
     """Warp device of the planner."""
 
     @property
+    def drone_position(self) -> NDArray[np.float64]:
+        """True position of the drone, or the recorded one [m], shape [3], world frame."""
+        return np.asarray(self.observation.actual_state.position, dtype=np.float64)
+
+    @property
     def moving_world(self) -> World | None:
         """Synthetic world that is flown in at this tick, with the motion of its obstacles."""
         return self.observation.world or self.source.world

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, DroneFrame, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines, relative_to_drone
 from aero_viz.session.frame import Frame
 
 _COLOR = palette.unmapped(palette.GHOST)
@@ -20,7 +20,7 @@ class AlternativeLayer(Layer):
 
     def create(self, scene: viser.SceneApi) -> None:
         self.available = False
-        self._drone = DroneFrame(scene, "/alternative/drone")
+        self._drone = scene.add_frame("/alternative/drone", show_axes=False)
         self._all = Lines(scene, "/alternative/drone/all", thickness=1.2, capacity=512)
         self._chosen = Lines(scene, "/alternative/drone/chosen", thickness=4.5, capacity=32)
 
@@ -32,10 +32,9 @@ class AlternativeLayer(Layer):
             nothing = np.zeros((0, 2, 3))
             return [*self._all.show(nothing, _COLOR), *self._chosen.show(nothing, _COLOR)]
         best = int(a.plan.best)
-        moved = self._drone.move(frame)
-        positions = self._drone.relative(a.plan.positions)
+        positions = relative_to_drone(a.plan.positions, frame)
         return [
-            *moved,
+            (self._drone, "position", frame.drone_position),
             *self._all.show(polylines(np.delete(positions, best, axis=0)), _COLOR),
             *self._chosen.show(polylines(positions[best]), _COLOR),
         ]

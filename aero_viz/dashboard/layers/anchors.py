@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, DroneFrame, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines, relative_to_drone
 from aero_viz.session.frame import Frame
 
 _RAMP = palette.unmapped((palette.ENDPOINT, palette.ANCHOR))
@@ -20,7 +20,7 @@ class AnchorLayer(Layer):
     keys = (ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR))
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._drone = DroneFrame(scene, "/anchors/drone")
+        self._drone = scene.add_frame("/anchors/drone", show_axes=False)
         self._initial, self._refined = (
             scene.add_point_cloud(
                 f"/anchors/drone/{name}", np.zeros((1, 3), np.float32), color, point_size=size, point_shape="circle",
@@ -32,11 +32,10 @@ class AnchorLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         count = frame.config.anchor_count
-        moved = self._drone.move(frame)
-        initial = self._drone.relative(frame.plan.initial_endpoints[:count])
-        refined = self._drone.relative(frame.plan.anchors[:count])
+        initial = relative_to_drone(frame.plan.initial_endpoints[:count], frame)
+        refined = relative_to_drone(frame.plan.anchors[:count], frame)
         return [
-            *moved,
+            (self._drone, "position", frame.drone_position),
             (self._initial, "points", initial),
             (self._refined, "points", refined),
             *self._moves.show(np.stack((initial, refined), axis=1), _RAMP),
@@ -50,10 +49,9 @@ class GuideLayer(Layer):
     keys = (ColorKey("guides", palette.GUIDE),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._drone = DroneFrame(scene, "/guides/drone")
+        self._drone = scene.add_frame("/guides/drone", show_axes=False)
         self._lines = Lines(scene, "/guides/drone/lines", thickness=1.2, capacity=512)
 
     def update(self, frame: Frame) -> list[Change]:
-        moved = self._drone.move(frame)
-        guides = self._drone.relative(frame.plan.guides[: frame.config.anchor_count])
-        return [*moved, *self._lines.show(polylines(guides), _GUIDE)]
+        guides = relative_to_drone(frame.plan.guides[: frame.config.anchor_count], frame)
+        return [(self._drone, "position", frame.drone_position), *self._lines.show(polylines(guides), _GUIDE)]

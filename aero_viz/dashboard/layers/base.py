@@ -236,31 +236,13 @@ class Lines:
         return changes
 
 
-class DroneFrame:
-    """Node at the drone that does not turn with it. What a layer draws of a plan lies below it, relative to the drone.
+def relative_to_drone(positions: ArrayLike, frame: Frame) -> NDArray[np.float32]:
+    """Return positions [m], shape [.., 3], world frame, relative to the drone, for lines below a node at the drone.
 
     A browser that draws slowly moves nodes at once and redraws lines later. Lines in the world would then begin where
     the drone was.
     """
-
-    def __init__(self, scene: viser.SceneApi, name: str) -> None:
-        self._node = scene.add_frame(name, show_axes=False)
-        self.origin = np.zeros(3)
-        """Position of the drone at the last move [m], shape [3], world frame."""
-
-    def move(self, frame: Frame) -> list[Change]:
-        """Return the changes that move the node to the drone."""
-        self.origin = drone_position(frame)
-        return [(self._node, "position", self.origin)]
-
-    def relative(self, positions: ArrayLike) -> NDArray[np.float32]:
-        """Return positions [m], shape [.., 3], world frame, relative to the drone."""
-        return (np.asarray(positions) - self.origin).astype(np.float32)
-
-
-def drone_position(frame: Frame) -> NDArray[np.float64]:
-    """Return the true position of the drone, or the recorded one [m], shape [3], world frame."""
-    return np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    return (np.asarray(positions) - frame.drone_position).astype(np.float32)
 
 
 def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -278,4 +260,4 @@ def view_targets(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]
     path = frame.plan.positions[int(frame.plan.best)] if recorded is None else recorded.path
     path = np.asarray(path, dtype=np.float64)
     path = path[[len(path) // 2, -1]]
-    return np.vstack((drone_position(frame), path)), np.array([_DRONE_MARGIN, *[_PATH_MARGIN] * len(path)])
+    return np.vstack((frame.drone_position, path)), np.array([_DRONE_MARGIN, *[_PATH_MARGIN] * len(path)])

@@ -14,11 +14,11 @@ from aero_viz.dashboard.layers.base import (
     Change,
     ColorKey,
     ColorScale,
-    DroneFrame,
     Layer,
     Lines,
     Option,
     polylines,
+    relative_to_drone,
 )
 from aero_viz.session.frame import Frame
 
@@ -49,20 +49,19 @@ class RolloutLayer(Layer):
         self.options = (self.color_by,)
         self.selected: int | None = None
         """Instance that is selected."""
-        self._drone = DroneFrame(scene, "/rollouts/drone")
+        self._drone = scene.add_frame("/rollouts/drone", show_axes=False)
         self._all = Lines(scene, "/rollouts/drone/all", thickness=2.2, capacity=512)
         self._chosen = Lines(scene, "/rollouts/drone/chosen", thickness=5.0, capacity=32)
 
     def update(self, frame: Frame) -> list[Change]:
         plan = frame.plan
         best = int(plan.best)
-        moved = self._drone.move(frame)
-        positions = self._drone.relative(plan.positions)
+        positions = relative_to_drone(plan.positions, frame)
         rejected = np.delete(positions, best, axis=0)
         colors = palette.colorize(np.delete(cost_scale(plan, by=self.color_by.value), best), 0.0, 1.0, _COST)
         colors = np.repeat(colors, rejected.shape[1] - 1, axis=0)[:, None, :]
         return [
-            *moved,
+            (self._drone, "position", frame.drone_position),
             *self._all.show(polylines(rejected), colors),
             *self._chosen.show(polylines(positions[best]), _CHOSEN),
         ]

@@ -7,7 +7,7 @@ import viser
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorScale, DroneFrame, Layer, Lines, Option, polylines
+from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Lines, Option, polylines, relative_to_drone
 from aero_viz.session.frame import Frame
 
 _CHOSEN = "the chosen one"
@@ -22,7 +22,7 @@ class SampleLayer(Layer):
     def create(self, scene: viser.SceneApi) -> None:
         self.instance = Option("Instance", _instances, _CHOSEN, hint="Instance whose samples are drawn.")
         self.options = (self.instance,)
-        self._drone = DroneFrame(scene, "/samples/drone")
+        self._drone = scene.add_frame("/samples/drone", show_axes=False)
         self._lines = Lines(scene, "/samples/drone/lines", thickness=1.0, capacity=4096)
 
     def update(self, frame: Frame) -> list[Change]:
@@ -30,12 +30,11 @@ class SampleLayer(Layer):
         if plan.samples is None:
             return self._lines.show(np.zeros((0, 2, 3)), _COLORS[0])
         instance = int(plan.best) if chosen == _CHOSEN else min(int(chosen.split()[0]), len(plan.samples) - 1)
-        moved = self._drone.move(frame)
-        rollouts = self._drone.relative(plan.samples[instance])
+        rollouts = relative_to_drone(plan.samples[instance], frame)
         rank = np.argsort(np.argsort(plan.stage1_cost[instance]))
         colors = palette.colorize(-rank, -1.25 * len(rank), 0.0, _COLORS)
         colors = np.repeat(colors, rollouts.shape[1] - 1, axis=0)[:, None, :]
-        return [*moved, *self._lines.show(polylines(rollouts), colors)]
+        return [(self._drone, "position", frame.drone_position), *self._lines.show(polylines(rollouts), colors)]
 
     def legend(self, frame: Frame) -> list[ColorScale]:
         return [ColorScale("samples: rank of the Stage I cost", "worst", "best", palette.VIRIDIS[51:])]

@@ -7,7 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, DroneFrame, Layer, Lines, polylines
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines, relative_to_drone
 from aero_viz.session.frame import Frame
 
 _COLOR = palette.unmapped(palette.SELECTED)
@@ -24,7 +24,7 @@ class SelectionLayer(Layer):
         """Selected instance."""
         self.point: NDArray[np.float64] | None = None
         """Selected point of the cloud [m], shape [3], world frame."""
-        self._drone = DroneFrame(scene, "/selection/drone")
+        self._drone = scene.add_frame("/selection/drone", show_axes=False)
         self._rollout = Lines(scene, "/selection/drone/rollout", thickness=6.0, capacity=32)
         self._guide = Lines(scene, "/selection/drone/guide", thickness=2.5, capacity=32)
         self._marks = [
@@ -35,18 +35,17 @@ class SelectionLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         plan, m, empty = frame.plan, self.instance, np.zeros((0, 2, 3))
         is_there = m is not None and m < len(plan.kinds)
-        moved, relative = self._drone.move(frame), self._drone.relative
-        rollout, guide = (relative(plan.positions[m]), relative(plan.guides[m])) if is_there else (None, None)
+        rollout, guide = (plan.positions[m], plan.guides[m]) if is_there else (None, None)
         anchor, point = self._marks
         changes = [
-            *moved,
-            *self._rollout.show(empty if rollout is None else polylines(rollout), _COLOR),
-            *self._guide.show(empty if guide is None else polylines(guide), _COLOR),
+            (self._drone, "position", frame.drone_position),
+            *self._rollout.show(empty if rollout is None else polylines(relative_to_drone(rollout, frame)), _COLOR),
+            *self._guide.show(empty if guide is None else polylines(relative_to_drone(guide, frame)), _COLOR),
             (anchor, "visible", is_there),
             (point, "visible", self.point is not None),
         ]
         if is_there:
-            changes.append((anchor, "position", relative(plan.anchors[m]).astype(np.float64)))
+            changes.append((anchor, "position", plan.anchors[m] - frame.drone_position))
         if self.point is not None:
             changes.append((point, "position", self.point))
         return changes

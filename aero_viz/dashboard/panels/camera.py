@@ -73,7 +73,7 @@ class Viewpoints:
         "top" is as high as the cloud is wide, at most 24 m. The other cameras come closer to the drone where they
         would be inside an obstacle or behind a wall.
         """
-        position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+        position = frame.drone_position
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         if name == "top":
             return view(name, position, goal, reach=_width(frame) / _OFFSETS[name][2])
@@ -148,7 +148,7 @@ class CameraPanel(Panel):
 
     def follow(self, frame: Frame) -> list[Change]:
         """Return the changes that keep the cameras with the drone. Called for every frame."""
-        position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+        position = frame.drone_position
         _, target = view("follow", position, np.asarray(frame.observation.goal.position, dtype=np.float64))
         changes: list[Change] = []
         clients = self.page.server.get_clients()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-import numpy as np
 import viser
 
 from aero_planner.mailbox import Mailbox
@@ -110,6 +109,6 @@ class DisturbancePanel(Panel):
         is_offered = values is not None and self._drag.value and not self.session.playing
         changes.append((self._arrows, "visible", is_offered))
         if not self._dragged:
-            place = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+            place = frame.drone_position
             changes.append((self._arrows, "position", place))
         return changes

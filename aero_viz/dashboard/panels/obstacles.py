@@ -284,7 +284,7 @@ def _rounded(values: np.ndarray) -> tuple[float, ...]:
 
 def _drone_and_heading(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """Return the position of the drone [m] and the horizontal unit vector to the goal, each of shape [3]."""
-    drone = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+    drone = frame.drone_position
     across = np.asarray(frame.observation.goal.position, dtype=np.float64) - drone
     across[2] = 0.0
     return drone, across / max(float(np.linalg.norm(across)), 1e-9)

@@ -69,7 +69,7 @@ class SceneRecording:
 
     def add(self, frame: Frame) -> None:
         """Record the scene at a tick, later than the one before."""
-        position = np.asarray(frame.observation.actual_state.position, dtype=np.float64)
+        position = frame.drone_position
         if self._last is None:
             self._start(frame, position)
         else:

@@ -82,12 +82,12 @@ def share(
         session.close()
 
 
-def check_path(path: Path) -> None:
-    """Raise a UserError unless a file of a known kind can be written there, in place of an existing one."""
+def check_path(path: Path, *, overwrite: bool = True) -> None:
+    """Raise a UserError unless a file of a known kind can be written there; see `check_output_files`."""
     if path.suffix.lower() not in SUFFIXES:
         kinds = ", ".join(f"{suffix} ({kind})" for suffix, kind in SUFFIXES.items())
         raise UserError(f"The name {path} does not say what to write; end it in one of {kinds}.")
-    check_output_files(path, overwrite=True)
+    check_output_files(path, overwrite=overwrite)
 
 
 class FlightFiles:
