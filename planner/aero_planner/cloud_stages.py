@@ -59,15 +59,25 @@ class CloudStages:
             for worker in range(self._sizes.W)
         ]  # fmt: skip
 
-    def finish_fine_cells(self) -> Callable[[], Any]:
-        """Merge the cells of all workers into ranges and the filtered cloud."""
-        o, w = self._outputs, self._work
-        return self._record(
-            partition.finish_fine_cells,
-            (self._sizes.B, self._sizes.F),
-            inputs=[self._cloud.bundle(), self._params, w.cell_keys, w.worker_dropped],
-            outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
-        )
+    def finish_fine_cells(self) -> list[Chunk]:
+        """Merge the cells of all workers into ranges and the filtered cloud; every worker merges its share."""
+        o, w, sizes = self._outputs, self._work, self._sizes
+        return [
+            self._serial("partition", self._record(
+                partition.finish_fine_cells,
+                self._threads(sizes.W),
+                inputs=[
+                    worker, sizes.W, self._tuning.cells_per_thread, self._cloud.bundle(), self._params, w.cell_keys,
+                    w.worker_dropped,
+                ],
+                outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
+            ))[0]
+            for worker in range(sizes.W)
+        ]  # fmt: skip
+
+    def _threads(self, workers: int) -> tuple[int, int]:
+        """Return the size of a launch in which the threads of `workers` workers share the fine cells."""
+        return self._sizes.B, -(-self._sizes.F // (workers * self._tuning.cells_per_thread))
 
     def find_surfaces(self) -> list[Chunk]:
         """Find the surfaces to continue; every worker looks at its share of the cells."""
@@ -75,25 +85,28 @@ class CloudStages:
         return [
             self._serial("partition", self._record(
                 continuation.find_edges,
-                (sizes.B, -(-sizes.F // sizes.W)),
+                self._threads(sizes.W),
                 inputs=[
-                    worker, sizes.W, i.position, i.velocity, i.quaternion, self._params, w.view_quaternion,
-                    w.fine_directions, o.occupied, o.filtered_points,
+                    worker, sizes.W, self._tuning.cells_per_thread, i.position, i.velocity, i.quaternion, self._params,
+                    w.view_quaternion, w.fine_directions, o.occupied, o.filtered_points,
                 ],
                 outputs=[w.surfaces],
             ))[0]
             for worker in range(sizes.W)
         ]  # fmt: skip
 
-    def find_nearest_surfaces(self) -> Callable[[], Any]:
-        """Find the nearest surface above and below each cell."""
+    def find_nearest_surfaces(self) -> list[Chunk]:
+        """Find the nearest surface above and below each cell; every worker looks at its share of the columns."""
         sizes = self._sizes
-        return self._record(
-            continuation.find_nearest_surfaces,
-            (sizes.B, 2, sizes.F1),
-            inputs=[self._params, sizes.F0, sizes.F1],
-            outputs=[self._work.surfaces],
-        )
+        return [
+            self._serial("partition", self._record(
+                continuation.find_nearest_surfaces,
+                (sizes.B, 2, -(-sizes.F1 // sizes.W)),
+                inputs=[worker, sizes.W, self._params, sizes.F0, sizes.F1],
+                outputs=[self._work.surfaces],
+            ))[0]
+            for worker in range(sizes.W)
+        ]  # fmt: skip
 
     def continue_surfaces(self) -> list[Chunk]:
         """Fill cells that the sensor does not see; every worker fills its share."""
@@ -101,8 +114,11 @@ class CloudStages:
         return [
             self._serial("partition", self._record(
                 continuation.continue_surfaces,
-                (sizes.B, -(-sizes.F // sizes.W)),
-                inputs=[worker, sizes.W, i.position, i.quaternion, self._params, w.fine_directions, w.surfaces],
+                self._threads(sizes.W),
+                inputs=[
+                    worker, sizes.W, self._tuning.cells_per_thread, i.position, i.quaternion, self._params,
+                    w.fine_directions, w.surfaces,
+                ],
                 outputs=[o.fine_range, o.occupied, o.filtered_points],
             ))[0]
             for worker in range(sizes.W)
@@ -117,10 +133,13 @@ class CloudStages:
             worker_rows = len(range(worker, clearance.GRID, workers)) * clearance.GRID
             count = self._record(
                 clearance.count_points,
-                (sizes.B, sizes.F),
-                inputs=[worker, workers, i.position, self._params, self.duplicate_rows, o.occupied, o.filtered_points],
+                self._threads(1),
+                inputs=[
+                    worker, workers, self._tuning.cells_per_thread, i.position, self._params, self.duplicate_rows,
+                    o.occupied, o.filtered_points,
+                ],
                 outputs=[w.cell_ends],
-            )
+            )  # fmt: skip
             allocate = self._record(
                 clearance.allocate_rows,
                 (sizes.B, -(-worker_rows // 32) * 32),
@@ -130,10 +149,10 @@ class CloudStages:
             )
             fill = self._record(
                 clearance.fill_rows(self._tuning),
-                (sizes.B, sizes.F),
+                self._threads(1),
                 inputs=[
-                    worker, workers, capacity, i.position, self._params, self.duplicate_rows, o.occupied,
-                    o.filtered_points, w.points_used,
+                    worker, workers, capacity, self._tuning.cells_per_thread, i.position, self._params,
+                    self.duplicate_rows, o.occupied, o.filtered_points, w.points_used,
                 ],
                 outputs=[w.cell_ends, w.pack_coordinates],
             )  # fmt: skip

@@ -92,9 +92,10 @@ class Pipeline(LaunchSequence):
         return [
             self.side_branch("anchors", *self._place_anchors()),  # in parallel with the scan of the cloud
             cloud.scan_points(),
-            self.serial("partition", cloud.finish_fine_cells(), self.join),
+            cloud.finish_fine_cells(),
+            self.serial("partition", self.join),
             cloud.find_surfaces(),
-            self.serial("partition", cloud.find_nearest_surfaces()),
+            cloud.find_nearest_surfaces(),
             cloud.continue_surfaces(),
             self.serial("grid", self.fork),  # until the first clearance query
             cloud.build_clearance_grid(),
@@ -232,8 +233,7 @@ class Pipeline(LaunchSequence):
         if not self._tuning.is_cuda:
             prove = self._prove_stops()
             return [
-                self.serial("stage2", roll_out, evaluate),
-                pool,
+                [*pool, *self.serial("stage2", roll_out, evaluate)],
                 self.serial("stage2", score, prove, self._commit_plan()),
             ]
         roll_out_stops, evaluate_stops = self._evaluate_all_stops()

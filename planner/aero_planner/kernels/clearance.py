@@ -16,7 +16,7 @@ import warp as wp
 
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
-from aero_planner.kernels.partition import farthest
+from aero_planner.kernels.partition import cells_of_thread, farthest
 from aero_planner.kernels.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
 
 wp.set_module_options({"enable_backward": False})
@@ -66,6 +66,7 @@ def count_points(
     # slice of the grid
     worker: int,
     workers: int,
+    cells_per_thread: int,
     # problem
     position: wp.array(dtype=wp.vec3),
     # configuration
@@ -79,16 +80,19 @@ def count_points(
 ):
     """Count the points of each cell in `cell_ends`.
 
-    Launched over [B, fine cells]. A worker handles every `workers`-th layer of cells.
+    Launched over [B, threads], see `cells_of_thread`. A worker handles every `workers`-th layer of the grid.
     """
-    b, i = wp.tid()
-    if occupied[b, i] == 0:
-        return
-    cx, cy, cz = cell_of_point(filtered_points[b, i], position[b], cell_size(params[b]))
-    for z in range(cz - 1, cz + 2):
-        if workers == 1 or z % workers == worker:
-            for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
-                wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
+    b, thread = wp.tid()
+    center = position[b]
+    size = cell_size(params[b])
+    first, end = cells_of_thread(thread, 0, 1, cells_per_thread, occupied.shape[1])
+    for i in range(first, end):
+        if occupied[b, i] != 0:
+            cx, cy, cz = cell_of_point(filtered_points[b, i], center, size)
+            for z in range(cz - 1, cz + 2):
+                if workers == 1 or z % workers == worker:
+                    for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
+                        wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
 
 
 @wp.kernel
@@ -138,6 +142,7 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
         worker: int,
         workers: int,
         worker_capacity: int,
+        cells_per_thread: int,
         # problem
         position: wp.array(dtype=wp.vec3),
         # configuration
@@ -154,26 +159,30 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
     ):
         """Write every point into its cells; `cell_ends` becomes the end of each cell, where the next of the row begins.
 
-        `pack_coordinates` holds the packs of points, shape [B, packs, 3, WIDTH]. Launched over [B, fine cells].
+        `pack_coordinates` holds the packs of points, shape [B, packs, 3, WIDTH]. Launched over [B, threads], see
+        `cells_of_thread`.
         """
-        b, i = wp.tid()
-        if i == 0:
+        b, thread = wp.tid()
+        if thread == 0:
             used = worker * worker_capacity + points_used[worker, b]
             for slot in range(used, (used + WIDTH - 1) // WIDTH * WIDTH):
                 pack_coordinates[b, slot // WIDTH, 0, slot % WIDTH] = FAR
-        if occupied[b, i] == 0:
-            return
-        point = filtered_points[b, i]
-        cx, cy, cz = cell_of_point(point, position[b], cell_size(params[b]))
-        for z in range(cz - 1, cz + 2):
-            if workers == 1 or z % workers == worker:
-                for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
-                    slot = wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
-                    pack = slot // WIDTH
-                    j = slot % WIDTH
-                    pack_coordinates[b, pack, 0, j] = point[0]
-                    pack_coordinates[b, pack, 1, j] = point[1]
-                    pack_coordinates[b, pack, 2, j] = point[2]
+        center = position[b]
+        size = cell_size(params[b])
+        first, end = cells_of_thread(thread, 0, 1, cells_per_thread, occupied.shape[1])
+        for i in range(first, end):
+            if occupied[b, i] != 0:
+                point = filtered_points[b, i]
+                cx, cy, cz = cell_of_point(point, center, size)
+                for z in range(cz - 1, cz + 2):
+                    if workers == 1 or z % workers == worker:
+                        for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
+                            slot = wp.atomic_add(cell_ends, b, (z * GRID + y) * GRID + cx, 1)
+                            pack = slot // WIDTH
+                            j = slot % WIDTH
+                            pack_coordinates[b, pack, 0, j] = point[0]
+                            pack_coordinates[b, pack, 1, j] = point[1]
+                            pack_coordinates[b, pack, 2, j] = point[2]
 
     return fill_rows  # without `set_options`: it must find the very cells that `count_points` counted
 

@@ -11,7 +11,7 @@ import warp as wp
 
 from aero_planner.kernels.dynamics import near_atan2, quat_inverse_rotate, quat_rotate
 from aero_planner.kernels.params import Params
-from aero_planner.kernels.partition import farthest
+from aero_planner.kernels.partition import cells_of_thread, farthest
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,6 +39,7 @@ def find_edges(
     # share of the cells
     worker: int,
     workers: int,
+    cells_per_thread: int,
     # problem
     position: wp.array(dtype=wp.vec3),
     velocity: wp.array(dtype=wp.vec3),
@@ -57,34 +58,37 @@ def find_edges(
 
     `surfaces` are the horizontal distance, infinite without a surface, and the height above the drone [m], for each
     cell of the world frame. A surface counts if it was at the edge `view_age` ago, at the attitude `view_quaternion`:
-    what has come into view since may not have been measured yet. Launched over [B, fine cells / workers, rounded up].
+    what has come into view since may not have been measured yet. Launched over [B, threads], see `cells_of_thread`.
     """
-    b, i = wp.tid()
-    cell = i * workers + worker
+    b, thread = wp.tid()
     rows = directions.shape[0]
     columns = directions.shape[1]
-    if cell >= rows * columns:
-        return
     c = params[b]
     if wp.max(c.continue_below, c.continue_above) <= 0.0:
         return
     q = wp.normalize(quaternion[b])
-    lower = wp.vec2(wp.INF, 0.0)
-    upper = lower
-    source = near_cell(quat_inverse_rotate(q, directions[cell // columns, cell % columns]), rows, columns)
-    if occupied[b, source] == 1:
-        offset = filtered_points[b, source] - position[b]
-        surface = wp.vec2(wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1]), offset[2])
-        d = quat_inverse_rotate(view_quaternion[b], offset + c.view_age * velocity[b])
-        then = near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
-        height = wp.PI / float(rows)
-        now = (float(source // columns) + 0.5) * height - 0.5 * wp.PI
-        if wp.min(now, then) - wp.radians(c.view_min) <= _EDGE_ROWS * height:
-            lower = surface
-        if wp.radians(c.view_max) - wp.max(now, then) <= _EDGE_ROWS * height:
-            upper = surface
-    surfaces[b, 0, cell] = lower
-    surfaces[b, 1, cell] = upper
+    origin = position[b]
+    moved = c.view_age * velocity[b]
+    height = wp.PI / float(rows)
+    lowest = wp.radians(c.view_min) + _EDGE_ROWS * height
+    highest = wp.radians(c.view_max) - _EDGE_ROWS * height
+    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, rows * columns)
+    for cell in range(first, end):
+        lower = wp.vec2(wp.INF, 0.0)
+        upper = lower
+        source = near_cell(quat_inverse_rotate(q, directions[cell // columns, cell % columns]), rows, columns)
+        if occupied[b, source] == 1:
+            offset = filtered_points[b, source] - origin
+            surface = wp.vec2(wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1]), offset[2])
+            d = quat_inverse_rotate(view_quaternion[b], offset + moved)
+            then = near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
+            now = (float(source // columns) + 0.5) * height - 0.5 * wp.PI
+            if wp.min(now, then) <= lowest:
+                lower = surface
+            if wp.max(now, then) >= highest:
+                upper = surface
+        surfaces[b, 0, cell] = lower
+        surfaces[b, 1, cell] = upper
 
 
 @wp.func
@@ -95,6 +99,9 @@ def row_of_step(step: int, side: int, rows: int) -> int:
 
 @wp.kernel
 def find_nearest_surfaces(
+    # share of the columns
+    worker: int,
+    workers: int,
     # configuration
     params: wp.array(dtype=Params),
     rows: int,
@@ -104,10 +111,11 @@ def find_nearest_surfaces(
 ):
     """Replace the surface of each cell by the nearest one above it (0) or below it (1), of which the last part counts.
 
-    Launched over [B, 2, columns]; a thread walks down a column, or up.
+    Launched over [B, 2, columns / workers, rounded up]; a thread walks down a column, or up.
     """
-    b, side, column = wp.tid()
-    if wp.max(params[b].continue_below, params[b].continue_above) <= 0.0:
+    b, side, i = wp.tid()
+    column = i * workers + worker
+    if column >= columns or wp.max(params[b].continue_below, params[b].continue_above) <= 0.0:
         return
     nearest = wp.vec2(wp.INF, 0.0)
     read = _Surfaces()
@@ -127,6 +135,7 @@ def continue_surfaces(
     # share of the cells
     worker: int,
     workers: int,
+    cells_per_thread: int,
     # problem
     position: wp.array(dtype=wp.vec3),
     quaternion: wp.array(dtype=wp.vec4),
@@ -143,31 +152,29 @@ def continue_surfaces(
     """Fill cells with the continuation of a surface, by at most continue_below or continue_above.
 
     A cell is filled if it is empty, or if its point lies more than `continue_before` behind the surface. Filled cells
-    are marked by `occupied` = 2. Launched over [B, fine cells / workers, rounded up].
+    are marked by `occupied` = 2. Launched over [B, threads], see `cells_of_thread`.
     """
-    b, i = wp.tid()
-    cell = i * workers + worker
+    b, thread = wp.tid()
     rows = directions.shape[0]
     columns = directions.shape[1]
-    if cell >= rows * columns:
-        return
     c = params[b]
-    elevation = (float(cell // columns) + 0.5) * (wp.PI / float(rows)) - 0.5 * wp.PI
-    side = wp.where(elevation > 0.5 * wp.radians(c.view_min + c.view_max), 1, 0)
-    limit = wp.where(side == 0, c.continue_below, c.continue_above)
-    if limit <= 0.0:
-        return
-    d = quat_rotate(wp.normalize(quaternion[b]), directions[cell // columns, cell % columns])
-    flat = wp.sqrt(d[0] * d[0] + d[1] * d[1])
-    if flat < _LEAST_FLAT:
-        return
-    surface = surfaces[b, side, near_cell(d, rows, columns)]
-    distance = surface[0] / flat
-    depth = surface[1] - distance * d[2]
-    if distance > farthest(c) or wp.where(side == 0, depth, -depth) > limit:
-        return
-    if occupied[b, cell] == 1 and fine_range[b, cell] <= distance + c.continue_before:
-        return
-    fine_range[b, cell] = distance
-    filtered_points[b, cell] = position[b] + distance * d
-    occupied[b, cell] = 2
+    q = wp.normalize(quaternion[b])
+    origin = position[b]
+    range_max = farthest(c)
+    middle = 0.5 * wp.radians(c.view_min + c.view_max)
+    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, rows * columns)
+    for cell in range(first, end):
+        elevation = (float(cell // columns) + 0.5) * (wp.PI / float(rows)) - 0.5 * wp.PI
+        side = wp.where(elevation > middle, 1, 0)
+        limit = wp.where(side == 0, c.continue_below, c.continue_above)
+        d = quat_rotate(q, directions[cell // columns, cell % columns])
+        flat = wp.sqrt(d[0] * d[0] + d[1] * d[1])
+        if limit > 0.0 and flat >= _LEAST_FLAT:
+            surface = surfaces[b, side, near_cell(d, rows, columns)]
+            distance = surface[0] / flat
+            depth = surface[1] - distance * d[2]
+            is_near = distance <= range_max and wp.where(side == 0, depth, -depth) <= limit
+            if is_near and (occupied[b, cell] != 1 or fine_range[b, cell] > distance + c.continue_before):
+                fine_range[b, cell] = distance
+                filtered_points[b, cell] = origin + distance * d
+                occupied[b, cell] = 2

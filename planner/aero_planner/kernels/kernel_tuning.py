@@ -31,6 +31,8 @@ class KernelTuning(NamedTuple):
     """Points that a thread compares with a position at once."""
     samples_per_read: int
     """Samples whose controls a thread reads and sums at once."""
+    cells_per_thread: int
+    """Fine cells that a thread handles one after another: a CPU computes what they share once."""
     threads_per_update: int = 1
     """Threads that weight the samples of one instance; on CUDA they form a thread block."""
     threads_per_instance: int = 1
@@ -73,10 +75,10 @@ class KernelTuning(NamedTuple):
         return kernel
 
 
-CPU = KernelTuning(points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32)
+CPU = KernelTuning(points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=64)
 """Sizes that LLVM turns into vector instructions."""
 CUDA = KernelTuning(
-    points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4,
+    points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4, cells_per_thread=1,
     threads_per_update=512, threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32, is_cuda=True,
 )  # fmt: skip
 """One point or sample per thread, and 16-byte loads of points and samples."""

@@ -183,8 +183,19 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
     return scatter_points
 
 
+@wp.func
+def cells_of_thread(thread: int, worker: int, workers: int, width: int, cells: int):
+    """Return the first cell of a thread and the end of its cells; workers take turns."""
+    first = (thread * workers + worker) * width
+    return first, wp.min(first + width, cells)
+
+
 @wp.kernel
 def finish_fine_cells(
+    # share of the cells
+    worker: int,
+    workers: int,
+    cells_per_thread: int,
     # problem
     cloud: CloudSweeps,
     # configuration
@@ -200,29 +211,32 @@ def finish_fine_cells(
 ):
     """Merge the keys and counters of all workers into ranges, filtered cloud and the number of dropped points.
 
-    Keys and counters are reset for the next plan. Launched over [B, fine cells].
+    Keys and counters are reset for the next plan. Launched over [B, threads], see `cells_of_thread`.
     """
-    b, cell = wp.tid()
-    if cell == 0:
+    b, thread = wp.tid()
+    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, fine_range.shape[1])
+    if first == 0:
         count = int(0)
-        for worker in range(cell_keys.shape[0]):
-            count += worker_dropped[worker, b]
-            worker_dropped[worker, b] = 0
+        for scanned in range(cell_keys.shape[0]):
+            count += worker_dropped[scanned, b]
+            worker_dropped[scanned, b] = 0
         dropped_points[b] = count
-    key = EMPTY
-    for worker in range(cell_keys.shape[0]):
-        key = wp.min(key, cell_keys[worker, b, cell])
-        cell_keys[worker, b, cell] = EMPTY
-    if key == EMPTY:
-        fine_range[b, cell] = farthest(params[b])
-        occupied[b, cell] = 0
-    else:
-        fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
-        occupied[b, cell] = 1
-        index = int(key & wp.uint64(0xFFFFFFFF)) + cloud.oldest[0]
-        if index >= cloud.points.shape[1]:
-            index -= cloud.points.shape[1]
-        filtered_points[b, cell] = cloud.points[b, index]
+    empty_range = farthest(params[b])
+    for cell in range(first, end):
+        key = EMPTY
+        for scanned in range(cell_keys.shape[0]):
+            key = wp.min(key, cell_keys[scanned, b, cell])
+            cell_keys[scanned, b, cell] = EMPTY
+        if key == EMPTY:
+            fine_range[b, cell] = empty_range
+            occupied[b, cell] = 0
+        else:
+            fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
+            occupied[b, cell] = 1
+            index = int(key & wp.uint64(0xFFFFFFFF)) + cloud.oldest[0]
+            if index >= cloud.points.shape[1]:
+                index -= cloud.points.shape[1]
+            filtered_points[b, cell] = cloud.points[b, index]
 
 
 @wp.kernel
