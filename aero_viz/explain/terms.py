@@ -135,13 +135,14 @@ def stage2_terms(
         problem: goal, obstacles and weights.
         collision: J_col at each step, shape [.., N]; None computes it.
     """
-    c, speed_limit = problem.config.costs, problem.config.vehicle.speed_limit
+    c, vehicle = problem.config.costs, problem.config.vehicle
     p_goal, v_goal, q_goal = problem.goal
     if collision is None:
         times = step_times(x.positions, problem.config)
         collision = collision_cost(problem.obstacles.distance(x.positions, times), problem.config)
     error = multiply(x.quaternions, conjugate(q_goal))
-    excess = np.maximum(np.linalg.norm(x.velocities, axis=-1) - speed_limit, 0.0)
+    excess = np.maximum(np.linalg.norm(x.velocities, axis=-1) - vehicle.speed_limit, 0.0)
+    descent = np.maximum(-x.velocities[..., 2] - vehicle.descent_limit, 0.0)
     end = x.positions[..., -1, :]
     at_end = np.zeros((2, *x.positions.shape[:-1]))
     at_end[0, ..., -1] = _blocked_cost(end, waypoint, problem)
@@ -160,7 +161,7 @@ def stage2_terms(
             c.q_velocity * np.linalg.norm(x.velocities - v_goal, axis=-1),
             c.q_attitude * np.sqrt(8.0) * np.linalg.norm(error[..., 1:], axis=-1),
             collision,
-            c.q_speed * excess**2,
+            c.q_speed * (excess**2 + descent**2),
             *at_end,
             jump,
         )

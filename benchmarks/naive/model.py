@@ -152,9 +152,10 @@ def goal_cost(
 
 @wp.func
 def speed_cost(v: wp.vec3, c: Params) -> float:
-    """Return the cost of speed above the limit, of one time step."""
+    """Return the cost of speed and of a rate of descent above their limits, of one time step."""
     excess = wp.max(0.0, wp.length(v) - c.speed_limit)
-    return c.q_speed * excess * excess
+    descent = wp.max(0.0, -v[2] - c.descent_limit)
+    return c.q_speed * (excess * excess + descent * descent)
 
 
 @wp.func

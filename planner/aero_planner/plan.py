@@ -94,8 +94,8 @@ class Plan:
     """
 
     fine_range: Array
-    """r_ij: nearest range of each 3 deg cell, `PlannerConfig.farthest_range` where it is empty [m], shape [60, 120],
-    body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
+    """r_ij: nearest range of each fine cell, `PlannerConfig.farthest_range` where it is empty [m], shape [80, 160] by
+    default, body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
     safe_range: Array
     """Largest fine range of each coarse cell [m], shape [10, 20]."""
     safe_direction: Array

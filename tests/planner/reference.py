@@ -279,7 +279,8 @@ def J_col(d: Array, config: PlannerConfig) -> float:
 
 def J_speed(v: Array, config: PlannerConfig) -> float:
     excess = np.maximum(np.linalg.norm(v, axis=1) - config.vehicle.speed_limit, 0.0)
-    return float(config.costs.q_speed * (excess**2).sum())
+    descent = np.maximum(-v[:, 2] - config.vehicle.descent_limit, 0.0)
+    return float(config.costs.q_speed * (excess**2 + descent**2).sum())
 
 
 def waypoint(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:

@@ -89,6 +89,10 @@ def collision_cost(d: float, params: Params) -> float:
 
 @wp.func
 def speed_cost(v: wp.vec3, params: Params) -> float:
-    """Return q_speed max(0, |v| - speed_limit)^2, an option that the paper does not have."""
+    """Return q_speed (max(0, |v| - speed_limit)^2 + max(0, -v_z - descent_limit)^2).
+
+    It is an option that the paper does not have.
+    """
     excess = wp.max(0.0, wp.length(v) - params.speed_limit)
-    return params.q_speed * excess * excess
+    descent = wp.max(0.0, -v[2] - params.descent_limit)
+    return params.q_speed * (excess * excess + descent * descent)

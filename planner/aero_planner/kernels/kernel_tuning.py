@@ -75,7 +75,9 @@ class KernelTuning(NamedTuple):
         return kernel
 
 
-CPU = KernelTuning(points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=64)
+CPU = KernelTuning(
+    points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=64
+)  # fmt: skip
 """Sizes that LLVM turns into vector instructions."""
 CUDA = KernelTuning(
     points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4, cells_per_thread=1,

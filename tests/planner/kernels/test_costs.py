@@ -88,10 +88,10 @@ def test_collision_cost_never_rises_with_distance(device: str, low: float, width
 
 
 def test_speed_cost(device: str):
-    config = PlannerConfig().replace({"vehicle.speed_limit": 5.0, "costs.q_speed": 10.0})
-    v = np.array([[0, 0, 0], [3, 4, 0], [0, 0, 6], [-8, 0, 6]], float)
+    config = PlannerConfig().replace({"vehicle.speed_limit": 5.0, "vehicle.descent_limit": 2.0, "costs.q_speed": 10.0})
+    v = np.array([[0, 0, 0], [3, 4, 0], [0, 0, 6], [-8, 0, 6], [0, 3, -2], [0, 0, -5], [0, 0, -6]], float)
     result = evaluate(speed_kernel, device, v, dtypes=(wp.vec3,), config=config)
-    np.testing.assert_allclose(result, [0.0, 0.0, 10.0, 250.0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(result, [0.0, 0.0, 10.0, 250.0, 0.0, 90.0, 170.0], rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -55,7 +55,7 @@ def test_coarse_cells_keep_the_safest_direction_nearest_to_the_one_refined(devic
     centers = reference.cell_centers(10, 20)
     for row in range(10):
         for column in range(20):
-            greatest, tied = reference.safe_cells(plan.fine_range, 6, row, column)
+            greatest, tied = reference.safe_cells(plan.fine_range, config.partition.fine_cells, row, column)
             assert plan.safe_range[row, column] == np.float32(greatest)
             inside = np.flatnonzero((row_of == row) & (column_of == column))
             if np.any(border < 1e-4):
@@ -74,7 +74,8 @@ def test_the_maximum_wins_over_the_nearest_direction(device: str):
     ranges = np.full(36, 4.0)
     ranges[35] = 6.0  # the corner farthest from the goal's direction
     case.points = (directions * ranges[:, None]).astype(np.float32)
-    plan = case.plan(Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device))
+    config = config_of(partition__fine_cells=6, partition__continue_below=0.0, partition__continue_above=0.0)
+    plan = case.plan(Planner(config, device=device))
     assert plan.safe_range[5, 10] == pytest.approx(6.0, abs=1e-5)
     np.testing.assert_allclose(plan.safe_direction[5, 10], directions[35], atol=1e-6)
     # The middle anchor lies in that cell.
@@ -135,7 +136,8 @@ def test_points_on_the_poles_and_the_seam(device: str):
     points = np.array([[0, 0, 3], [0, 0, -3], [-3, 0, 0.01], [-3, -0.0, 0.01]], np.float32)
     case = random_case(0, count=0)
     case.position, case.quaternion, case.points = np.zeros(3), np.array([1.0, 0, 0, 0]), points
-    plan = case.plan(Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device))
+    config = config_of(partition__fine_cells=6, partition__continue_below=0.0, partition__continue_above=0.0)
+    plan = case.plan(Planner(config, device=device))
     occupied = np.argwhere(plan.fine_range < 10.0)
     assert {row for row, _ in occupied} == {0, 30, 59}
     # Azimuth -180 deg and +180 deg are the same cell.

@@ -51,7 +51,8 @@ class CostConfig(ParameterSection, section="costs"):
         label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
     q_speed: float = live(
-        100.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the speed limit; 0 as in the paper.",
+        100.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the limits of speed and descent; 0 as in the "
+        "paper.",
         label="Speed limit weight", group="Tracking and effort",
     )  # fmt: skip
     distance_min: float = live(

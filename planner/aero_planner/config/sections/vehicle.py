@@ -42,3 +42,7 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
         "more speed, and costs.q_speed penalizes the excess.", basic=True,
     )  # fmt: skip
+    descent_limit: float = live(
+        3.0, "m/s", 0.2, 50.0, "Rate of descent to stay below; costs.q_speed penalizes the excess. A sensor whose view "
+        "ends 7 deg below the horizon does not see where a diving drone flies to.",
+    )  # fmt: skip
