@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import warp as wp
 
 from aero_planner.array_memory import allocate
@@ -59,7 +60,10 @@ class Motion:
 
 
 class MotionEstimator:
-    """Estimates the motion from the sweeps of a cloud. Launches are recorded once: a plan waits for them.
+    """Estimates the motion from the sweeps of a cloud.
+
+    Launches are recorded once, and arguments that change are written into the memory that these launches read: a plan
+    waits for the interpreter, and packing an argument takes as long as a launch.
 
     Args:
         motion: what moves, which is updated.
@@ -69,12 +73,18 @@ class MotionEstimator:
     def __init__(self, motion: Motion, cloud: CloudArrays) -> None:
         self._device = wp.get_device(str(motion.params.device))
         self._drones = len(motion.params)
+        self._scanned_points = 1
+        """Points of a sweep for which `scan_obstacles` is launched."""
         self._scan = motion.arrays.scan
         a, i, params, sweeps = motion.arrays, motion.inputs, motion.params, cloud.bundle()
         segments = bundle(Segments, count=a.segment_count, center=a.segment_center, radius=a.segment_radius)
         found = bundle(FoundTracks, position=a.found_position, velocity=a.found_velocity, radius=a.found_radius)
-        recent, record = _recent_rows([]), self._record
-        self._stamp = record(stamp_sweep, (), [0, 0, math.nan, wp.vec3(math.nan), i.time, i.position], [sweeps])
+        record = self._record
+        recent: Any = RecentRows()
+        place: Any = wp.vec3()
+        self._recent_rows = np.frombuffer(recent, dtype=np.int32)
+        self._place = np.frombuffer(place, dtype=np.float32)
+        self._stamp = record(stamp_sweep, (), [0, 0, math.nan, place, i.time, i.position], [sweeps])
         self._scan_obstacles = record(
             scan_obstacles, (int(RECENT), 1), [recent, sweeps, i.ground_height, params], [self._scan]
         )
@@ -101,9 +111,8 @@ class MotionEstimator:
             number: its number in the order of arrival.
             time, position: [s], [m].
         """
-        given_time = math.nan if time is None else time
-        given_position = wp.vec3(math.nan) if position is None else wp.vec3(*position)
-        _launch(self._stamp, row, number, given_time, given_position)
+        self._place[:] = math.nan if position is None else position
+        _launch(self._stamp, row, number, math.nan if time is None else time)
 
     def estimate(self, rows: list[int], oldest: int, points: int) -> None:
         """Estimate the motion from sweeps that follow each other; the first one becomes the newest.
@@ -113,14 +122,16 @@ class MotionEstimator:
             oldest: number of the oldest sweep in memory.
             points: number of points of the largest of them.
         """
-        recent = _recent_rows(rows)
+        used = min(len(rows), int(RECENT))
+        self._recent_rows[:used], self._recent_rows[used:] = rows[:used], -1
         self._scan.zero_()
-        self._scan_obstacles.set_dim((self._drones, int(RECENT), max(points, 1)))
-        _launch(self._scan_obstacles, recent)
-        _launch(self._find_segments, recent)
-        _launch(self._list_segments)
-        _launch(self._follow_segments, recent)
-        _launch(self._merge, recent, oldest)
+        if points > self._scanned_points:
+            # Threads past the end of a sweep do nothing.
+            self._scanned_points = points
+            self._scan_obstacles.set_dim((self._drones, int(RECENT), self._scanned_points))
+        for command in (self._scan_obstacles, self._find_segments, self._list_segments, self._follow_segments):
+            command.launch()
+        _launch(self._merge, oldest, first=1)
 
     def find_wakes(self, oldest: int, newest: int) -> None:
         """Find which points of the sweeps belong to obstacles that have moved on.
@@ -131,12 +142,8 @@ class MotionEstimator:
         _launch(self._find_wakes, oldest, newest)
 
 
-def _recent_rows(rows: list[int]) -> Any:
-    return RecentRows(*rows[:RECENT], *[-1] * (int(RECENT) - len(rows)))
-
-
-def _launch(command: Any, *values: Any) -> None:
-    """Launch a recorded command with other values of its first arguments."""
-    for i, value in enumerate(values):
-        command.set_param_at_index(i, value)
+def _launch(command: Any, *values: float, first: int = 0) -> None:
+    """Launch a recorded command with other values of its arguments from number `first` on, which are numbers."""
+    for i, value in enumerate(values, first):
+        command.set_param_at_index_from_ctype(i, value)
     command.launch()

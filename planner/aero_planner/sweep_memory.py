@@ -292,7 +292,7 @@ class SweepMemory:
     def _thin_points(self, row: int, count: int) -> None:
         self._thinned.add(row)
         if count:
-            self._thin.set_param_at_index(0, row)
+            self._thin.set_param_at_index_from_ctype(0, row)
             self._thin.set_dim((self._sizes.B, count))
             self._thin.launch()
 
@@ -301,7 +301,7 @@ class SweepMemory:
         if count == 0:
             return
         for command, is_per_point in self._commands:
-            command.set_param_at_index(0, row)
+            command.set_param_at_index_from_ctype(0, row)
             if is_per_point:
                 command.set_dim((self._sizes.B, count))
             command.launch()
