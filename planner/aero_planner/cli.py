@@ -100,7 +100,7 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
         "run", parents=[flight], help="fly when the pilot switches to OFFBOARD", description=_run.__doc__
     )
     run.add_argument("--seed", type=int, default=0, help="seed of the planner's noise (default: 0)")
-    run.add_argument("--threads", type=int, help="CPU threads of the planner (default: one per core)")
+    run.add_argument("--threads", type=int, help="CPU threads of the planner (default: one per usable core)")
     run.add_argument("--json", action="store_true", help="print statistics as one JSON object at the end")
     run.set_defaults(call=_run)
 

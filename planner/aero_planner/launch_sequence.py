@@ -7,6 +7,7 @@ a stage. On CUDA all launches replay as one graph, with a side stream for indepe
 from __future__ import annotations
 
 import itertools
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -20,6 +21,13 @@ Launch = tuple[str, Callable[[], Any]]
 """A launch, and the name of the stage under which its time is counted."""
 Chunk = list[Launch]
 """Launches that run one after another."""
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use: all of the machine, or those of its CPU affinity."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class LaunchSequence:

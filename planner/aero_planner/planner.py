@@ -21,6 +21,7 @@ from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
+from aero_planner.launch_sequence import usable_cores
 from aero_planner.motion import Motion
 from aero_planner.pipeline import Pipeline
 from aero_planner.pipeline_records import PipelineArrays
@@ -44,7 +45,8 @@ class Planner:
         seed: seed of the noise. Drone b of a batch draws the noise of a single planner with seed + b, or with the b-th
             seed if a sequence of B seeds is given.
         batch: None for one drone, or B drones that share every launch; arrays then have a leading axis B.
-        threads: CPU threads for the heavy stages; None for one per core. The plan does not depend on it.
+        threads: CPU threads for the heavy stages; None for one per core that this process may use. The plan does not
+            depend on it.
 
     Raises:
         ValueError: the device does not exist, config is not a PlannerConfig, batch or threads is less than 1, or the
@@ -76,7 +78,7 @@ class Planner:
         self._batched = batch is not None
         self._batch = batch or 1
         self._seeds = seeds
-        self._workers = 1 if self._device.is_cuda else (threads or os.cpu_count() or 1)
+        self._workers = 1 if self._device.is_cuda else (threads or usable_cores())
         self._config = config or PlannerConfig()
         self._allocate()
         self._inputs = PackedArrays(PlannerInputs, self._sizes, self._device)

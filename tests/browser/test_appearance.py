@@ -1,6 +1,6 @@
 """Light and dark panels, and the tabs that a browser remembers."""
 
-from tests.browser.desk import COARSE, Desk, open_desk, visit
+from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
 
 TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune")
 _FAINT = """
@@ -41,7 +41,7 @@ def scheme(page) -> str | None:
 
 
 def test_every_text_can_be_read_in_both_themes_and_a_browser_remembers_theme_and_tabs(browser):
-    with open_desk(browser, ticks=30, size=(1280, 800), resolution=COARSE, layers=["drone"]) as desk:
+    with open_desk(browser, quick_forest(), ticks=30, size=(1280, 800), resolution=COARSE, layers=["drone"]) as desk:
         page = desk.page
         page.get_by_text("shorter is better").wait_for()
         desk.open_tab("Why")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aero_viz.flight.conditions import LIVE
-from tests.browser.desk import Desk, open_desk
+from tests.browser.desk import Desk, open_desk, quick_forest
 
 TITLES = {info.path: info.title for info in LIVE}
 
@@ -16,7 +16,7 @@ TITLES = {info.path: info.title for info in LIVE}
 @pytest.fixture(scope="module")
 def desk(browser):
     """A flight through the forest, paused."""
-    with open_desk(browser, ticks=10, size=(1280, 800), resolution=0.5, layers=["drone"]) as desk:
+    with open_desk(browser, quick_forest(), ticks=10, size=(1280, 800), resolution=0.5, layers=["drone"]) as desk:
         desk.open_tab("World")
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0

@@ -5,13 +5,15 @@ import pytest
 from playwright.sync_api import Locator
 
 from aero_viz.dashboard.panels.base import Hold
-from tests.browser.desk import Desk, open_desk
+from tests.browser.desk import Desk, open_desk, quick_forest
 
 
 @pytest.fixture(scope="module")
 def desk(browser):
     """A page with the arrows that move the goal, shared by the tests of this module."""
-    with open_desk(browser, ticks=10, size=(1280, 720), resolution=0.5, layers=["goal", "drone"]) as desk:
+    with open_desk(
+        browser, quick_forest(), ticks=10, size=(1280, 720), resolution=0.5, layers=["goal", "drone"]
+    ) as desk:
         desk.checkbox("Drag the goal").click()
         yield desk
         assert desk.console == []

@@ -6,7 +6,7 @@ import pytest
 from aero_viz.catalog import open_source
 from aero_viz.scenes import World, scene
 from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, obstacle_at, with_obstacle
-from tests.browser.desk import COARSE, Desk, open_desk
+from tests.browser.desk import COARSE, Desk, open_desk, quick_forest
 
 FOREST = scene("forest", seed=0)
 GROUND = (600.0, 650.0)
@@ -16,7 +16,9 @@ GROUND = (600.0, 650.0)
 @pytest.fixture(scope="module")
 def page(browser):
     """A flight through the forest with its obstacles and the tab that changes them."""
-    with open_desk(browser, ticks=10, size=(1280, 720), resolution=COARSE, layers=["obstacles", "drone"]) as desk:
+    with open_desk(
+        browser, quick_forest(), ticks=10, size=(1280, 720), resolution=COARSE, layers=["obstacles", "drone"]
+    ) as desk:
         desk.open_tab("World")
         yield desk
         assert desk.console == [] and desk.dashboard.failures == 0

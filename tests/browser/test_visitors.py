@@ -6,14 +6,14 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.browser.desk import COARSE, Desk, open_desk, visit
+from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
 from tests.browser.pictures import differing
 
 
 @pytest.fixture(scope="module")
 def desk(browser: Browser) -> Iterator[Desk]:
     """A paused flight whose first visitor has control."""
-    with open_desk(browser, ticks=10, layers=["drone"], size=(1000, 700)) as desk:
+    with open_desk(browser, quick_forest(), ticks=10, layers=["drone"], size=(1000, 700)) as desk:
         desk.page.get_by_role("tab", name="Tune").wait_for()
         yield desk
         assert desk.console == []

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from aero_viz.scenes import SCENES
-from tests.browser.desk import COARSE, Desk, open_desk
+from tests.browser.desk import COARSE, Desk, open_desk, quick_forest
 
 
 @pytest.fixture(scope="module", params=[(1280, 720), (800, 1200)], ids=["laptop", "upright"])
 def small(request, browser):
     """A common laptop's screen, and a screen that stands upright."""
-    with open_desk(browser, ticks=30, size=request.param, resolution=COARSE, layers=["drone"]) as desk:
+    with open_desk(browser, quick_forest(), ticks=30, size=request.param, resolution=COARSE, layers=["drone"]) as desk:
         desk.wait_for(lambda: "shorter is better" in desk.page.locator("body").inner_text(), "the planner's panel")
         yield desk
 

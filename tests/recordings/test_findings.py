@@ -16,6 +16,7 @@ from aero_viz.catalog import shipped_recordings
 from aero_viz.logs.sensor_log import SensorLogOptions, write_sensor_log
 from aero_viz.recordings import inspect, open_recording
 from aero_viz.recordings.alignment import place
+from aero_viz.recordings.findings import Finding
 from aero_viz.recordings.misalignment import estimate_misalignment
 from aero_viz.recordings.transforms import Transform
 from aero_viz.scenes import scene
@@ -79,12 +80,15 @@ def build(flight: Flight, mcap_of: Callable[[list[bags.Item]], Path]) -> Build:
     return write
 
 
+def findings(path: Path) -> dict[str, Finding]:
+    """The findings on a recording by code, in their order."""
+    found = inspect(path).findings
+    assert len({finding.code for finding in found}) == len(found)
+    return {finding.code: finding for finding in found}
+
+
 def codes(path: Path) -> list[str]:
-    return [finding.code for finding in inspect(path).findings]
-
-
-def evidence(path: Path, code: str) -> str:
-    return next(finding.evidence for finding in inspect(path).findings if finding.code == code)
+    return list(findings(path))
 
 
 def test_a_good_flight_has_no_findings(build: Build):
@@ -116,9 +120,9 @@ def test_a_cloud_in_the_world_frame(build: Build, flight: Flight):
 
 
 def test_a_twist_that_is_zero(build: Build, flight: Flight):
-    path = build(twists=np.zeros_like(flight.velocities))
-    assert codes(path) == ["twist-zero"]
-    assert not inspect(path).findings[0].is_fault
+    found = findings(build(twists=np.zeros_like(flight.velocities)))
+    assert list(found) == ["twist-zero"]
+    assert not found["twist-zero"].is_fault
 
 
 def test_a_twist_in_the_world_frame(mcap_of: Callable[[list[bags.Item]], Path]):
@@ -137,18 +141,18 @@ def test_a_twist_in_a_wrong_unit(build: Build, flight: Flight):
 
 @pytest.mark.parametrize("late", [0.05, -0.05])
 def test_a_time_offset_is_measured(build: Build, late: float):
-    path = build(late=late)
-    assert codes(path) == ["time-offset"]
-    text = evidence(path, "time-offset")
+    found = findings(build(late=late))
+    assert list(found) == ["time-offset"]
+    text = found["time-offset"].evidence
     assert ("too late" if late > 0 else "too early") in text
     assert abs(float(text.split("stamped ")[1].split(" ms")[0]) - 50.0) < 6.0
 
 
 def test_a_wrong_mounting_is_measured(build: Build, flight: Flight):
     turn = rotation_matrix(quaternion_from_angles(0.0, 5.0, 0.0))
-    path = build(sweeps=[(time, points @ turn.T, at) for time, points, at in flight.sweeps])
-    assert codes(path) == ["extrinsic"]
-    assert abs(abs(float(evidence(path, "extrinsic").split("pitch ")[1].split(",")[0])) - 5.0) < 1.0
+    found = findings(build(sweeps=[(time, points @ turn.T, at) for time, points, at in flight.sweeps]))
+    assert list(found) == ["extrinsic"]
+    assert abs(abs(float(found["extrinsic"].evidence.split("pitch ")[1].split(",")[0])) - 5.0) < 1.0
 
 
 @pytest.mark.parametrize("seed", [3, 6])  # a long way of the search, and few surfaces
@@ -174,24 +178,24 @@ def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight):
     for time, points, at in flight.sweeps:
         arm = random.uniform(*box, (60, 3))
         sweeps.append((time, np.vstack([points, arm]), np.append(at, np.zeros(60, at.dtype))))
-    path = build(sweeps=sweeps)
-    assert codes(path) == ["airframe"]
-    corners = np.array(inspect(path).findings[0].advice.split("--mask ")[1].split(), float)
+    found = findings(build(sweeps=sweeps))
+    assert list(found) == ["airframe"]
+    corners = np.array(found["airframe"].advice.split("--mask ")[1].split(), float)
     np.testing.assert_allclose(corners, np.concatenate(box), atol=0.06)
 
 
 def test_poses_that_jump(build: Build, flight: Flight):
     jumped = flight.positions + np.outer(flight.times > 2.0, [0.0, 1.5, 0.0])
-    path = build(positions=jumped)
-    assert "pose-jumps" in codes(path)
-    found = re.search(r"by up to ([\d.]+) m .* at 2.0 s", evidence(path, "pose-jumps"))
+    evidence = findings(build(positions=jumped))["pose-jumps"].evidence
+    found = re.search(r"by up to ([\d.]+) m .* at 2.0 s", evidence)
     assert found is not None and float(found[1]) == pytest.approx(1.5, abs=0.1), "the drone moves by 0.1 m meanwhile"
 
 
 def test_dropped_sweeps_are_counted(build: Build, flight: Flight):
-    path = build(sweeps=flight.sweeps[:10] + flight.sweeps[13:30] + flight.sweeps[31:])
-    assert codes(path) == ["dropped-sweeps"]
-    assert evidence(path, "dropped-sweeps").startswith(f"about 4 of {len(flight.sweeps)} sweeps are missing: 2 gaps")
+    found = findings(build(sweeps=flight.sweeps[:10] + flight.sweeps[13:30] + flight.sweeps[31:]))
+    assert list(found) == ["dropped-sweeps"]
+    start = f"about 4 of {len(flight.sweeps)} sweeps are missing: 2 gaps"
+    assert found["dropped-sweeps"].evidence.startswith(start)
 
 
 def test_findings_are_printed_with_their_next_step(build: Build, capsys: pytest.CaptureFixture[str]):
