@@ -8,7 +8,8 @@ from aero_viz.scenes import World, scene
 from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, obstacle_at, with_obstacle
 from tests.browser.desk import COARSE, Desk, open_desk, quick_forest
 
-FOREST = scene("forest", seed=0)
+TREES = 20
+FOREST = scene("forest", seed=0, count=TREES)
 GROUND = (600.0, 650.0)
 """A place on the page with nothing but ground."""
 
@@ -17,7 +18,7 @@ GROUND = (600.0, 650.0)
 def page(browser):
     """A flight through the forest with its obstacles and the tab that changes them."""
     with open_desk(
-        browser, quick_forest(), ticks=10, size=(1280, 720), resolution=COARSE, layers=["obstacles", "drone"]
+        browser, quick_forest(count=TREES), ticks=10, size=(1280, 720), resolution=COARSE, layers=["obstacles", "drone"]
     ) as desk:
         desk.open_tab("World")
         yield desk
