@@ -154,8 +154,8 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune_alone, br
         assert session.config == tomorrow.known(PlannerConfig.preset("paper"))
 
 
-def test_a_preset_is_deleted_after_a_question(tune_alone):
-    desk = tune_alone
+def test_a_preset_is_deleted_after_a_question(tune):
+    desk = tune
     desk.open_folder("Save as a preset", "Save preset")
     name = desk.control("Name").locator("input")
     name.fill("room")

@@ -4,15 +4,19 @@ import numpy as np
 import pytest
 
 from aero_viz.scenes import SCENES
-from tests.browser.desk import COARSE, Desk, open_desk, quick_forest
+from tests.browser.desk import Desk
 
 
 @pytest.fixture(scope="module", params=[(1280, 720), (800, 1200)], ids=["laptop", "upright"])
-def small(request, browser):
+def small(request, quick_desk):
     """A common laptop's screen, and a screen that stands upright."""
-    with open_desk(browser, quick_forest(), ticks=30, size=request.param, resolution=COARSE, layers=["drone"]) as desk:
-        desk.wait_for(lambda: "shorter is better" in desk.page.locator("body").inner_text(), "the planner's panel")
-        yield desk
+    desk, (width, height) = quick_desk, request.param
+    desk.restore()
+    before = size(desk)
+    desk.page.set_viewport_size({"width": width, "height": height})
+    desk.wait_for(lambda: "shorter is better" in desk.page.locator("body").inner_text(), "the planner's panel")
+    yield desk
+    desk.page.set_viewport_size(before)
 
 
 def size(desk: Desk) -> dict[str, int]:
@@ -73,7 +77,7 @@ def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(r
 
     def resize(width: int) -> None:
         desk.page.set_viewport_size({"width": width, "height": 800})
-        desk.settled(lambda: box("Fly")["width"], "the layout")
+        desk.settled(lambda: box("Fly").get("width", 0.0), "the layout")
 
     resize(600)
     assert box("Planner")["x"] + box("Planner")["width"] <= box("Fly")["x"]
