@@ -25,7 +25,7 @@ def test_fly_export_score_and_include(capsys, tmp_path):
     assert scored["length_m"] == pytest.approx(flown["length_m"], rel=1e-4)
 
     folder = tmp_path / "rooms"
-    short = ["--flights", "1", "--rules.time-limit", "0.5", "--lidar.points-per-sweep", "500"]
+    short = ["--flights", "1", "--rules.time-limit", "0.5", "--lidar.points-per-sweep", "500", "--no-causes"]
     arguments = ["bench", "rooms", *short, "--output", str(folder), "--include", f"EGO={table}", *SMALL]
     code, text, error = run(capsys, *arguments)
     assert (code, error) == (0, "")
@@ -41,7 +41,8 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(capsys, tmp_path):
 
     def arguments(folder):
         short = ["--flights", "2", "--batch", "1", "--rules.time-limit", "0.5", "--lidar.points-per-sweep", "500"]
-        return ["bench", "rooms", *short, "--output", str(folder), "--drone.drag", "0.2", *SMALL]
+        quick = ["--no-examine", "--no-causes", *SMALL]
+        return ["bench", "rooms", *short, "--output", str(folder), "--drone.drag", "0.2", *quick]
 
     cut, whole = tmp_path / "cut", tmp_path / "whole"
     command = [sys.executable, "-m", "aero_viz", *arguments(cut)]
