@@ -1,10 +1,10 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-clock test-compiling test-lowest test-lowest-files test-lowest-clock check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-delicate test-clock test-compiling test-lowest test-lowest-files test-lowest-clock check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 # The tests start hundreds of programs. Each would compile all that it imports, which takes longer than most of the tests.
 unexport PYTHONDONTWRITEBYTECODE
-# Tests that drive a browser run alone, those that mostly wait for the clock two at a time, most others two files at a
+# Tests that drive a browser run alone, those that mostly wait for the clock three at a time, most others two files at a
 # time. What runs beside them, at low priority, uses the processor time that they leave.
 BROWSER := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py
 CLOCK := tests/session/test_node_client.py tests/session/test_live_session.py \
@@ -14,6 +14,7 @@ COMPILING := tests/planner/deploy tests/planner/kernels tests/planner/test_cpp_h
 # A busy machine can delay a browser or a clock beyond what a test waits for: at most three of them get a second attempt.
 SECOND_ATTEMPT := --reruns 1 --max-suite-reruns 3 --rerun-show-tracebacks
 TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder
+THREE_TESTS := -n 3 --dist load
 OTHERS := $(TWO_FILES) $(addprefix --ignore=,$(BROWSER) $(CLOCK))
 
 help:            ## show this help
@@ -30,11 +31,14 @@ demo: setup      ## fly through the forest in the browser
 
 test: setup-dev  ## run all checks and tests
 	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(OTHERS) $(addprefix --ignore=,$(COMPILING)))
-	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files $(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(BROWSER))
-	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-compiling $(MAKE) -j2 -Otarget test-clock test-lowest-clock)
+	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files,test-compiling $(MAKE) test-delicate)
+
+test-delicate:
+	$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(BROWSER)
+	$(MAKE) -j2 -Otarget test-clock test-lowest-clock
 
 test-clock:
-	$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(CLOCK)
+	$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(THREE_TESTS) $(CLOCK)
 
 test-compiling:
 	$(PYTHON_BIN) -m pytest $(TWO_FILES) $(COMPILING)
@@ -45,7 +49,7 @@ test-lowest-files: setup-dev
 	@$(PYTHON_BIN) scripts/lowest.py $(or $(ARGS),$(OTHERS))
 
 test-lowest-clock: setup-dev
-	@$(PYTHON_BIN) scripts/lowest.py $(filter tests/planner/%,$(CLOCK))
+	@$(PYTHON_BIN) scripts/lowest.py $(THREE_TESTS) $(filter tests/planner/%,$(CLOCK))
 
 check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .

@@ -7,6 +7,8 @@ reinstalled while the sources and requirements stay the same. PYTHON=python3.13 
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import os
 import re
@@ -14,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from importlib.metadata import PathDistribution
 from pathlib import Path
 from zipfile import Path as ZipPath
@@ -47,12 +50,21 @@ def main() -> int:
     Outside CI, an unreachable package registry is not an error.
     """
     try:
-        install()
+        with locked():
+            install()
     except InstallError as error:
         print(f"THE LOWEST VERSIONS WERE NOT TESTED: {error}", file=sys.stderr)
         return 0 if isinstance(error, UnreachableError) and not os.environ.get("CI") else 2
     command = [INTERPRETER, "-m", "pytest", "-o", "testpaths=tests/planner", *sys.argv[1:]]
     return subprocess.call(command, cwd=ROOT, env={**os.environ, "AERO_PLANNER_PINS": str(PINS)})
+
+
+@contextlib.contextmanager
+def locked() -> Iterator[None]:
+    """Wait until no other run of this script installs."""
+    with Path(__file__).open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def install() -> None:

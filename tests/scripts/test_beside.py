@@ -1,4 +1,4 @@
-"""A target of the Makefile beside a command."""
+"""Targets of the Makefile beside a command."""
 
 import signal
 import subprocess
@@ -16,6 +16,8 @@ session:
 \t@cat /proc/self/autogroup
 wrong:
 \t@echo broken; false
+held:
+\t@touch started; sleep 2; echo end
 endless:
 \t@touch started; sleep 60; touch ended
 """
@@ -30,8 +32,9 @@ def script(tmp_path: Path) -> Path:
     return tmp_path / "scripts" / "beside.py"
 
 
-def run(script: Path, target: str, command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, script, target, "sh", "-c", command], capture_output=True, text=True)
+def run(script: Path, targets: str, command: str) -> subprocess.CompletedProcess[str]:
+    program = [sys.executable, script, targets, "sh", "-c", command]
+    return subprocess.run(program, cwd=script.parents[1], capture_output=True, text=True)
 
 
 def test_the_target_runs_at_low_priority_and_its_output_stays_together(script: Path):
@@ -51,6 +54,16 @@ def test_the_exit_code_is_that_of_the_command_or_of_the_target(script: Path):
     failed = run(script, "wrong", "true")
     assert failed.returncode == 2 and "broken" in failed.stdout
     assert run(script, "wrong", "exit 3").returncode == 3
+
+
+def test_targets_run_one_after_another_even_if_one_fails(script: Path):
+    done = run(script, "wrong,slow", "true")
+    assert done.returncode == 2 and "broken" in done.stdout and done.stdout.endswith("begin\n19\nend\n")
+
+
+def test_no_target_is_started_after_the_command_has_failed(script: Path):
+    done = run(script, "held,wrong", "until [ -e started ]; do sleep 0.02; done; exit 3")
+    assert done.returncode == 3 and done.stdout == "end\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
