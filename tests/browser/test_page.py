@@ -159,6 +159,7 @@ def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(r
     second.close()
     index = desk.session.frame.index
     desk.wait_for(lambda: len(desk.dashboard.server.get_clients()) == 1, "the second client to be gone")
+    desk.session.set_speed(1.0)
     desk.wait_for(lambda: desk.session.frame.index > index + 20, "the flight to continue")
     desk.dashboard.update_ms.clear()
     desk.wait_for(lambda: len(desk.dashboard.update_ms) > 5, "updates for the one that stayed")

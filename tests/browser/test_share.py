@@ -9,6 +9,7 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
+from small_source import small_source
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard.share import share
@@ -88,7 +89,7 @@ def test_a_shared_log_is_a_recording(tmp_path):
     from aero_viz.catalog import open_source
 
     path = tmp_path / "flight.mcap"
-    share(FlightSource(scene("forest", seed=0)), path, command="", duration=0.2)
+    share(small_source(), path, command="", duration=0.2)
     source = open_source(str(path))
     try:
         assert source.info.recorded_plan is not None and source.info.times is not None
@@ -107,5 +108,5 @@ def test_a_shared_log_is_a_recording(tmp_path):
 )
 def test_mistakes_are_reported_and_leave_no_file(tmp_path, name, options, words):
     with pytest.raises(UserError, match=words):
-        share(FlightSource(scene("forest", seed=0)), tmp_path / name, command="", duration=0.1, **options)
+        share(small_source(), tmp_path / name, command="", duration=0.1, **options)
     assert not list(tmp_path.iterdir())

@@ -7,6 +7,7 @@ from typing import Any
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from small_source import small_source
 
 from aero_planner import PlannerConfig
 from aero_viz.cli import main
@@ -56,7 +57,7 @@ def test_a_full_disk_is_named(browser, tmp_path):
     del browser
     (tmp_path / "a.png").symlink_to("/dev/full")
     with pytest.raises(UserError, match=r"a\.png cannot be written: No space left on device\.$"):
-        snapshot(FlightSource(scene("forest", seed=0)), path=tmp_path / "a.png", size=(160, 100))
+        snapshot(small_source(), path=tmp_path / "a.png", size=(160, 100))
 
 
 @pytest.mark.parametrize(
@@ -74,7 +75,7 @@ def test_a_full_disk_is_named(browser, tmp_path):
 )
 def test_mistakes_are_reported_before_a_browser_starts(arguments, words):
     with pytest.raises(UserError, match=words):
-        snapshot(FlightSource(scene("forest", seed=0)), **arguments)
+        snapshot(small_source(), **arguments)
 
 
 if __name__ == "__main__":

@@ -96,8 +96,9 @@ def test_tune_serves_the_page_while_it_flies(browser, tmp_path: Path) -> None:
 
         first = count()
         page.wait_for_function(
-            "n => parseInt(document.querySelector('.aero-study').innerText.match(/(\\d+) of 400/)[1]) > n", arg=first
-        )
+            "n => parseInt(document.querySelector('.aero-study').innerText.match(/(\\d+) of 400/)[1]) > n",
+            arg=first, polling=200,
+        )  # fmt: skip
         page.locator(".aero-candidate").first.wait_for()  # one that arrived; the first ones may not
         process.send_signal(signal.SIGINT)
         table = process.stdout.readline() + process.stdout.readline()

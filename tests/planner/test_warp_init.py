@@ -1,3 +1,4 @@
+import shutil
 import subprocess
 import sys
 
@@ -53,12 +54,21 @@ def test_a_service_may_have_closed_stderr(tmp_path):
     assert output_of(tmp_path, program.replace('print("a warning", file=sys.stderr)', ""))[0] == "the result\n"
 
 
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A folder with the compiled kernels of `COMMAND`."""
+    folder = tmp_path_factory.mktemp("compiled")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("WARP_CACHE_PATH", str(folder / "cache"))
+        output_of(folder, COMMAND.format(level=""))
+    return folder / "cache"
+
+
 @pytest.fixture
-def cache(tmp_path, monkeypatch):
+def cache(compiled, tmp_path, monkeypatch):
     """A folder for compiled kernels that holds those of `COMMAND`."""
     monkeypatch.setenv("WARP_CACHE_PATH", str(tmp_path / "cache"))
-    output_of(tmp_path, COMMAND.format(level=""))
-    return tmp_path / "cache"
+    return shutil.copytree(compiled, tmp_path / "cache")
 
 
 @pytest.mark.parametrize(("suffix", "keep"), [("o", 1000), ("meta", 0)])
