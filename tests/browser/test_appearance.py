@@ -6,11 +6,15 @@ TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune")
 _FAINT = """
 () => {
   const canvas = document.createElement("canvas").getContext("2d", {willReadFrequently: true});
+  const known = new Map();
   const rgba = css => {
-    canvas.clearRect(0, 0, 1, 1);
-    canvas.fillStyle = css;
-    canvas.fillRect(0, 0, 1, 1);
-    return [...canvas.getImageData(0, 0, 1, 1).data];
+    if (!known.has(css)) {
+      canvas.clearRect(0, 0, 1, 1);
+      canvas.fillStyle = css;
+      canvas.fillRect(0, 0, 1, 1);
+      known.set(css, [...canvas.getImageData(0, 0, 1, 1).data]);
+    }
+    return known.get(css);
   };
   const over = (below, top) => below.map((x, i) => x + (top[i] - x) * top[3] / 255);
   const light = color => [0.2126, 0.7152, 0.0722].reduce((sum, w, i) => sum + w * (color[i] / 255) ** 2.2, 0.05);
