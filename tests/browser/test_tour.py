@@ -38,7 +38,7 @@ def test_the_tour_loops_skips_what_fails_and_survives_a_closed_browser(browser):
     thread.start()
     try:
         for _ in range(2):  # closed, and opened again
-            page = visit(browser, dashboard.url, size=(480, 300))
+            page = visit(browser, dashboard.url, size=(480, 300), resolution=0.5)
             page.locator("#aero-caption-text", has_text=".").wait_for()
             seen = tour.shown
             first = iio.imread(io.BytesIO(page.screenshot()))
