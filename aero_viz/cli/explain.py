@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 import tyro
 
+from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, LidarName, OptionalFloat, OptionalPath, WorldFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()

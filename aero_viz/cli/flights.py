@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import (
     ConfigFlags,
     FileName,
@@ -22,7 +23,6 @@ from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, announce_foxglove
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()

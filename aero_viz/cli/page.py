@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -33,7 +34,6 @@ from aero_viz.cli.serving import (
     wait_for,
 )
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 from aero_viz.reader_process import read_here
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 
 _RECORDING = RecordingFlags()
 
@@ -57,22 +57,24 @@ def convert(
         end: Leave out messages after this time, counted from the first message [s].
         topics: Write these topics only.
         decimate: Keep every n-th point of each cloud.
-        to: Format to write. Rerun opens MCAP itself; rrd says how it is converted.
+        to: Format to write. Rerun opens MCAP itself; rrd prints how to convert it.
         overwrite: Replace an existing file.
         recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
         json: Print one JSON object.
     """
     from aero_viz.recordings import open_recording
     from aero_viz.recordings.convert import convert as convert_recording
+    from aero_viz.recordings.convert import refuse_source
 
     if to == "rrd" or output.suffix.lower() == ".rrd":
         mcap, rrd = output.with_suffix(".mcap"), output.with_suffix(".rrd")
         raise UserError(
-            f"AERO-Viz does not write {rrd}: write {mcap}, which Rerun opens (`rerun {mcap}`) or converts "
-            f"(`rerun mcap convert {mcap} -o {rrd}`)"
+            f"AERO-Viz does not write Rerun's format. Write MCAP with `aero-viz convert {file} {mcap}`; Rerun shows it "
+            f"with `rerun {mcap}`, and converts it with `rerun mcap convert {mcap} -o {rrd}`."
         )
     if output.suffix.lower() != ".mcap":
         raise UserError(f"{output} would hold MCAP; give a name that ends in .mcap, such as {output.stem}.mcap.")
+    refuse_source(output, [Path(file)])
     check_output_files(output, overwrite=overwrite)
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:

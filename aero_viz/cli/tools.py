@@ -6,10 +6,10 @@ from typing import Annotated
 
 import tyro
 
+from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 
 _CONFIG = ConfigFlags()
 _WORLD = WorldFlags()

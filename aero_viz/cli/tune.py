@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from aero_planner.output_files import check_output_files
 from aero_planner.termination import is_terminating
 from aero_viz.cli.flags import (
     ConfigFlags,
@@ -28,7 +29,6 @@ from aero_viz.cli.output import print_json, progress_bar
 from aero_viz.cli.page import serve_flight
 from aero_viz.cli.serving import PageFlags, StudyFlags
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 
 ObjectiveName = Literal["time", "clearance", "smoothness"]
 _CONFIG = ConfigFlags()

@@ -107,8 +107,8 @@ def _full_type_name(name: str) -> str:
 
 
 def one_line(error: Exception) -> str:
-    """Return the text of a library's error as a single printable line."""
-    text = " ".join(str(error).split())
+    """Return the text of a library's error as a single printable line, without a full stop at its end."""
+    text = " ".join(str(error).split()).removesuffix(".")
     return "".join(letter if letter.isprintable() else "?" for letter in text) or type(error).__name__
 
 

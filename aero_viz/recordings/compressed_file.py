@@ -50,17 +50,17 @@ def decompress_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
             if written > limit:
                 raise UserError(
                     f"{path} expands to more than {limit >> 20} MiB, which no recording of its size does: it is "
-                    "damaged or hostile"
+                    "damaged or hostile."
                 )
             if written > space:
                 raise UserError(
                     f"{path} expands to more than the {space >> 20} MiB that may be used in {folder.parent}: set "
-                    f"TMPDIR to a larger folder, or decompress {path.name} and open the result"
+                    f"TMPDIR to a larger folder, or decompress {path.name} and open the result."
                 )
             sink.write(piece)
     if not written:
         raise UserError(
-            f"{path} is {problem or 'empty inside'}, and nothing of it can be read: record or copy it again"
+            f"{path} is {problem or 'empty inside'}, and nothing of it can be read: record or copy it again."
         )
     return target, problem and f"{problem}; only the data before the damage is used"
 

@@ -122,7 +122,7 @@ def read_contents(storage: Storage) -> Contents:
             )
     if not contents.topics and contents.problems:
         problems = "; ".join(contents.problems)
-        raise UserError(f"nothing can be read from {storage.path}: {problems}; record or copy it again")
+        raise UserError(f"Nothing can be read from {storage.path}: {problems}; record or copy it again.")
     return contents
 
 

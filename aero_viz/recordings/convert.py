@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -88,19 +88,18 @@ def convert(
     """
     target = Path(target)
     if decimate < 1:
-        raise UserError(f"--decimate must be at least 1, not {decimate}")
+        raise UserError(f"--decimate must be at least 1, not {decimate}.")
     if not start < end:
-        raise UserError(f"--start {start:g} must be before --end {end:g}")
+        raise UserError(f"--start {start:g} must be before --end {end:g}.")
     storage = open_storage(source)
     try:
         with readable(storage.path):
             contents = read_contents(storage)
-        if any(file.path.resolve() == target.resolve() for file in storage.files):
-            raise UserError(f"{target} is the recording itself: give another name to write to")
+        refuse_source(target, [file.path for file in storage.files])
         unknown = sorted(set(topics) - {topic.name for topic in contents.topics})
         if unknown:
             names = ", ".join(topic.name for topic in contents.topics)
-            raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}")
+            raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}.")
         first = contents.first or 0
         window = (first + start * 1e9, first + end * 1e9)
         partial = target.with_name(target.name + ".part")
@@ -114,7 +113,7 @@ def convert(
                 output.finish()
             if not output.counts:
                 reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
-                raise UserError(f"nothing of {source} is left to write: {reasons}")
+                raise UserError(f"Nothing of {source} is left to write: {reasons}.")
             partial.replace(target)
         except OSError as error:
             raise UserError(f"Cannot write {target}: {error.strerror or error}.") from error
@@ -125,6 +124,16 @@ def convert(
         )
     finally:
         storage.close()
+
+
+def refuse_source(target: Path, sources: Iterable[Path]) -> None:
+    """Check that a file to write is none of the files that are read.
+
+    Raises:
+        UserError: it is one of them.
+    """
+    if any(source.resolve() == target.resolve() for source in sources):
+        raise UserError(f"{target} is the recording itself; give another name to write to.")
 
 
 class _Output:

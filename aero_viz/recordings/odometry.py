@@ -81,7 +81,7 @@ def choose_method(choice: OdometryChoice, imu: ImuSamples | None, *, timed: bool
     lacking = "no sensor_msgs/Imu" if imu is None else "" if timed else "no time per point"
     if choice == "rko-lio" and lacking:
         raise UserError(
-            f"--odometry rko-lio needs an IMU and a time per point, and {lacking} is recorded: use kiss-icp"
+            f"--odometry rko-lio needs an IMU and a time per point, and {lacking} is recorded: use kiss-icp."
         )
     if choice == "auto":
         return "kiss-icp" if lacking else "rko-lio"
@@ -131,7 +131,7 @@ def estimate_motion(
     if len(times) < max(2, (1.0 - _MAX_LOST) * count):
         raise UserError(
             f"{method} found poses for only {len(times)} of {count} sweeps of {recording.path}: "
-            "try the other --odometry, or record poses"
+            "try the other --odometry, or record poses."
         )
     poses = np.array(matrices)
     motion = Motion(
@@ -243,7 +243,7 @@ def _silence_exit() -> None:
 
 
 def _not_installed(name: str, error: ImportError) -> UserError:
-    return UserError(f"{name} is not installed ({error}): pip install 'aero-viz[odometry]', or leave --odometry out")
+    return UserError(f"{name} is not installed ({error}): pip install 'aero-viz[odometry]', or leave --odometry out.")
 
 
 def _matrix(transform: Transform) -> NDArray[np.float64]:

@@ -80,7 +80,7 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
     if not is_osf and metadata is None:
         raise UserError(
             f"{path} needs the metadata of the sensor: put the JSON file that was recorded with it into its folder, "
-            f"as {path.stem}.json"
+            f"as {path.stem}.json."
         )
     with tempfile.TemporaryDirectory(prefix="aero-viz-") as folder:
         spool, problem = Path(folder) / "sweeps", ""
@@ -94,7 +94,7 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
             for stamp, row in zip(decoded.imu_stamps, decoded.imu, strict=True):
                 imu.add(int(stamp), row[:3], row[3:])
         except UserError as error:
-            problem = str(error)
+            problem = str(error).rstrip(".")
         with spool.open("rb") as file:
             count = 0
             for sweep in _spooled(file):
@@ -102,7 +102,7 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
                 count += 1
     if not count:
         raise UserError(
-            f"{path} holds no sweep that can be decoded ({problem or 'nothing is complete'}): copy it again"
+            f"{path} holds no sweep that can be decoded ({problem or 'nothing is complete'}): copy it again."
         )
     if not is_osf:
         for _ in udp_payloads(path):  # ouster-sdk does not say that a capture is truncated

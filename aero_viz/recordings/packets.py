@@ -151,7 +151,7 @@ def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
         import velodyne_decoder as decoder
     except ImportError as error:
         raise UserError(
-            f"velodyne-decoder is not installed ({error}): pip install 'aero-viz[formats]' to read {path}"
+            f"velodyne-decoder is not installed ({error}): pip install 'aero-viz[formats]' to read {path}."
         ) from error
     config = decoder.Config()
     config.timestamp_first_packet = True

@@ -140,7 +140,9 @@ def load_ulog(path: Path, topics: list[str]) -> Any:
     try:
         from pyulog import ULog
     except ImportError as error:
-        raise UserError(f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}") from error
+        raise UserError(
+            f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}."
+        ) from error
     with _damage_reported(path):
         return ULog(str(path), topics)
 
@@ -231,7 +233,7 @@ def add_poses(recording: Recording, path: Path) -> None:
     poses = RecordedPoses(times, table.positions, table.quaternions, table.twists)
     covered = poses.covers(sweeps)
     if not covered.any():
-        raise UserError(f"the poses of {path} do not overlap the sweeps of {recording.path} in time.")
+        raise UserError(f"The poses of {path} do not overlap the sweeps of {recording.path} in time.")
     recording.keep(covered)
     recording.use_poses(poses.shifted(float(sweeps[covered][0])), path.name, notices, origin="file")
 

@@ -70,7 +70,7 @@ class Recording:
         entries = sorted((entry for entry in cloud.clouds if entry.count), key=lambda entry: entry.time)
         if not entries:
             advice = suggest_other_clouds(contents, cloud)
-            raise UserError(f"no sweep on {cloud.name} of {self.path} has a point{advice}")
+            raise UserError(f"No sweep on {cloud.name} of {self.path} has a point{advice}.")
         if len(entries) < len(cloud.clouds):
             empty = len(cloud.clouds) - len(entries)
             self.problems.append(f"{empty} of {len(cloud.clouds)} sweeps on {cloud.name} have no points: left out")
@@ -83,8 +83,8 @@ class Recording:
         if not self._has_valid_point():
             advice = suggest_other_clouds(contents, cloud)
             raise UserError(
-                f"no sweep on {cloud.name} of {self.path} has a valid point: all are zero, not finite or beyond any "
-                f"range{advice}"
+                f"No sweep on {cloud.name} of {self.path} has a valid point: all are zero, not finite or beyond any "
+                f"range{advice}."
             )
 
         if self.poses is None and storage.pose_file is not None:
@@ -293,7 +293,7 @@ def configure_recording(
     if mask is not None:
         lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
-            raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}")
+            raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}.")
         recording.mask(mask)
     if poses is not None:
         from aero_viz.recordings.pose_files import add_poses
@@ -310,7 +310,7 @@ def _mounting(values: Sequence[float]) -> Transform:
 
 def _checked(values: Sequence[float], flag: str, meaning: str) -> Sequence[float]:
     if len(values) != 6 or not np.isfinite(values).all():
-        raise UserError(f"{flag} takes six finite numbers, {meaning}, not {list(values)}")
+        raise UserError(f"{flag} takes six finite numbers, {meaning}, not {list(values)}.")
     return values
 
 

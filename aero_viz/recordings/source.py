@@ -84,7 +84,7 @@ class RecordingSource:
 
     def __init__(self, recording: Recording, *, goal_ahead: float = 15.0, sweeps: int = 10):
         if sweeps < 1:
-            raise UserError(f"sweeps must be at least 1, not {sweeps}: the planner needs a cloud")
+            raise UserError(f"sweeps must be at least 1, not {sweeps}: the planner needs a cloud.")
         self.recording = recording
         self.sweeps = sweeps
         self.goal_ahead = goal_ahead
@@ -121,7 +121,7 @@ class RecordingSource:
     @goal_ahead.setter
     def goal_ahead(self, distance: float) -> None:
         if not (np.isfinite(distance) and distance > 0):
-            raise UserError(f"goal_ahead must be a positive number of metres, not {distance}")
+            raise UserError(f"goal_ahead must be a positive number of metres, not {distance}.")
         self._goal_ahead = float(distance)
 
     @property
@@ -161,7 +161,7 @@ class RecordingSource:
     def seek(self, time: float) -> None:
         """Go to the tick at or before `time` [s], or to the first or last one if there is none."""
         if not np.isfinite(time):
-            raise UserError(f"cannot seek to {time} s: give a time between {self._ticks[0]} and {self._ticks[-1]} s")
+            raise UserError(f"Cannot seek to {time} s: give a time between {self._ticks[0]} and {self._ticks[-1]} s.")
         index = int(np.searchsorted(self._ticks, time, side="right")) - 1
         self._index = min(max(index, 0), len(self._ticks) - 1)
         self.outcome = None
@@ -173,7 +173,7 @@ class RecordingSource:
             return
         goal = np.array(position, np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
-            raise UserError(f"a goal is three finite numbers [m], not {position}")
+            raise UserError(f"A goal is three finite numbers [m], not {position}.")
         self._goal = goal
 
     def close(self) -> None:

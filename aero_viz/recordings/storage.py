@@ -96,7 +96,7 @@ class Storage:
             start = file.read(_START)
         name = packed or path
         if not start:
-            raise UserError(f"{name} is empty: record or copy it again")
+            raise UserError(f"{name} is empty: record or copy it again.")
         for magic, (format_name, reader) in _READERS.items():
             if start.startswith(magic):
                 bag = reader(path)
@@ -113,7 +113,7 @@ class Storage:
             return format_name, bag
         if start.startswith(b"#ROSBAG"):
             version = start.split(b"\n")[0].decode(errors="replace")
-            raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`")
+            raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`.")
         from aero_viz.recordings.other_formats import open_other_file
 
         if found := open_other_file(path, start):
@@ -122,8 +122,8 @@ class Storage:
             return found
         for magic, (offset, advice) in _UNREAD.items():
             if start[offset:].startswith(magic):
-                raise UserError(f"{name} is not a recording: {advice}")
-        raise UserError(f"{name} is not a recording that AERO-Viz can read; it reads {SUPPORTED}")
+                raise UserError(f"{name} is not a recording: {advice}.")
+        raise UserError(f"{name} is not a recording that AERO-Viz can read; it reads {SUPPORTED}.")
 
     def close(self) -> None:
         """Close all files and remove the temporary ones."""
@@ -172,12 +172,12 @@ def _open_folder(path: Path) -> Storage:
         names = list(dict.fromkeys(Path(name).name for name in _relative_paths(metadata)))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise UserError(
-            f"{metadata} is damaged ({one_line(error)}): open the .mcap or .db3 file next to it instead"
+            f"{metadata} is damaged ({one_line(error)}): open the .mcap or .db3 file next to it instead."
         ) from error
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
         raise UserError(
-            f"{path} lacks {_list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again"
+            f"{path} lacks {_list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again."
         )
     return Storage(path, [path / name for name in names], is_folder=True)
 
@@ -221,11 +221,11 @@ def readable(path: Path) -> Iterator[None]:
     except UserError:
         raise
     except PermissionError as error:
-        raise UserError(f"{path} cannot be read: permission denied") from error
+        raise UserError(f"{path} cannot be read: permission denied.") from error
     except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or one_line(error)}") from error
+        raise UserError(f"{path} cannot be read: {error.strerror or one_line(error)}.") from error
     except Exception as error:
-        raise UserError(f"{path} cannot be read and may be damaged or truncated: {one_line(error)}") from error
+        raise UserError(f"{path} cannot be read and may be damaged or truncated: {one_line(error)}.") from error
 
 
 def _part(file: Path) -> int:
@@ -249,17 +249,17 @@ def _list_names(names: list[str]) -> str:
 def _missing(path: Path) -> str:
     parent = path.parent
     if not parent.is_dir():
-        return f"{path} does not exist, nor does the folder {parent}"
+        return f"{path} does not exist, nor does the folder {parent}."
     close = difflib.get_close_matches(path.name, [entry.name for entry in parent.iterdir()], n=3, cutoff=0.5)
     if close:
         return f"{path} does not exist; did you mean {' or '.join(close)}?"
     names = _recordings_in(parent)
     where = "this folder" if parent == Path() else parent
-    return f"{path} does not exist; {where} holds {_list_names(names) if names else 'no recording'}"
+    return f"{path} does not exist; {where} holds {_list_names(names) if names else 'no recording'}."
 
 
 def _no_recording(path: Path) -> str:
     names = _recordings_in(path)
     if names:
-        return f"{path} is a folder of recordings, not one recording: choose one of {_list_names(names)}"
-    return f"{path} is a folder without a recording; AERO-Viz reads {SUPPORTED}"
+        return f"{path} is a folder of recordings, not one recording: choose one of {_list_names(names)}."
+    return f"{path} is a folder without a recording; AERO-Viz reads {SUPPORTED}."

@@ -103,11 +103,11 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
         advice = (text for kind, text in _UNREAD.items() if any(re.search(kind, name, re.I) for name in present))
         raise UserError(
             f"{contents.path} has no PointCloud2 topic with messages, nor any other cloud that can be read; it holds "
-            f"{held}: {next(advice, 'record the topic of the LiDAR, too')}"
+            f"{held}: {next(advice, 'record the topic of the LiDAR, too')}."
         )
     if not topics[0].clouds:
         reason = topics[0].reason or "there are no messages"
-        raise UserError(f"no cloud on {topics[0].name} of {contents.path} can be read: {reason}")
+        raise UserError(f"No cloud on {topics[0].name} of {contents.path} can be read: {reason}.")
     return topics[0]
 
 
@@ -143,8 +143,8 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
     if best.source is None:
         names = _join([topic.name for topic in candidates], " and ")
         raise UserError(
-            f"the poses on {names} of {contents.path} do not overlap the sweeps in time: "
-            "record both together or name another topic with pose_topic"
+            f"The poses on {names} of {contents.path} do not overlap the sweeps in time: "
+            "record both together or name another topic with pose_topic."
         )
     return best
 
@@ -234,11 +234,11 @@ def _find_topic(contents: Contents, name: str, role: str) -> TopicContents:
     found = [topic for topic in contents.topics if topic.name == name]
     if not found:
         close = difflib.get_close_matches(name, [topic.name for topic in suitable], n=3, cutoff=0.4)
-        advice = f"; did you mean {' or '.join(close)}?" if close else _suggest(suitable) or ", nor any other"
+        advice = f"; did you mean {' or '.join(close)}?" if close else f"{_suggest(suitable) or ', nor any other'}."
         raise UserError(f"{contents.path} has no {role} topic {name}{advice}")
     topic = max(found, key=lambda topic: (topic.type in types, topic.count))
     if topic.type not in types:
-        raise UserError(f"{name} of {contents.path} is a {topic.type}, {mismatch}{_suggest(suitable)}")
+        raise UserError(f"{name} of {contents.path} is a {topic.type}, {mismatch}{_suggest(suitable)}.")
     return topic
 
 

@@ -111,12 +111,12 @@ def test_missing_coordinate_is_named(mcap_of):
 
 def test_empty_clouds_are_an_error_only_if_all_are_empty(mcap_of):
     empty = [bags.cloud(0.1 * k, bags.xyz(np.empty((0, 3)))) for k in range(3)]
-    with pytest.raises(UserError, match=r"no sweep on /points .* has a point: check that"):
+    with pytest.raises(UserError, match=r"No sweep on /points .* has a point: check that"):
         open_recording(mcap_of(empty))
     info = inspect(mcap_of([*empty, bags.cloud(0.3, bags.xyz(bags.wall()))]))
     assert info.sweeps == 1 and "3 of 4 sweeps on /points have no points: left out" in info.problems
 
 
 def test_clouds_of_invalid_points_only_are_an_error(mcap_of):
-    with pytest.raises(UserError, match=r"no sweep on /points .* has a valid point: all are zero"):
+    with pytest.raises(UserError, match=r"No sweep on /points .* has a valid point: all are zero"):
         open_recording(mcap_of([bags.cloud(0.1 * k, bags.xyz(np.zeros((5, 3)))) for k in range(3)]))

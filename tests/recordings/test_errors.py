@@ -95,14 +95,14 @@ def test_named_topics(mcap_of):
 
 def test_only_suitable_topics_are_suggested(mcap_of):
     path = mcap_of([*bags.drive(2), bags.text(0.5)])
-    with pytest.raises(UserError, match=r"no points topic /lidar; choose /points$"):
+    with pytest.raises(UserError, match=r"no points topic /lidar; choose /points\.$"):
         inspect(path, points_topic="/lidar")
-    with pytest.raises(UserError, match=r"no pose topic /xyz; choose /odom$"):
+    with pytest.raises(UserError, match=r"no pose topic /xyz; choose /odom\.$"):
         inspect(path, pose_topic="/xyz")
     with pytest.raises(UserError, match=r"/note .* not a point cloud; choose /points"):
         inspect(path, points_topic="/note")
     bare = mcap_of([bags.text(0.5)])
-    with pytest.raises(UserError, match=r"no points topic /points, nor any other$"):
+    with pytest.raises(UserError, match=r"no points topic /points, nor any other\.$"):
         inspect(bare, points_topic="/points")
 
 

@@ -220,7 +220,7 @@ def test_only_regular_files_are_opened(tmp_path, kind):
         path.symlink_to("/dev/zero")
     else:
         socket.socket(socket.AF_UNIX).bind(str(path))
-    with pytest.raises(UserError, match=rf"a\.mcap cannot be read: it is a {kind}, not a regular file$"):
+    with pytest.raises(UserError, match=rf"a\.mcap cannot be read: it is a {kind}, not a regular file\.$"):
         inspect(path)
 
 

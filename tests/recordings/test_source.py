@@ -182,7 +182,7 @@ def test_seek_goes_to_the_tick_at_or_before(source_of):
     play(source)
     source.seek(0.1)
     assert source.outcome is None
-    with pytest.raises(UserError, match="cannot seek"):
+    with pytest.raises(UserError, match="Cannot seek"):
         source.seek(np.nan)
 
 

@@ -13,11 +13,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from aero_planner import PlannerConfig
+from aero_planner.output_files import check_output_files
 from aero_viz.dashboard.history import true_clearance
 from aero_viz.dashboard.share.page import page
 from aero_viz.dashboard.share.scene_recording import SceneRecording
 from aero_viz.errors import UserError
-from aero_viz.output_files import check_output_files
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
@@ -61,14 +61,15 @@ def share(
         report: called with the source's time [s] after each tick.
 
     Raises:
-        UserError: the duration is not positive, the name has no known suffix, a layer is unknown, the file cannot be
-            written, or a program for pictures is missing.
+        UserError: the duration is not positive, the name has no known suffix, a layer is unknown, or a program for
+            pictures is missing.
+        ValueError: the file cannot be written.
     """
     try:
         if not duration > 0.0:
             raise UserError(f"The duration is {duration:g} s; it must be positive.")
         check_path(Path(path))
-    except UserError:
+    except (UserError, ValueError):
         source.close()
         raise
     session = Session(source, config=config, device=device, seed=seed)
@@ -83,7 +84,12 @@ def share(
 
 
 def check_path(path: Path, *, overwrite: bool = True) -> None:
-    """Raise a UserError unless a file of a known kind can be written there; see `check_output_files`."""
+    """Check that a file of a known kind can be written there; see `check_output_files`.
+
+    Raises:
+        UserError: the suffix is unknown.
+        ValueError: the file cannot be written.
+    """
     if path.suffix.lower() not in SUFFIXES:
         kinds = ", ".join(f"{suffix} ({kind})" for suffix, kind in SUFFIXES.items())
         raise UserError(f"The name {path} does not say what to write; end it in one of {kinds}.")

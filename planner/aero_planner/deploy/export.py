@@ -28,6 +28,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_planner.deploy.aot import compile_ahead, kernels_in, load_kernels
 from aero_planner.deploy.bundle import CONFIG, FORMAT, GRAPH, KERNELS, MANIFEST, cpu_target, planner_digest
+from aero_planner.output_files import check_folder, check_output_files
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
 
@@ -75,12 +76,11 @@ def export(
         )
     target = Path(os.path.abspath(out))
     is_tar = target.suffix == ".tar"
-    if target.is_dir() if is_tar else target.exists() and not (target.is_dir() and not any(target.iterdir())):
+    if is_tar:
+        check_output_files(Path(out), overwrite=overwrite)
+    elif target.exists() and not (target.is_dir() and not any(target.iterdir())):
         raise ValueError(f"{out} exists already; remove it, or give the bundle another name.")
-    if is_tar and target.exists() and not overwrite:
-        raise ValueError(f"{out} exists already; add --overwrite to replace it, or give the bundle another name.")
-    if not target.parent.is_dir():
-        raise ValueError(f"the folder {target.parent} does not exist; make it, or write the bundle to another folder.")
+    check_folder(Path(out))
     init_warp()
     if cpu and not wp.is_cpu_available():
         raise ValueError("this Warp has no compiler for the CPU; leave out --cpu, or install the Warp package of PyPI.")

@@ -167,7 +167,7 @@ def test_sigterm_ends_an_export_and_leaves_nothing(tmp_path: Path):
         (["{out}", "--arch", "sm_12"], "kernels can't be compiled for architecture 12"),
         (["{taken}", "--cpu"], "exists already; remove it"),
         (["{taken}/file", "--cpu"], "exists already; remove it"),
-        (["{absent}/out", "--cpu"], "does not exist; make it"),
+        (["{absent}/out", "--cpu"], "absent; create it first"),
         (["{out}", "--cpu", "--config", "papr"], "'papr' is neither a preset (did you mean 'paper'?) nor a file"),
         (["{out}", "--cpu", "--config", "{bad}"], "line 1: unknown section 'cost'"),
     ],

@@ -1,0 +1,46 @@
+"""The check of files that a command or a function is about to write."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def check_output_files(*paths: Path | None, overwrite: bool, derived: Sequence[Path | None] = ()) -> None:
+    """Check that files can be written before the work that makes them, which may take hours.
+
+    Args:
+        paths: files that a user has named; None is left out.
+        overwrite: replace existing files.
+        derived: further files, which are always replaced, since the same command makes them again: pictures, tables.
+
+    Raises:
+        ValueError: a path is given twice, it is a folder, its folder does not exist, permission to write it is missing,
+            or it is a file of `paths` that is not empty and `overwrite` is False. A device or a pipe holds nothing
+            that could be lost.
+    """
+    named = [path for path in (*paths, *derived) if path is not None]
+    for i, path in enumerate(named):
+        if path in named[:i]:
+            raise ValueError(f"{path} cannot hold two outputs; choose another file for one of them.")
+        if path.is_dir():
+            raise ValueError(f"{path} is a folder; give the name of a file to write.")
+        check_folder(path)
+        if path not in derived and path.is_file() and path.stat().st_size > 0 and not overwrite:
+            raise ValueError(f"{path} exists already; add --overwrite to replace it, or choose another file.")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise ValueError(f"{path} cannot be written: permission denied. Choose another file.")
+
+
+def check_folder(path: Path) -> None:
+    """Check that the folder of a file or folder that is about to be written exists and can be written to.
+
+    Raises:
+        ValueError: it does not, or it cannot.
+    """
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise ValueError(f"There is no folder {path.parent}; create it first, or choose another place.")
+    if not path.exists() and not os.access(folder, os.W_OK):
+        raise ValueError(f"{path} cannot be written: its folder is read-only. Choose another folder.")
