@@ -1,19 +1,24 @@
-"""Signals that end a command: SIGTERM, which service managers and `timeout` send, does so as Ctrl-C: results are kept.
+"""Signals that end a command: SIGTERM, which service managers and `timeout` send, acts as Ctrl-C: results are kept.
 
 Python ignores an exception that is raised while an object is finalized, such as the thousands of arrays of a batch of
-flights. A signal that arrives meanwhile is raised again a moment later.
+flights, or in a callback of a weak reference. A signal that arrives meanwhile is sent again a moment later.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
+from collections.abc import Callable
 from types import FrameType
+from typing import Any
 
 _received = threading.Event()
 _RETRY_AFTER = 0.01
 """Time after which a signal that would be ignored is sent again [s]."""
+_FINALIZERS = ("weakref", "_weakrefset")
+"""Modules whose functions run while an object is finalized."""
 
 
 def install_handler() -> None:
@@ -23,6 +28,8 @@ def install_handler() -> None:
         signal.signal(signal.SIGTERM, _interrupt)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, raise_interrupt)
+        if not isinstance(sys.unraisablehook, _UnraisableHook):
+            sys.unraisablehook = _UnraisableHook(sys.unraisablehook)
 
 
 def is_terminating() -> bool:
@@ -36,7 +43,7 @@ def raise_interrupt(number: int, frame: FrameType | None) -> None:
     This is a handler of signals, and the end of a handler that does not always interrupt.
     """
     if _is_finalizing(frame):
-        threading.Timer(_RETRY_AFTER, os.kill, (os.getpid(), number)).start()
+        _send_again(number)
         return
     raise KeyboardInterrupt
 
@@ -52,7 +59,29 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def _is_finalizing(frame: FrameType | None) -> bool:
     """Return True if the frame, or one that called it, finalizes an object."""
     while frame is not None:
-        if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__") == "weakref":
+        if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__") in _FINALIZERS:
             return True
         frame = frame.f_back
     return False
+
+
+class _UnraisableHook:
+    """Sends a signal again whose KeyboardInterrupt Python ignores, as in a generator that is discarded.
+
+    Args:
+        report: the hook before, which reports all other exceptions.
+    """
+
+    def __init__(self, report: Callable[[Any], Any]) -> None:
+        self._report = report
+
+    def __call__(self, ignored: Any) -> None:
+        if isinstance(ignored.exc_value, KeyboardInterrupt):
+            _send_again(signal.SIGTERM if is_terminating() else signal.SIGINT)
+        else:
+            self._report(ignored)
+
+
+def _send_again(number: int) -> None:
+    if threading.main_thread().is_alive():  # otherwise the program is ending already
+        threading.Timer(_RETRY_AFTER, os.kill, (os.getpid(), number)).start()
