@@ -3,8 +3,8 @@ import pytest
 import warp as wp
 
 from aero_planner import Plan, Planner, PlanStatus, Sweeps, VehicleState
+from aero_planner.kernels.best_instance import select_best
 from aero_planner.kernels.params import Params
-from aero_planner.kernels.selection import select_best
 from aero_planner.kernels.stops import STOPS
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case
