@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Sweeps, VehicleState
 from aero_viz.errors import UserError
+from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.single import FlightRecorder, FlightRecorders
 from aero_viz.session.frame import Frame
@@ -71,8 +72,7 @@ class FlightTrace:
     @property
     def rules(self) -> FlightRules:
         """Rules of the flight."""
-        values = self.last.source.settings.get("rules")
-        return FlightRules(**values) if isinstance(values, dict) else FlightRules()
+        return FlightSettings.from_dict(self.last.source.settings).rules
 
 
 def _small(frame: Frame) -> Frame:

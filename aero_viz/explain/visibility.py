@@ -11,9 +11,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
+from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar import LIDARS, LidarModel
 from aero_viz.sensors.raycast import cast
 from aero_viz.session.frame import Frame
 
@@ -78,7 +78,7 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
 
     `places` are where it was in each frame [m], shape [frames, 3].
     """
-    model = _lidar(frames[0])
+    model = FlightSettings.from_dict(frames[0].source.settings).lidar
     states = [frame.observation.actual_state for frame in frames]
     q = np.stack([np.asarray(state.quaternion, dtype=np.float64) for state in states])
     p = np.stack([np.asarray(state.position, dtype=np.float64) for state in states])
@@ -113,11 +113,6 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
         "no ray hit it": "in view, but no ray hit it",
     }[reason]
     return reason, f"{detail}, in {count} of the last {total} ticks"
-
-
-def _lidar(frame: Frame) -> LidarModel:
-    values = frame.source.settings.get("lidar")
-    return LidarModel(**values) if isinstance(values, dict) else LIDARS["mid360"]
 
 
 def _occluders(worlds: list[World | None], eyes: Array, directions: Array, distance: Array) -> list[str]:

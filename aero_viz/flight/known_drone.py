@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from aero_planner import PlannerConfig
 from aero_planner.config.field_of_view import mounted_view
+from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import LidarModel
@@ -40,8 +41,8 @@ def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfi
     """Return `config` with the facts of a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
     if not flight.closed_loop or "lidar" not in flight.settings:
         return config
-    lidar, vehicle = LidarModel(**flight.settings["lidar"]), VehicleModel(**flight.settings["drone"])
-    return config_for_drone(config, lidar=lidar, vehicle=vehicle, world=flight.world)
+    settings = FlightSettings.from_dict(flight.settings)
+    return config_for_drone(config, lidar=settings.lidar, vehicle=settings.drone, world=flight.world)
 
 
 def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:

@@ -17,6 +17,7 @@ from aero_viz.flight.batch import SWEEPS, WHOLE_SWEEPS
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import goal_problem
+from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Setting, Simulator
@@ -98,7 +99,7 @@ class FlightSource:
             period=rules.period * rules.ticks_per_plan,
             start=world.start,
             world=world,
-            settings=_settings(self.simulator),
+            settings=_settings(self.simulator).to_dict(),
         )
         self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
         simulator = self.simulator
@@ -196,15 +197,15 @@ class FlightSource:
     def twin(cls, info: SourceInfo) -> FlightSource:
         """Return a source that takes the checkpoints of the flight `info`, on any thread, to show its ticks again."""
         assert info.world is not None
-        s = info.settings
+        settings = FlightSettings.from_dict(info.settings)
         return cls(
             info.world,
-            lidar=LidarModel(**s["lidar"]),
-            vehicle=VehicleModel(**s["drone"]),
-            rules=FlightRules(**s["rules"]),
-            noise=None if s["noise"] is None else StateNoise(**s["noise"]),
-            seed=s["seed"],
-            device=s["device"],
+            lidar=settings.lidar,
+            vehicle=settings.drone,
+            rules=settings.rules,
+            noise=settings.noise,
+            seed=settings.seed,
+            device=settings.device,
         )
 
     def seek(self, time: float) -> None:
@@ -357,16 +358,12 @@ class FlightSource:
         return all(is_sweep_lost(self._seed, scan.sweep, scan.setting.lidar.sweep_loss) for scan in sweep.scans)
 
 
-def _settings(simulator: Simulator) -> dict[str, Any]:
-    """Return the settings that reproduce a flight together with its world, goals and configurations."""
-    models = {
-        "lidar": simulator.lidar.model,
-        "drone": simulator.vehicle.model,
-        "noise": simulator.noise,
-        "rules": simulator.rules,
-    }
-    return {
-        "seed": simulator.seeds[0],
-        "device": simulator.device.alias,
-        **{name: None if model is None else dataclasses.asdict(model) for name, model in models.items()},
-    }
+def _settings(simulator: Simulator) -> FlightSettings:
+    return FlightSettings(
+        seed=simulator.seeds[0],
+        device=simulator.device.alias,
+        lidar=simulator.lidar.model,
+        drone=simulator.vehicle.model,
+        noise=simulator.noise,
+        rules=simulator.rules,
+    )

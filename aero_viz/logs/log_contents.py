@@ -101,15 +101,13 @@ class LogContents:
         Raises:
             UserError: they are damaged.
         """
-        from aero_viz.flight.rules import FlightRules
-        from aero_viz.sensors import LidarModel
+        from aero_viz.flight.flight_settings import FlightSettings
 
         content = self._json("flight.json")
         if content is None:
             return {}
         try:
-            FlightRules(**content.get("rules", {}))
-            LidarModel(**content["lidar"]) if "lidar" in content else None
+            FlightSettings.from_dict(content)
         except (AttributeError, TypeError, ValueError) as error:
             raise UserError(f"The settings of the flight in {self.path} are damaged: {error}.") from error
         return content

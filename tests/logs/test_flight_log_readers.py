@@ -23,6 +23,7 @@ from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
 from aero_viz.cli import main
 from aero_viz.evaluation.score import load_trajectory, score
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel, fly
+from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.logs import flight_recorder
 from aero_viz.recordings import inspect
 from aero_viz.scenes import World, scene
@@ -136,16 +137,16 @@ def test_attachments_repeat_the_flight(flown: tuple[Path, FlightResult], world: 
         attached = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}
     assert set(attached) == {"world.json", "flight.json", "config_0.yaml"}
     (tmp_path / "config.yaml").write_text(attached["config_0.yaml"])
-    settings = json.loads(attached["flight.json"])
+    settings = FlightSettings.from_dict(json.loads(attached["flight.json"]))
     repeated = fly(
         World.from_dict(json.loads(attached["world.json"])),
         recorder=flight_recorder(tmp_path / "again.mcap"),
         config=load_config(tmp_path / "config.yaml"),
-        seed=settings["seed"],
-        device=settings["device"],
-        lidar=LidarModel(**settings["lidar"]),
-        vehicle=VehicleModel(**settings["drone"]),
-        rules=FlightRules(**settings["rules"]),
+        seed=settings.seed,
+        device=settings.device,
+        lidar=settings.lidar,
+        vehicle=settings.drone,
+        rules=settings.rules,
     )
     assert (repeated.reason, repeated.smoothness, repeated.length_m) == (
         result.reason,
