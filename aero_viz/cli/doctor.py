@@ -31,7 +31,7 @@ def examine() -> CheckReport:
 
 
 def _check_package(name: str, *, needed_for: str = "") -> Check:
-    """Check that a package is installed, which is required unless it is needed only for something optional."""
+    """Check that a package is installed. It is required unless only an optional function needs it."""
     try:
         return Check(name, importlib.metadata.version(name))
     except importlib.metadata.PackageNotFoundError:

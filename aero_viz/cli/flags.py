@@ -67,7 +67,7 @@ def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:
 
 
 def _default(info: ParameterInfo) -> str:
-    """Return what a flag's help says of its default."""
+    """Return the default in the help of a flag."""
     if info.section == "drone" and info.name in PLANNED:
         return f"vehicle.{info.name}"
     if info.section == "lidar":

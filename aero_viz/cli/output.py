@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 
 class Report(Protocol):
-    """Anything that a command reports."""
+    """A result that a command prints."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""

@@ -1,4 +1,4 @@
-"""What all commands that serve the page need: its flags, its address on the terminal, and shutdown by a signal."""
+"""Code that all commands with a page share: flags, the address on the terminal, and shutdown by a signal."""
 
 from __future__ import annotations
 

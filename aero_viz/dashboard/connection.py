@@ -36,13 +36,13 @@ _log = logging.getLogger(__name__)
 _PARTS_MAX = 10_000
 """Largest number of parts of a file; the page sends parts of 512 kB."""
 _MESSAGES_IN_A_ROW = 16
-"""Messages that are read before others than this client get a turn."""
+"""Largest number of messages that are read from one client before the others get a turn."""
 _REMINDER_PERIOD = 5.0
 """Shortest time between two reminders that a visitor cannot change the page [s]."""
 
 
 class _NoControl(ValueError):
-    """A visitor without control has used a control that all share."""
+    """A visitor without control has used a shared control."""
 
 
 class _TooLarge(ValueError):
@@ -55,8 +55,8 @@ class PageConnection(ServerConnection):
     viser sets any attribute of a control that a message names, keeps the parts of any number of files of any size, and
     ends with a traceback where a message has other fields or types than it expects. Here a message is checked first,
     and a flood is thinned out (`MessageLimit`).
-    What belongs to the client alone (`client.gui`, `client.scene`) can always be used, what belongs to the server only
-    by the visitor who holds control.
+    Elements of the client alone (`client.gui`, `client.scene`) can always be used; elements of the server can be used
+    only by the visitor who holds control.
 
     Args:
         arguments: those of `ServerConnection`.
@@ -92,7 +92,7 @@ class PageConnection(ServerConnection):
         """Parts of it that have not arrived yet."""
         self._limit: MessageLimit[tuple[PageMessage, bytes]] = MessageLimit(catch_up)
         self._admitted: deque[tuple[PageMessage, bytes]] = deque()
-        """Messages that have been read and will be handled."""
+        """Messages that have been read but not handled yet."""
         self._received = 0
         """Number of messages that have been read."""
         self._warned = False
@@ -143,7 +143,7 @@ class PageConnection(ServerConnection):
         return gui._gui_input_handle_from_uuid.get(message.uuid)
 
     def _checked(self, message: PageMessage, data: bytes) -> bytes:
-        """Return a message as viser may see it; ValueError unless a page may send it now."""
+        """Return the message to pass on to viser. Raises ValueError unless a page may send it now."""
         client, number = self._client(), self._number
         assert number is not None
         if isinstance(message, CameraMessage):
@@ -182,7 +182,7 @@ class PageConnection(ServerConnection):
         return msgspec.msgpack.encode(message)
 
     def _show_value(self, uuid: str, value: Any = None) -> None:
-        """Let this client's page show another value of a shared control: `value`, or the one that it has."""
+        """Make this client's page show a value of a shared control: `value`, or the control's own."""
         control, client = self._page.gui._gui_input_handle_from_uuid.get(uuid), self._client()
         if (
             client is None

@@ -46,7 +46,7 @@ class Folders:
         return found
 
     def _holds(self, path: Path) -> bool:
-        """Return True if a path exists within the folders, and all that it holds as a recording does, too."""
+        """Return True if a path exists within the folders, and so does every file of the folder that it may name."""
         resolved = path.resolve()
         if not resolved.exists() or not self._is_inside(resolved):
             return False

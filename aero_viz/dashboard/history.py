@@ -47,12 +47,12 @@ class Past:
     """One row for each tick so far, in the order of time, with the columns `COLUMNS`."""
     events: tuple[Event, ...]
     outcome: str | None
-    """Outcome of the rows; None as long as the flight goes on."""
+    """Outcome of the flight; None while it continues."""
     ghost: Rows
     """Rows of the ghost: the flight of configuration A, or the future that was left when the flight last forked. Empty
     without either."""
     common: Rows
-    """Rows before those of the ghost, which the flight of the ghost began with."""
+    """Rows before those of the ghost: the part of the flight that both share."""
     ghost_outcome: str | None
     """Outcome of the ghost; None if it was left while running."""
     ghost_name: str
@@ -125,7 +125,7 @@ class FlightHistory:
                 self._ghost_rows = np.array(self._ghost)
             ghost = self._ghost_rows
             is_recording = self._last is not None and not self._last.source.closed_loop
-            differs_at = first_difference(rows, ghost, over=self._ghost_outcome is not None, plans=is_recording)
+            differs_at = first_difference(rows, ghost, has_ended=self._ghost_outcome is not None, plans=is_recording)
             return Past(
                 rows, tuple(self._events), self._outcome, ghost, self._common, self._ghost_outcome, self._ghost_name,
                 differs_at, self._pinned, self._alternative,
@@ -167,13 +167,13 @@ class FlightHistory:
         self._rows[at] = row
 
 
-def first_difference(rows: Rows, ghost: Rows, *, over: bool, plans: bool = False) -> float | None:
+def first_difference(rows: Rows, ghost: Rows, *, has_ended: bool, plans: bool = False) -> float | None:
     """Return the first time at which a flight differs from its ghost [s]; None if it does not.
 
     Args:
         rows: rows of the flight.
         ghost: rows of the ghost.
-        over: the ghost has come to its end, so that a flight that continues differs from it.
+        has_ended: True if the ghost has ended, so that a flight that continues differs from it.
         plans: compare the instances that are chosen, not the positions.
     """
     if not len(ghost):
@@ -183,7 +183,7 @@ def first_difference(rows: Rows, ghost: Rows, *, over: bool, plans: bool = False
     is_beyond = at >= len(ghost)
     columns, tolerance = ([COLUMNS.index("best")], 0.0) if plans else (list(range(-3, 0)), _SAME)
     distance = np.abs(ghost[np.minimum(at, len(ghost) - 1)][:, columns] - rows[:, columns]).max(axis=1)
-    differs = np.flatnonzero(np.where(is_beyond, over, distance > tolerance))
+    differs = np.flatnonzero(np.where(is_beyond, has_ended, distance > tolerance))
     return float(rows[differs[0], 0]) if len(differs) else None
 
 

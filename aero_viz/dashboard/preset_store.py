@@ -52,7 +52,8 @@ class PresetStore:
         """Return a preset.
 
         Raises:
-            ValueError: there is none of this name, or its file is damaged; names the file and the line.
+            ValueError: there is no preset of this name, or its file is damaged; the message names the file and the
+                line.
         """
         file = ConfigFile.read(self._path(name))
         return SavedPreset(file.planner_config(), file.goal())
@@ -84,7 +85,7 @@ class PresetStore:
         """Remove a preset.
 
         Raises:
-            UserError: there is none of this name, or it cannot be removed.
+            UserError: there is no preset of this name, or it cannot be removed.
         """
         path = self.path(name)
         try:
@@ -96,7 +97,7 @@ class PresetStore:
         """Return the file of a preset.
 
         Raises:
-            UserError: there is none of this name; the message lists those that there are.
+            UserError: there is no preset of this name; the message lists the existing ones.
         """
         path, names = self._path(name), self.names()
         if name not in names:

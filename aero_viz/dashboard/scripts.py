@@ -1,4 +1,4 @@
-"""Scripts on the pages of visitors, for what viser has no controls for."""
+"""Scripts on the pages of visitors, for functions that viser's controls do not offer."""
 
 from __future__ import annotations
 

@@ -32,11 +32,11 @@ from aero_viz.session.base import completed
 from aero_viz.web_access import ANY_ADDRESS, SECURITY_HEADERS, Access, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
-"""Size of the largest file that a page may upload [bytes]. A file with every parameter has 8 kB."""
+"""Size of the largest file that a page may upload [bytes]. A file with every parameter takes 8 kB."""
 CLIENTS_MAX = 64
 """Largest number of open pages; each takes about 1 MB."""
 _QUEUED_FRAMES = 2
-"""Messages of a client that wait; the largest, a rendering, has 50 MB."""
+"""Largest number of pending messages of a client; the largest message, a rendering, takes 50 MB."""
 
 _INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
 _STYLE = "".join(
@@ -117,7 +117,8 @@ class LocalServer(viser.ViserServer):
         upload_limit: int = UPLOAD_LIMIT,
     ) -> None:
         self.catch_up: Callable[[], Future[Any]] = completed
-        """Returns a future that is done when all that the page asked for is done; the dashboard asks its session."""
+        """Returns a future that is done when every earlier request of the page has been carried out; set by the
+        dashboard."""
         self._access = Access(host, allowed_hosts)
         self.visitors = Visitors()
         """Visitors of the page."""
@@ -167,7 +168,7 @@ class LocalServer(viser.ViserServer):
         return answer
 
     def _check_token(self, tokens: Tokens, connection: PageConnection, request: Request) -> Response | None:
-        """Answer a request without a valid token, and a link; note the role of the others."""
+        """Answer links and requests without a valid token; record the role of all other requests."""
         role = tokens.role(request.path, request.headers)
         if role is None:
             return connection.respond(401, f"{_NO_TOKEN}\n")

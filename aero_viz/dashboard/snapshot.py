@@ -194,7 +194,7 @@ def _first_client(dashboard: Dashboard, page: Page) -> Any:
 
 
 def _path_problem(path: Path) -> str:
-    """Return why no picture can be written there, empty if nothing prevents it."""
+    """Return the reason why no picture can be written to a path; empty if there is none."""
     if path.is_dir():
         return f"it is a folder; give the name of a file, such as {path / 'picture.png'}"
     if path.suffix.lower() != ".png":

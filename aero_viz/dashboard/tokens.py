@@ -35,7 +35,8 @@ class Tokens:
         return f"/?token={self._values[role]}"
 
     def role(self, path: str, headers: Headers) -> Role | None:
-        """Return the role by the token in the query of a request, else in its cookie; None without a valid one."""
+        """Return the role by the token in a request's query or, without one, in its cookie; None without a valid
+        token."""
         given = self._in_query(path)
         return self._role(self._in_cookies(headers) if given is None else given)
 

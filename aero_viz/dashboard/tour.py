@@ -151,7 +151,7 @@ class Director:
         return position + eye, position + target
 
     def _wanted(self, frame: Frame, position: Point) -> tuple[Point, Point]:
-        """Return where the shot wants the camera and its target, relative to the drone."""
+        """Return the position of the camera and its target that the shot asks for, relative to the drone."""
         distance, elevation, turn, sway = _SHOTS[self.shot]
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         heading = np.arctan2(*(goal - position)[1::-1])
@@ -197,7 +197,7 @@ class Tour:
         self.caption = ("AERO-Viz", "")
         """Title and text over the scene."""
         self.shown = self.skipped = 0
-        """Number of scenes that were shown, and that could not be shown."""
+        """Numbers of scenes that were shown and of scenes that failed."""
         dashboard.director = self.director
         dashboard.server.on_client_connect(self._show_caption)
 

@@ -13,7 +13,7 @@ _BACK_OFF, _RETURN = 1.1, 0.98
 
 
 class UpdateRateLimiter:
-    """Spaces the updates of the page, wider while the engine is late."""
+    """Spaces the updates of the page, farther apart while the engine is late."""
 
     def __init__(self) -> None:
         self.period = 1.0 / MAX_RATE

@@ -20,7 +20,7 @@ from aero_viz.flight.batch import BatchProgress
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _SHARDS_PER_WORKER = 2
-"""Shards that wait or fly per worker, so that a worker has the next one at once."""
+"""Shards per worker, so that a worker has the next one at once."""
 
 
 class Executor(Protocol):

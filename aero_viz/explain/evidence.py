@@ -1,4 +1,4 @@
-"""A plan with everything that decided it: the tick is planned again, and the intermediate results are kept."""
+"""A plan with everything that led to it: the tick is planned again, and the intermediate results are kept."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Stage1:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Everything that decided a plan of M instances with N steps."""
+    """Everything that led to a plan of M instances with N steps."""
 
     frame: Frame
     plan: Plan
@@ -70,11 +70,11 @@ class Evidence:
     distance: Array
     """Distance to the obstacles after each control [m], shape [M, N]; unlike `Plan.clearance` without an upper end."""
     nearest: Array
-    """Least clearance of each instance, less the margin for its speed [m], shape [M]. What moves counts as farther away
-    while it is near at the start."""
+    """Least clearance of each instance, less the margin for its speed [m], shape [M]. Moving obstacles that are near at
+    the start count as farther away."""
     safe_clearance: float
-    """Clearance that the planner demanded of them [m]; less than candidates.safe_clearance where what stands is nearer
-    than that at the start."""
+    """Clearance that the planner demanded of them [m]; less than candidates.safe_clearance where a static obstacle is
+    nearer than that at the start."""
     stop_clearance: Array | None
     """Largest clearance of the stops of each instance [m], shape [M]; None if no stop is proven."""
     is_safe: NDArray[np.bool_]
@@ -227,7 +227,7 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
 
 
 def _least(limit: float, start: float, gain: float) -> float:
-    """Return the clearance to demand [m]: a drone that starts with less must not come nearer still."""
+    """Return the clearance to demand [m]: a drone that starts with less must not come any nearer."""
     return start - gain if start < limit else limit
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _INSTANCE_ANGLE, _POINT_ANGLE = 0.02, 0.01
 """Largest angles between the click and its target [rad]."""
 _LEFT_OUT = 0.02
-"""Difference in range from which a point is nearer than the nearest one of its cell [m]."""
+"""Smallest difference in range by which a point counts as nearer than the nearest one of its cell [m]."""
 _FINER = 4
 """Pieces into which the steps of a rollout are divided."""
 

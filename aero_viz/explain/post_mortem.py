@@ -1,4 +1,4 @@
-"""Report on a flight that did not arrive: what was hit, since when it was seen, when braking would have worked."""
+"""Report on a flight that did not arrive: the obstacle, when it was first seen, and when braking would have worked."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ class PostMortem:
     seen: Seen | None = None
     braking: BrakingTick | None = None
     blocked: list[dict[str, Any]] = field(default_factory=list)
-    """For a stall, what blocks each instance: its number, kind, obstacle, clearance [m] and cost-to-go."""
+    """For a stall, one entry per instance on the obstacle that blocks it: number, kind, obstacle, clearance [m] and
+    cost-to-go."""
     sentences: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     """Questions that could not be answered."""

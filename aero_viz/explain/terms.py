@@ -66,7 +66,7 @@ class Obstacles:
 
         Args:
             positions: [m], shape [.., 3].
-            times: time of each position in the plan [s], which broadcasts to [..]; None leaves out what moves.
+            times: time of each position in the plan [s], which broadcasts to [..]; None leaves out moving obstacles.
         """
         height = positions[..., 2]
         level = np.minimum(np.minimum(height - self._band[0], self._band[1] - height), height - self._ground)

@@ -29,7 +29,7 @@ class FlightTrace:
         frames: frames of the last `KEPT` seconds, in the order of time.
         end: time [s] and true state at the end of the flight, later than the last frame; None if it is not known.
         outcome: how a recorded flight ended; None takes it from the last frame.
-        missing: sentences on what is not known.
+        missing: sentences on missing facts.
     """
 
     def __init__(self) -> None:

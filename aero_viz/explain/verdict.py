@@ -39,7 +39,7 @@ def closest(evidence: Evidence, instance: int, steps: slice = slice(None)) -> tu
 
 
 def verdict(evidence: Evidence, instance: int) -> str:
-    """Return why the planner chose an instance, or another one."""
+    """Return the reason why the planner chose an instance or rejected it."""
     plan, best = evidence.plan, int(evidence.plan.best)
     if plan.status == PlanStatus.STALE_CLOUD:
         return "The cloud is too old: the drone brakes, whatever the candidates cost."
@@ -89,7 +89,7 @@ def _difference(evidence: Evidence, instance: int, best: int) -> str:
 
 
 def _when(evidence: Evidence, instance: int, gap: np.ndarray, name: str) -> str:
-    """Return in which steps of the plan the difference arises."""
+    """Return the steps of the plan in which the difference arises."""
     dt, c = evidence.frame.config.sampling.dt, evidence.frame.config.costs
     if name == "blocked path":
         return f": beyond its end, the way to the goal is blocked within {c.blocked_range:g} m"

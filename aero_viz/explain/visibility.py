@@ -1,4 +1,4 @@
-"""Since when a place was in the cloud, and why it was not: out of range, outside the view, occluded or forgotten."""
+"""When a place entered the cloud, and why not before: out of range, outside the view, occluded or forgotten."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Seen:
     since_s: float | None
     """Time since which it was in the cloud, without a gap up to the end [s]; None if it was not at the end."""
     from_start: bool
-    """True if that is the first tick that was looked at: it may have been there before."""
+    """True if that is the first tick that was examined: it may have been there before."""
     forgotten_s: float | None
     """Last time at which it was in the cloud, if it was and was not at the end [s]."""
     reason: str | None
@@ -41,7 +41,7 @@ class Seen:
 
 
 def find_seen(frames: Sequence[Frame], place: Array) -> Seen:
-    """Return since when a place on a surface was in the cloud of the planner.
+    """Return when a place on a surface entered the cloud of the planner.
 
     Args:
         frames: frames up to the end, in the order of time.

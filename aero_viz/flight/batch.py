@@ -25,9 +25,10 @@ from aero_viz.sensors.lidar import LIDARS, LidarModel
 wp.set_module_options({"enable_backward": False})
 
 SWEEPS = 30
-"""Number of sweeps in the cloud of the planner, three seconds of a Mid-360: what it has seen stays while it matters."""
+"""Number of sweeps in the cloud of the planner, three seconds of a Mid-360: long enough to remember obstacles that have
+left its view."""
 WHOLE_SWEEPS = 10
-"""Number of newest sweeps of which all points are in the cloud; of older ones it is one in five."""
+"""Number of newest sweeps of which the cloud has all points; of older sweeps it has one point in five."""
 BatchProgress = Callable[[int, int, float], None]
 """Called with the number of finished flights, the number of all flights, and the simulated time [s]."""
 _TIMED_PLANS = 5

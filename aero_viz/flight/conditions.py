@@ -42,7 +42,7 @@ def live_conditions(setting: Setting) -> dict[str, Any]:
 
 
 def with_live_conditions(setting: Setting, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a setting with other values of some parameters of `LIVE`, by path.
+    """Return the fields of a setting that change when parameters of `LIVE` get these values, by path.
 
     Raises:
         ValueError: a value is out of its bounds, contradicts another one, or cannot be changed.
@@ -60,7 +60,7 @@ def with_live_conditions(setting: Setting, values: Mapping[str, Any]) -> dict[st
 
 
 def conditions_of(options: Mapping[str, Any], *, count: int | None = None) -> Conditions:
-    """Return the conditions of a flight with these arguments lidar, vehicle and noise of `FlightSource`."""
+    """Return the conditions that the arguments lidar, vehicle and noise of `FlightSource` describe."""
     sections = {"noise": options["noise"] or StateNoise(), "drone": options["vehicle"]}
     values = {info.path: getattr(sections[info.section], info.name) for info in OFFERED}
     return Conditions(count=count, lidar=options["lidar"].name, values=values)
@@ -71,7 +71,7 @@ def with_conditions(options: Mapping[str, Any], conditions: Conditions) -> dict[
 
     Args:
         options: arguments of `FlightSource`, with lidar, vehicle and noise.
-        conditions: what replaces them. The LiDAR of `options` stays, with its changes, if its name is asked for.
+        conditions: conditions to set. The LiDAR of `options` stays, with its changes, if they name it.
 
     Raises:
         ValueError: a value is out of its bounds, contradicts another one, or cannot be chosen.

@@ -28,7 +28,7 @@ class FlightInterrupted(KeyboardInterrupt):
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Give the context a function that returns True once Ctrl-C was pressed; a second Ctrl-C interrupts immediately.
 
-    A Ctrl-C that the function did not report takes effect at the end of the context, so that none is lost. Only the
+    A Ctrl-C that the function did not report takes effect at the end of the context, so that it is not lost. Only the
     main thread receives signals; in other threads the function always returns False.
     """
     if threading.current_thread() is not threading.main_thread():

@@ -20,8 +20,8 @@ def config_for_drone(
 
     The facts are the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The
     delay is the latency, plus the time constant of the body rates unless `config` models their lag. The planner must
-    know the top because a flight that leaves the bounds is lost, and a LiDAR does not see them. Like the height of the
-    ground, the top is used only with costs.use_ground.
+    know the top because a flight that leaves the bounds has failed, and a LiDAR does not see them. Like the height of
+    the ground, the top is used only with costs.use_ground.
     """
     default = PlannerConfig()
     roll, pitch, _ = lidar.mount_angles

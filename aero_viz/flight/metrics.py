@@ -38,7 +38,7 @@ class FlightResult:
     """Length over time [m/s]."""
     max_speed: float
     end_speed: float
-    """Speed at the end, in a collision that of the contact [m/s]."""
+    """Speed at the end, for a collision at contact [m/s]."""
     smoothness: float
     """Integral of |da/dt|^2 dt [m^2/s^5]; smaller is smoother."""
     length_m: float

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from aero_planner.config.parameter import ParameterSection, live, structural
 
 OUTCOMES = (None, "arrived", "collision", "stall", "out_of_bounds", "timeout")
-"""Outcomes of a flight by their number on the device; 0 is still flying."""
+"""Outcomes of a flight by their number on the device; 0 means still flying."""
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class _Checkpoint:
     goal: NDArray[np.float64]
     setting: Setting
     owner: object
-    """Stands for the source that made the checkpoint."""
+    """Identifies the source that made the checkpoint."""
 
 
 class FlightSource:
@@ -195,7 +195,7 @@ class FlightSource:
 
     @classmethod
     def twin(cls, info: SourceInfo) -> FlightSource:
-        """Return a source that takes the checkpoints of the flight `info`, on any thread, to show its ticks again."""
+        """Return another source of the flight `info`, for any thread, which repeats its ticks from its checkpoints."""
         assert info.world is not None
         settings = FlightSettings.from_dict(info.settings)
         return cls(
@@ -277,7 +277,7 @@ class FlightSource:
         self._read_state()
 
     def _use(self, setting: Setting) -> None:
-        """Let the simulator fly and measure under a setting."""
+        """Make the simulator fly and measure under a setting."""
         if setting is not self._measured:
             self.simulator.use(setting)
             self._measured = setting

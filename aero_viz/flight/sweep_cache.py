@@ -66,7 +66,7 @@ class SweepCache:
         return sweep.points
 
     def add(self, sweep: Sweep) -> None:
-        """Cache the points of a sweep, and drop those of the sweeps that were cached first."""
+        """Cache the points of a sweep, and drop the points that were cached first."""
         assert sweep.points is not None
         self._sweeps.append(sweep)
         self._bytes += sweep.points.nbytes
@@ -77,7 +77,7 @@ class SweepCache:
             oldest.points = None
 
     def adopt(self, sweeps: tuple[Sweep, ...]) -> tuple[Sweep, ...]:
-        """Return copies of another source's sweeps, whose cache this one must not touch; of the same, the same."""
+        """Return copies of another source's sweeps, to leave its cache alone; the same sweep has the same copy."""
         known, self._adopted = self._adopted, {}
         for sweep in sweeps:
             if id(sweep) not in known:

@@ -15,11 +15,11 @@ from aero_planner.config.parameter import ParameterSection, live
 from aero_viz.flight.vehicle_kernels import VehicleParameters, fly_kernel
 
 PLANNED = ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max")
-"""Parameters of the vehicle that the planner's model has, too; by default, both have the same values."""
+"""Parameters that the planner's model of the vehicle shares; by default, both have the same values."""
 
 
 def _planned(name: str) -> Any:
-    """Return the field of a parameter that the planner's model of the vehicle has, too."""
+    """Return the field of a parameter that the planner's model of the vehicle shares."""
     planned = VehicleConfig.__dataclass_fields__[name]
     return field(default=planned.default, metadata=planned.metadata)
 

@@ -105,7 +105,7 @@ def _sweep_message(frame: Frame, points: NDArray[np.float32], stamp: int) -> Enc
 
 
 def new_sweeps(before: Sweeps | None, sweeps: Sweeps) -> list[NDArray[np.float32]]:
-    """Return the sweeps [m], [n, 3] each, that joined since the previous cloud; all of them if the two share none.
+    """Return the sweeps [m], [n, 3] each, that are new since the previous cloud; all of them if the two share none.
 
     From one cloud to the next, sweeps leave at the front and join at the end.
 

@@ -62,7 +62,7 @@ class FoxgloveClient:
             sender.cancel()
 
     def advertise(self, channels: Iterable[Channel]) -> None:
-        """Tell the client of channels."""
+        """Advertise channels to the client."""
         described = [
             {"id": channel.number, "topic": channel.topic, "schemaName": channel.kind, "encoding": "cdr"}
             | {"schemaEncoding": "ros2msg", "schema": DEFINITIONS[channel.kind]}
@@ -98,7 +98,7 @@ class FoxgloveClient:
                     await self._connection.send(message)
 
     def _receive(self, text: str) -> None:
-        """Follow a request of the client; all but subscriptions is ignored."""
+        """Carry out a request of the client; only subscriptions are accepted."""
         with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
             request = json.loads(text)
             for number in request.get("subscriptionIds", ()):

@@ -1,8 +1,8 @@
 """The contents of a flight log besides its clouds: plans, goals, poses, world, configurations and the outcome.
 
 A separate process reads them, with limits on its memory and time, because the reader of the mcap package expands
-whatever a file contains. The process imports this module for every log, so what only the parent needs is imported where
-it is used: the planner takes a second.
+whatever a file contains. The process imports this module for every log, so modules that only the parent needs are
+imported on use: the planner takes a second.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ class FlightReplay(RecordingSource):
         return self._plans[row] if row >= 0 else None
 
     def _use(self, contents: LogContents) -> None:
-        """Take over how the flight ended, its goals and its plans."""
+        """Use the outcome, the goals and the plans of the log."""
         if contents.outcome:
             self._ending = f"It ended with: {contents.outcome.replace('_', ' ')}. {contents.explanation}".strip()
         first = contents.pose_stamps[0] if contents.pose_stamps else None

@@ -1,4 +1,4 @@
-"""A simulated flight as the recorder of a drone writes it: raw sweeps with a time per point, IMU, odometry, plan."""
+"""A simulated flight as a drone's recorder would write it: raw sweeps with a time per point, IMU, odometry, plan."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class BagFile(ABC):
 
     def __init__(self, path: Path):
         self.path = path
-        """File as the user knows it."""
+        """Path by which the user knows the file."""
         self.budget_share = 1.0
         """Share of the fixed allowances of a recording, see `ReadingBudget`, that this file may use."""
         self.problems: list[str] = []

@@ -32,7 +32,7 @@ _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
 _BIN_ROW = 16
 _TRIED = 5
-"""Files of a folder that may be damaged before one that is not."""
+"""Largest number of damaged files at the start of a folder."""
 STAMP_END = 10**9 << 31
 """Times from here on do not fit into a header [ns]."""
 

@@ -64,7 +64,7 @@ class TopicContents:
     damaged: int = 0
     """Number of messages that cannot be decoded."""
     reason: str = ""
-    """The reason why the first of them cannot be decoded."""
+    """Reason why the first of them cannot be decoded."""
     clouds: list[CloudEntry] = field(default_factory=list)
     poses: PoseSamples = field(default_factory=PoseSamples)
     child: str = ""

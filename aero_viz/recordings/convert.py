@@ -127,7 +127,7 @@ def convert(
 
 
 def refuse_source(target: Path, sources: Iterable[Path]) -> None:
-    """Check that a file to write is none of the files that are read.
+    """Check that the file to write is not one of the files to read.
 
     Raises:
         UserError: it is one of them.

@@ -14,7 +14,7 @@ _WINDOW = 16_384
 class FileBytes:
     """A file that is sliced like `bytes`.
 
-    A mapped file that shrinks while it plays ends the process with SIGBUS; here a slice is only shorter then.
+    A mapped file that shrinks while it plays ends the process with SIGBUS; here only the slices become shorter.
 
     Args:
         path: a regular file.

@@ -3,9 +3,9 @@
 Sweeps are moved to the world by poses that are shifted in time by tau and with points that are rotated by a small
 rotation delta. Gauss-Newton finds the tau and delta with which the points of one sweep lie nearest to the surfaces of
 another one: point-to-plane distances, Huber weights. The search starts from the best of several tau, because with an
-offset of some tens of milliseconds most neighbours are wrong ones. Each of two sweeps is compared with the other: the
-surfaces of a sparse sweep are biased towards the side from which it was taken. Only a motion with turns or changes of
-speed shows a misalignment; the standard deviations say how well.
+offset of tens of milliseconds most of the matched neighbours are wrong. Each of two sweeps is compared with the other:
+the surfaces of a sparse sweep are biased towards the side from which it was taken. Only a motion with turns or changes
+of speed shows a misalignment; the standard deviations say how well.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ _RKO_JERK = 100.0
 _REST_TIME = 0.2
 """Time at the start over which the mean specific force is taken as gravity [s]."""
 _MAX_SPEED, _MAX_ACCELERATION = 40.0, 60.0
-"""A drone is slower, and brakes and accelerates less; an estimate beyond them is wrong [m/s], [m/s^2]."""
+"""No drone is faster, or brakes or accelerates more; an estimate beyond these limits is wrong [m/s], [m/s^2]."""
 _MAX_LOST = 0.1
 """Share of sweeps without a pose beyond which the odometry has failed."""
 _MIN_FIT = 0.5
@@ -71,7 +71,7 @@ def choose_method(choice: OdometryChoice, imu: ImuSamples | None, *, timed: bool
     """Return "rko-lio" or "kiss-icp".
 
     Args:
-        choice: what the user asked for; "auto" is rko-lio with an IMU and a time per point, else kiss-icp.
+        choice: method that the user asked for; "auto" is rko-lio with an IMU and a time per point, else kiss-icp.
         imu: the IMU of the recording.
         timed: True if the points have times.
 
@@ -158,9 +158,9 @@ def _time_in_sweep(sweep: PointSweep, share: float) -> float:
 class _KissIcp:
     """Registers sweeps by kiss-icp, which predicts a constant velocity.
 
-    It would correct the motion during a sweep by that of the sweep before. A drone that accelerates turns differently,
-    so that the correction is wrong, and the next one follows from it: sweeps are registered as they were measured, and
-    the pose is that in the middle of the sweep.
+    It would correct the motion during a sweep by that of the sweep before. For a drone that accelerates, this
+    correction is wrong, and the error carries over to the next sweep. Sweeps are therefore registered as they were
+    measured, and the pose is that in the middle of the sweep.
     """
 
     posed_at = 0.5

@@ -40,7 +40,7 @@ _PROBED = 2000
 
 
 def pcap_kind(path: Path) -> str:
-    """Return "livox", "velodyne" or "ouster", whichever most of the first packets of a capture are.
+    """Return "livox", "velodyne" or "ouster": the kind of most of the first packets of a capture.
 
     An Ouster that does not use its default port is recognized by its metadata, a JSON file in the same folder.
 

@@ -58,7 +58,7 @@ class RecordedPoses:
         self.offset: Array = p[0].copy()
         """First recorded position [3] [m]. Recorded position = position + offset."""
         self.positions: Array = p - self.offset
-        """[n, 3] [m], world frame minus `offset`: small numbers, of which float32 keeps the millimetres."""
+        """[n, 3] [m], world frame minus `offset`: small numbers, so that float32 keeps the millimetres."""
         self.times: Array = t
         """[n] [s], increasing."""
         self.velocities: Array = position_differences(t, self.positions)

@@ -1,4 +1,4 @@
-"""The check of a log of PX4 (ULog): its parameters and the measured hover thrust against the node's requirements."""
+"""The check of a PX4 log (ULog): its parameters and the measured hover thrust against the node's requirements."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class Recording:
             poses: motion of the body, in the time of this recording.
             name: name of their origin, in place of a topic.
             problems: notices for the user about them.
-            origin: what they were read from.
+            origin: where they come from.
         """
         self.poses, self.pose_topic, self.pose_origin = poses, name, origin
         self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
@@ -247,8 +247,8 @@ def open_recording(
         odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
             replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
         poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.
-        extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of what is
-            recorded.
+        extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of the recorded
+            pose.
         mask: box in the body's frame whose points are left out, see `Recording.mask`.
         progress: called while poses are estimated.
 

@@ -63,7 +63,7 @@ class _Checkpoint:
 
 
 class RecordingSource:
-    """Plays a recording through the planner in open loop: the plan is shown, and the recorded motion goes on.
+    """Plays a recording through the planner in open loop: the plan is shown, and the recorded motion continues.
 
     Each recorded pose is a tick, from the first pose with a sweep to the last sweep. Without poses each sweep is a
     tick, and the sensor stands at the origin. An observation has the last `sweeps` sweeps at or before the tick, or as
@@ -74,7 +74,7 @@ class RecordingSource:
     by the motion of the sensor.
 
     Args:
-        recording: what to play; `close` closes it.
+        recording: recording to play; `close` closes it.
         goal_ahead: distance of the goal along the recorded path [m].
         sweeps: largest number of sweeps in an observation.
 

@@ -23,7 +23,7 @@ from aero_viz.recordings.bag_file import (
 SQLITE_MAGIC = b"SQLite format 3\0"
 
 _STEPS = 10_000
-"""Instructions of SQLite's machine between two looks at the clock."""
+"""Instructions of SQLite's virtual machine between two checks of the clock."""
 _COLUMNS = {
     "topics": {"id", "name", "type", "serialization_format"},
     "messages": {"id", "topic_id", "timestamp", "data"},

@@ -39,9 +39,9 @@ _UNREAD = {
     b"ustar": (257, "unpack this archive with `tar -xf`, and open the file or folder in it"),
     b"ASTM-E57": (0, "convert this E57 file with `pdal translate`, or CloudCompare, to LAZ or PLY"),
 }
-"""Starts of files that are not read, their offset, and what to do."""
+"""Starts of files that cannot be read, with their offsets and advice."""
 _START = 512
-"""Bytes of a file from which its format is found."""
+"""Number of bytes from which the format of a file is found."""
 _METADATA_DEPTH = 20
 _SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
 

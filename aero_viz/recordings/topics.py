@@ -22,7 +22,7 @@ from aero_viz.recordings.transforms import IDENTITY, Transform
 Array = NDArray[np.float64]
 
 _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
-"""Types of messages that fit each role of a topic, and what to say about another type."""
+"""Types of messages that fit each role of a topic, and the complaint about any other type."""
 
 _UNREAD = {
     r"/(PacketMsg|UdpFrame|(velodyne|rslidar|pandar|lslidar)Scan|\w+Packets?)$": (
@@ -32,7 +32,7 @@ _UNREAD = {
         "decompress its clouds with `ros2 run point_cloud_transport republish`, and record their PointCloud2 topic"
     ),
 }
-"""What to do with types of messages that hold points in a form that is not read: packets and compressed clouds."""
+"""Advice for types of messages whose points cannot be read: packets and compressed clouds."""
 
 _SHOWN, _SHOWN_LENGTH = 8, 80
 """Number of names that a message lists, and their length."""

@@ -1,6 +1,6 @@
 """Gazebo worlds: SDF files of cylinders, boxes and spheres.
 
-XML can define entities that expand to gigabytes or name other files. Such a definition is refused, and nothing that a
+XML can define entities that expand to gigabytes or name other files. Such a definition is refused, and no file that a
 world names is opened.
 """
 

@@ -1,4 +1,4 @@
-"""Points of LAS and LAZ files, decoded by laspy. Its trust in headers is why they are checked first."""
+"""Points of LAS and LAZ files, decoded by laspy. It trusts their headers, so these are checked first."""
 
 from __future__ import annotations
 

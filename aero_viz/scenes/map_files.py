@@ -1,7 +1,7 @@
 """Points, triangles and solids from the maps, meshes and worlds of other programs.
 
-A separate process decodes them, because the libraries crash, hang or allocate what a damaged header declares. A large
-file also does not slow down a session that is flying.
+A separate process decodes them, because the libraries crash, hang or allocate as much memory as a damaged header
+declares. A large file also does not slow down a session that is flying.
 """
 
 from __future__ import annotations

@@ -168,8 +168,8 @@ def _occupied_voxels(points: Array, edge: float, path: str | Path) -> NDArray[np
 def _merge_voxels(voxels: NDArray[np.int64], edge: float) -> Array:
     """Return boxes [n, 7] that fill exactly the voxels with these indices [m, 3].
 
-    Voxels are merged into runs along x, equal runs along y, then equal runs along z. Walls and floors need a tenth of
-    the boxes then, which speeds up rays, distances and drawing by as much.
+    Voxels are merged into runs along x, equal runs along y, then equal runs along z. Walls and floors then need a tenth
+    of the boxes, and rays, distances and drawing take a tenth of the time.
     """
     low, high = voxels, voxels + 1
     for axis in range(3):
@@ -209,7 +209,7 @@ def _sample(triangles: Array) -> Array:
 def _choose_ends(
     points: Array, tables: dict[str, Array], start: Array | None, goal: Array | None, *, across: bool, path: str | Path
 ) -> tuple[Array, Array]:
-    """Return start and goal; each one that is None is chosen as `load_map` says."""
+    """Return start and goal; each one that is None is chosen as `load_map` describes."""
     from aero_viz.scenes.clearance_grid import ClearanceGrid
 
     lower, upper = points.min(axis=0), points.max(axis=0)

@@ -15,7 +15,7 @@ from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 
 
 class _NoOtherFiles:
-    """Trimesh asks it for the files that a mesh names: none is opened, wherever it may lie."""
+    """Refuses the files that a mesh names when trimesh asks for them."""
 
     def get(self, name: str) -> bytes:
         raise ValueError(f"it needs the file {name[:80]!r}, and no other file is opened: export it as a single file")

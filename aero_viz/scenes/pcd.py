@@ -98,7 +98,7 @@ def _layout(
 ) -> tuple[np.dtype[Any], int]:
     """Return the type of a point, and the number of points.
 
-    Where a header contradicts itself, that is chosen which fits the data.
+    Where a header contradicts itself, the reading that fits the data is chosen.
 
     Args:
         entries: the header.

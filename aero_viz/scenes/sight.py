@@ -97,7 +97,7 @@ def _bounding_spheres(kind: str, table: Array) -> tuple[Array, Array]:
 def _samples(eye: Array, target: Array, radius: float) -> Array:
     """Return points from the eye to `radius` before the target [m], shape [k, 3].
 
-    What touches the target from behind thus blocks nothing.
+    Obstacles that touch the target from behind thus block nothing.
     """
     length = float(np.linalg.norm(target - eye))
     count = int(np.clip(np.ceil(length / _STEP), 2, _SAMPLES_MAX))

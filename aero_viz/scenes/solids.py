@@ -26,7 +26,7 @@ class Solids:
     ground: Table | None = None
     """Box of the ground, [7]."""
     left_out: dict[str, int] = field(default_factory=dict)
-    """Number of parts that a world cannot have, by kind."""
+    """Number of parts that a world cannot represent, by kind."""
 
     def tables(self) -> dict[str, Table]:
         """Return the arguments of `World`; boxes end with the ground."""

@@ -1,6 +1,6 @@
 """Worlds: cylinders, boxes, spheres and triangles with a start and a goal; exact distances; JSON files.
 
-Cylinders may move. What is computed from a world takes them where they are at time 0; `World.at` returns another time.
+Cylinders may move. Unless a time is given, they are where they are at time 0; `World.at` returns another time.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class World:
             both sides.
         motion: horizontal velocity at time 0 [m/s] and span [m] of each cylinder, [n, 3]. A cylinder goes along its
             velocity for the span, back to where it began, and so on; one without velocity is static. Empty if all are.
-        numbers: per table, what identifies each row also after rows are removed, see `obstacles`; row numbers where a
-            table has none. Not part of the JSON file.
+        numbers: per table, numbers that identify each row even after others are removed, see `obstacles`; row numbers
+            where a table has none. Not part of the JSON file.
 
     Raises:
         ValueError: a number is missing, not finite or out of range. The message names the key and the row.

@@ -1,4 +1,4 @@
-"""Interfaces between sessions and whatever shows or controls them, such as the dashboard."""
+"""Interfaces between sessions and the programs that show or control them, such as the dashboard."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ class SessionControls(Protocol):
         ...
 
     def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace the current configuration and those of undo and redo by what `function` returns.
+        """Replace the current configuration and those of undo and redo by the results of `function`.
 
-        This is no step of undo. A configuration for which `function` raises ValueError stays.
+        This cannot be undone. A configuration for which `function` raises ValueError stays.
         """
         ...
 
@@ -73,7 +73,7 @@ class SessionControls(Protocol):
         ...
 
     def redo(self) -> PlannerConfig:
-        """Make the change again that was undone last, and return the configuration."""
+        """Redo the change that was undone last, and return the configuration."""
         ...
 
     @property

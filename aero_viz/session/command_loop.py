@@ -25,9 +25,9 @@ class CommandLoop:
 
     Args:
         report: called with the error of a command.
-        work: does what there is to do besides commands.
-        idle_time: returns the time until the thread shall call `work` [s]; None for ever.
-        has_work: returns True if `work` shall be called after a command even without a thread.
+        work: does the work besides commands.
+        idle_time: returns the time until the thread must call `work` [s]; None if it need not.
+        has_work: returns True if `work` must be called after a command even without a thread.
     """
 
     def __init__(

@@ -49,8 +49,8 @@ class Comparison:
 
     While the session is paused, A plans its tick from the same state, cloud, history and seed; on request it flies on
     from there to the end, with the same noise. All of it happens on the session's thread between two commands, so a
-    session that plays never waits for A. The planner of A is built when A plans for the first time, and kept. Methods
-    are called on the session's thread; attributes may be read from any thread.
+    playing session never waits for A. The planner of A is built when A plans for the first time, and kept. Methods are
+    called on the session's thread; attributes may be read from any thread.
 
     Args:
         engine: provides the ticks.

@@ -15,7 +15,7 @@ from aero_viz.session.world_history import NEVER
 _DRAG_INTERVAL = 1.0
 """Changes of the same parameters within this time are one step of undo, as when a slider is dragged [s]."""
 _MOST = 500
-"""Number of configurations that are kept; the oldest one goes first."""
+"""Largest number of configurations that are kept; the oldest one is dropped first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,14 @@ class ConfigHistory:
 
     @property
     def changed_at(self) -> float:
-        """When the change was made that would be undone [s], `time.monotonic`."""
+        """Time of the change that `go(-1)` would undo [s], `time.monotonic`."""
         with self._lock:
             return self._entries[self._index].changed_at
 
     @property
     def undone_at(self) -> float:
-        """When the change was undone that would be made again [s], `time.monotonic`; `NEVER` if there is none."""
+        """Time at which the change that `go(1)` would redo was undone [s], `time.monotonic`; `NEVER` if there is
+        none."""
         with self._lock:
             return max((entry.undone_at for entry in self._entries[self._index + 1 : self._index + 2]), default=NEVER)
 
@@ -88,7 +89,7 @@ class ConfigHistory:
             return self._entries[self._index].config
 
     def convert(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace every configuration by what `function` returns, which is no step of undo; return the current one.
+        """Replace every configuration by the result of `function`, which cannot be undone; return the current one.
 
         A configuration for which `function` raises ValueError stays.
         """

@@ -79,7 +79,7 @@ class Notice:
     """A message for the user."""
 
     level: Literal["info", "failure", "error"]
-    """"failure": a flight did not arrive; "error": something that was asked for did not work."""
+    """"failure": a flight did not arrive; "error": a request failed."""
     text: str
     """One or more sentences."""
 

@@ -200,7 +200,7 @@ class LiveSession(BaseSession):
                 self._show(item)
 
     def _watch_age(self) -> None:
-        """Publish the current frame again whenever the age shown with it is out of date."""
+        """Publish the current frame again whenever the age that it shows is out of date."""
         while not self._closed.wait(_AGE_CHECK_PERIOD):
             with self._lock:
                 if self._current is not None and self._shown_age != self._stale_age():

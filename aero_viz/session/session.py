@@ -60,7 +60,7 @@ class Session(BaseSession):
             report=self._report, work=self._work, idle_time=self._idle_time, has_work=self._must_compare
         )
         self._samples = False
-        """True if the frames shall include samples."""
+        """True if frames must include samples."""
         self._announced_epoch: int | None = None
         """Epoch of the last frame whose outcome was announced."""
 
@@ -202,7 +202,7 @@ class Session(BaseSession):
         return future
 
     def set_samples(self, enabled: bool) -> Future[Any]:
-        """Include the Stage I samples in frames, or leave them out. Of several calls in a row, the last one counts."""
+        """Include the Stage I samples in frames, or leave them out. Of several calls in a row, the last one wins."""
         self._samples = enabled
 
         def command() -> None:
@@ -230,9 +230,9 @@ class Session(BaseSession):
         return config
 
     def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace the current configuration and those of undo and redo by what `function` returns.
+        """Replace the current configuration and those of undo and redo by the results of `function`.
 
-        This is no step of undo. A configuration for which `function` raises ValueError stays.
+        This cannot be undone. A configuration for which `function` raises ValueError stays.
         """
         config = self._configs.convert(function)
         self._post(self._replan_if_changed)
@@ -246,7 +246,7 @@ class Session(BaseSession):
         return self.config
 
     def redo(self) -> PlannerConfig:
-        """Make the change again that was undone last, and return the configuration."""
+        """Redo the change that was undone last, and return the configuration."""
         if self._worlds.undone_at(self._world) <= self._configs.undone_at:
             return self._go_to_config(+1)
         self._post(lambda: self._alter(self._worlds.redo))
@@ -271,11 +271,11 @@ class Session(BaseSession):
         return self._post(command)
 
     def unpin(self) -> Future[Any]:
-        """Compare nothing any more."""
+        """End the comparison."""
         return self._post(self.comparison.unpin)
 
     def compare_with(self, config: PlannerConfig) -> Future[Any]:
-        """Use `config` as B, beside the configuration that is pinned; without one, the present one is pinned first."""
+        """Use `config` as B against the pinned configuration, A; without one, the present one is pinned first."""
 
         def command() -> None:
             self._set_playing(False)
@@ -350,7 +350,7 @@ class Session(BaseSession):
         self._loop.start(first, name="aero-viz-session")
 
     def _idle_time(self) -> float | None:
-        """Return the time until there is work besides commands [s]; None for ever."""
+        """Return the time until there is work besides commands [s]; None if there is none."""
         if self._playing:
             return self._clock.delay_until(self._engine.next_time)
         return 0.0 if self._must_compare() else None

@@ -88,7 +88,7 @@ class Timeline:
         self._checkpoints[self._cursor] = dataclasses.replace(self.current, source=source)
 
     def planned_with(self, config: PlannerConfig) -> None:
-        """Note the configuration with which the current tick was planned."""
+        """Record the configuration with which the current tick was planned."""
         self._configs[self._cursor] = config
 
     def flown(self) -> list[tuple[Checkpoint, PlannerConfig]]:

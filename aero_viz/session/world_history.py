@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 NEVER = float("-inf")
 _MOST = 500
-"""Number of changes that are kept; the oldest one goes first."""
+"""Largest number of changes that are kept; the oldest one is dropped first."""
 
 
 @dataclass
@@ -42,12 +42,12 @@ class WorldHistory:
         self._changes = (*self._changes, _Change(start, after, step, time.monotonic()))[-_MOST:]
 
     def changed_at(self, world: World | None) -> float:
-        """Return when the change was made that `undo` takes back from `world`; `NEVER` if there is none."""
+        """Return the time of the change that `undo` takes back from `world`; `NEVER` if there is none."""
         change = self._made(world)
         return NEVER if change is None else change.changed_at
 
     def undone_at(self, world: World | None) -> float:
-        """Return when the change was undone that `redo` makes again to `world`; `NEVER` if there is none."""
+        """Return the time at which the change that `redo` makes to `world` was undone; `NEVER` if there is none."""
         change = self._undone(world)
         return NEVER if change is None else change.undone_at
 
@@ -58,7 +58,7 @@ class WorldHistory:
             change.undone_at = time.monotonic()
 
     def redo(self, source: Any) -> None:
-        """Make the change again that was undone last from the world of a source, if there is one."""
+        """Redo the change of the world of a source that was undone last, if there is one."""
         if (change := self._undone(source.observe().world)) is not None:
             source.set_world(change.after)
             change.undone_at = NEVER

@@ -117,7 +117,7 @@ class PackedArrays(Generic[Arrays]):
         return self._as_record(self._host_bytes.copy() if target is None else target)
 
     def _take_buffer(self) -> tuple[wp.array | None, NDArray[np.uint8] | None]:
-        """Return host memory for one download, and the same as NumPy array; None if too much is in use.
+        """Return a staging buffer for one download, and a NumPy view of it; None if too much is in use.
 
         It is free again when that array and all views of it are gone.
         """

@@ -38,7 +38,7 @@ from aero_planner.kernels.warp_ops import point_pack
 
 @dataclass(eq=False)
 class PlannerInputs:
-    """Problem of each drone, world frame. The cloud is apart, see `Planner.points`."""
+    """Problem of each drone, world frame. The cloud is separate, see `Planner.points`."""
 
     time: wp.array = array(wp.float64, "B", "s", "Stamp of the state; NaN: one replan_period after the previous one.")
     position: wp.array = array(wp.vec3, "B", "m", "p.")
@@ -97,7 +97,7 @@ class CloudArrays:
 
 @dataclass(eq=False)
 class MotionArrays:
-    """What moves among the obstacles of each drone; see `aero_planner.kernels.motion` and `.tracks`."""
+    """Moving obstacles of each drone; see `aero_planner.kernels.motion` and `.tracks`."""
 
     scan: wp.array = array(
         wp.int32, "B L A+K", "",

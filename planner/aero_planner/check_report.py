@@ -21,7 +21,7 @@ class Check:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Results of all checks, with the verdicts for the last line of the table."""
+    """Results of all checks, and the verdict in the last line of the table."""
 
     checks: tuple[Check, ...]
     passed_verdict: str = "All required checks passed."

@@ -196,10 +196,10 @@ def test_the_first_difference_is_that_of_positions_or_of_chosen_instances():
     rows = np.zeros((6, len(COLUMNS)))
     rows[:, 0] = np.arange(6) * 0.1
     ghost = rows[2:5].copy()
-    assert first_difference(rows, ghost, over=False) is None
-    assert first_difference(rows, ghost, over=True) == pytest.approx(0.5), "the flight goes on beyond its end"
+    assert first_difference(rows, ghost, has_ended=False) is None
+    assert first_difference(rows, ghost, has_ended=True) == pytest.approx(0.5), "the flight goes on beyond its end"
     ghost[1, -1] = 0.01
-    assert first_difference(rows, ghost, over=True) == pytest.approx(0.3)
+    assert first_difference(rows, ghost, has_ended=True) == pytest.approx(0.3)
     ghost[2, COLUMNS.index("best")] = 3.0
-    assert first_difference(rows, ghost, over=True, plans=True) == pytest.approx(0.4)
-    assert first_difference(rows, ghost[:0], over=True) is None
+    assert first_difference(rows, ghost, has_ended=True, plans=True) == pytest.approx(0.4)
+    assert first_difference(rows, ghost[:0], has_ended=True) is None

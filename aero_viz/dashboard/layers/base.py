@@ -119,7 +119,7 @@ class Layer:
         """Choices that the page offers for this layer."""
         self._root = server.scene.add_frame(f"/{self.name}", show_axes=False, visible=self.on_by_default)
         self._own_roots: dict[int, viser.FrameHandle] = {}
-        """The root as each visitor alone sees it, by the number of the client; viser shows it instead of the other."""
+        """The root as each visitor sees it, by the number of the client; viser shows it instead of the shared root."""
         self.create(server.scene)
 
     @property

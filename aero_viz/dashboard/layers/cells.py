@@ -111,8 +111,8 @@ class UnseenCellLayer(Layer):
 class CoarseCellLayer(Layer):
     """Coarse cells on a sphere of 2 m, and a line along each safe direction, longer where more range is free.
 
-    The colour is the mean range of the cell: the largest one is that of any gap, and equal for nearly all cells. Cells
-    that hold an anchor direction have lines in the colour of anchors.
+    The colour is the mean range of the cell. The largest range would be that of any gap, and the same for nearly all
+    cells. Cells that hold an anchor direction have lines in the colour of anchors.
     """
 
     name, title, on_by_default = "coarse_cells", "Coarse cells and safe directions", False

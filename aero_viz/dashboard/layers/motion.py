@@ -33,7 +33,7 @@ class MotionLayer(Layer):
 
 
 def _rings(frame: Frame) -> NDArray[np.float32]:
-    """Return the segments of the rings and of the way between the two of each obstacle [m], shape [n, 2, 3]."""
+    """Return the segments of the rings and of the line between the two rings of each obstacle [m], shape [n, 2, 3]."""
     moving, config = frame.plan.moving, frame.config
     if moving is None or not len(moving.radii):
         return np.zeros((0, 2, 3), np.float32)

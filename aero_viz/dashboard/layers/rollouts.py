@@ -28,8 +28,8 @@ _COST, _CHOSEN = palette.unmapped(palette.COST), palette.unmapped(palette.CHOSEN
 def cost_scale(plan: Plan, *, by: str = "rank") -> NDArray[np.float64]:
     """Return the place of each instance between the worst (0) and the best (1) Stage II cost, shape [M].
 
-    Costs range from tens to 1e7 with collisions and differ by a per mille without. "rank" therefore spaces them
-    evenly; "log cost" spaces them by log(1 + S2 - min S2).
+    Costs range from tens to 1e7 with collisions and differ by 0.1 % without. "rank" therefore spaces them evenly; "log
+    cost" spaces them by log(1 + S2 - min S2).
     """
     cost = np.asarray(plan.stage2_cost, dtype=np.float64)
     if by == "rank":

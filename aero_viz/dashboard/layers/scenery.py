@@ -35,7 +35,7 @@ class ObstacleLayer(Layer):
 
     def create(self, scene: viser.SceneApi) -> None:
         self.selected: ObstacleId | None = None
-        """Obstacle in the colour of a selection, which is never faint."""
+        """Selected obstacle, which has the colour of a selection and is never faint."""
         self._world: World | None = None
         self._sight: SightLines | None = None
         self._instances: dict[str, Instances] = {}

@@ -63,7 +63,7 @@ class Page:
     """Shows the newest frame again, after a change that brings no new frame."""
 
     def refresh_after(self, delay: float = 1.1 * Hold.SECONDS) -> None:
-        """Show the newest frame again in `delay` [s]. While the session is paused, no later frame would."""
+        """Show the newest frame again in `delay` [s], since no later frame comes while the session is paused."""
         timer = threading.Timer(delay, self.refresh)
         timer.daemon = True
         timer.start()
@@ -135,7 +135,7 @@ class Panel:
         self.create(page.server.gui)
 
     def create(self, gui: viser.GuiApi) -> None:
-        """Create the controls, in the container that is open."""
+        """Create the controls in the open container."""
         raise NotImplementedError
 
     def welcome(self, client: viser.ClientHandle) -> None:

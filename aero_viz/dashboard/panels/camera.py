@@ -102,7 +102,7 @@ def _width(frame: Frame) -> float:
 
 
 class CameraPanel(Panel):
-    """Buttons for the camera mode, for each visitor alone.
+    """Buttons for the camera mode, separate for each visitor.
 
     "follow", "top" and "side" keep the distance and direction that the visitor has chosen with the mouse; "free" leaves
     the camera alone. Another source moves every camera to its first view.

@@ -106,7 +106,7 @@ class ChartPanel(Panel):
 
 
 def table(rows: Array, curves: Sequence[Curve]) -> str:
-    """Return rows of a history as CSV: the time and the columns of some curves. What is not known is an empty cell."""
+    """Return rows of a history as CSV: the time and the columns of some curves. Unknown values are empty cells."""
     columns = ["time", *dict.fromkeys(column for curve in curves for column in curve.columns)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

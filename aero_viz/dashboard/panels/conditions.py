@@ -23,7 +23,7 @@ class ConditionControls:
 
     Args:
         gui: where to add them.
-        first: conditions that they show at first.
+        first: initial conditions.
     """
 
     def __init__(self, gui: viser.GuiApi, first: Conditions) -> None:
@@ -37,7 +37,7 @@ class ConditionControls:
             ]
 
     def offer(self, spec: str, *, count: int | None = None) -> None:
-        """Show the number of obstacles of another scene: `count`, or its own."""
+        """Show the number of obstacles of a newly chosen scene: `count`, or its default."""
         if spec == self._spec:
             return
         self._spec = spec

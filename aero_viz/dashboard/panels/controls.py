@@ -18,7 +18,7 @@ ChangeCallback = Callable[[viser.ClientHandle], None]
 _LARGEST_SLIDER = 5.0
 """Upper end of a slider, as a multiple of the default."""
 _WIDEST_SLIDER = 1e4
-"""Parameters that reach farther below zero have no slider: a pixel of it would be hundreds of units."""
+"""Parameters whose range extends farther below zero have no slider: one pixel would be hundreds of units."""
 _DECIMALS = 9
 """Decimal places that can be typed."""
 
@@ -184,7 +184,8 @@ def _hint(info: ParameterInfo) -> str:
 
 
 def _slider_end(info: ParameterInfo) -> float:
-    """Return the upper end of a slider. A linear one ends at five times the default: up to 1000, 3 would be no move."""
+    """Return the upper end of a slider, for a linear one five times the default: one up to 1000 could not set 3 or
+    4."""
     if info.scale == "log":
         return info.high
     default = float(info.default)

@@ -23,7 +23,7 @@ _ENDS = {
 }  # fmt: skip
 """Upper ends of the sliders, in the unit of the parameter."""
 _DRAG = 0.3
-"""Drag of a drone that had none when wind was asked for: wind acts through it [1/s]."""
+"""Drag that a drone without any gets when a user asks for wind, which acts through the drag [1/s]."""
 
 _HINT = "It acts at once; the same name in the Fly tab acts from the next flight on."
 
@@ -74,7 +74,7 @@ class DisturbancePanel(Panel):
         self._changes.put(None)
 
     def _change(self, _: None) -> None:
-        """Use the values that wait, on the mailbox's thread."""
+        """Use the pending values, on the mailbox's thread."""
         with self._lock:
             values, self._waiting = self._waiting, {}
         frame = self.session.frame

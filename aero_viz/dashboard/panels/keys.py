@@ -17,9 +17,9 @@ class Key:
     label: str
     """Description, for the user."""
     shown: str
-    """The key as on a keyboard."""
+    """Label of the key, as on a keyboard."""
     hotkey: Any
-    """The key as viser names it."""
+    """Name of the key in viser."""
     modifier: Any = None
     own: bool = False
     """True if it affects this visitor only, who then needs no control of the session."""

@@ -17,7 +17,7 @@ _ROOM = 100.0
 
 
 class LayerPanel(Panel):
-    """A switch for every layer, for each visitor alone, with the layer's options below it, which all share.
+    """A switch for every layer, separate for each visitor, above the layer's options, which all visitors share.
 
     Args:
         page: page of the panel.

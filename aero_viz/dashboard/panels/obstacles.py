@@ -33,12 +33,12 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
 _PAUSE = 0.4
-"""Time for which a number that is typed must stay the same [s]: 12 begins with 1."""
+"""Time for which a typed number must stay unchanged before it is used [s]: a 12 is first a 1."""
 _SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
 _ADDED_AT = (6.0, 3.0)
 """Offset of an added obstacle from the drone, towards the goal and to the left [m]."""
 _THROWN_FARTHER_THAN = 3.0
-"""Least distance from the drone to a thrown obstacle [m]."""
+"""Smallest distance from the drone to a thrown obstacle [m]."""
 _ABSENT = "Open a scene or a world to change its obstacles: a recording has none."
 _NOTHING = "Click an obstacle in the scene to select it."
 
@@ -191,7 +191,7 @@ class ObstaclePanel(Panel):
         self._controls.alter(change)
 
     def _use_typed(self, _: None) -> None:
-        """Use the numbers that were typed, on the mailbox's thread, once they stay the same or another is selected."""
+        """Use typed numbers, on the mailbox's thread, once they stay unchanged or another obstacle is selected."""
         while (rest := self._touched.began + _PAUSE - time.monotonic()) > 0.0:
             time.sleep(rest)
         typed_at = self._touched.began

@@ -18,7 +18,7 @@ from aero_viz.session.source import SourceInfo
 
 _SPEEDS = {"1/10": 0.1, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _STEPS_MAX = 50
-"""Largest number of ticks of the clicks that wait while the session is moving: one second of a flight."""
+"""Largest number of pending ticks while the session is moving: one second of a flight."""
 
 
 class PlaybackPanel(Panel):
@@ -40,7 +40,7 @@ class PlaybackPanel(Panel):
         if self.session.controls is not None:
             self._add_speed(gui, self.session.controls)
         self._waiting: tuple[float | None, int] = (None, 0)
-        """The move that waits: a time to go to [s], if there is one, and a number of ticks from there."""
+        """The pending move: a time to go to [s] or None, and a number of ticks from there."""
         self._lock = threading.Lock()
         self._moves = Mailbox(self._move, name="aero-viz-moves")
         self._connect(gui)
@@ -83,20 +83,20 @@ class PlaybackPanel(Panel):
         self._moves.close()
 
     def _seek(self, time: float) -> None:
-        """Go to the tick nearest to a time [s]; while the session is moving, only the newest one waits."""
+        """Go to the tick nearest to a time [s]; while the session is moving, only the newest request is kept."""
         with self._lock:
             self._waiting = (time, 0)
         self._moves.put(None)
 
     def step(self, count: int) -> None:
-        """Move by some ticks; while the session is moving, clicks add up to at most `_STEPS_MAX`."""
+        """Move by a number of ticks; while the session is moving, clicks add up to at most `_STEPS_MAX`."""
         with self._lock:
             time, steps = self._waiting
             self._waiting = (time, min(max(steps + count, -_STEPS_MAX), _STEPS_MAX))
         self._moves.put(None)
 
     def _move(self, _: None) -> None:
-        """Make the move that waits, on the mailbox's thread. The session reports errors itself."""
+        """Make the pending move, on the mailbox's thread. The session reports errors itself."""
         with self._lock:
             (time, steps), self._waiting = self._waiting, (None, 0)
         with contextlib.suppress(CancelledError):

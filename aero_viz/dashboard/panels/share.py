@@ -69,7 +69,7 @@ class Files(Protocol):
         layers: Sequence[str],
         report: Callable[[float], None],
     ) -> None:
-        """Write frames to a file of the kind that its name asks for."""
+        """Write frames to a file, in the format that the suffix of its name selects."""
 
     def picture(self, url: str) -> bytes:
         """Return a picture of the page at an address as PNG."""

@@ -1,4 +1,4 @@
-"""Choice of the source."""
+"""The choice of the source."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ class SourcePanel(Panel):
         self._reader: ReaderProcess | None = None
         """Reader of the source that is being opened; None if there is none."""
         self._is_read = False
-        """True while a source that has been read becomes the session's, which takes a moment and is not cancelled."""
+        """True while the session takes over a source that has been read; this takes a moment and cannot be
+        cancelled."""
         self._cancellations = 0
         self._closed = False
         self._lock = threading.Lock()
@@ -145,7 +146,7 @@ class SourcePanel(Panel):
         return [(self._choice, "options", tuple(self._choices)), (self._choice, "value", name)]
 
     def cancel(self) -> None:
-        """Stop opening a source, and drop the clicks so far that have not opened one yet."""
+        """Stop opening a source, and drop the requests that wait."""
         with self._lock:
             self._cancellations += 1
             reader = self._reader
@@ -240,10 +241,10 @@ class SourcePanel(Panel):
                 frame = self.session.frame
 
     def _use(self, source: Source, path: str, *, seed: int) -> bool:
-        """Make `source` the session's. It plays if the one before it did, also if that had come to its end.
+        """Make `source` the session's. It plays if the previous source was playing, even if that had ended.
 
         Returns:
-            False if its first tick failed, so that the source before it stays.
+            False if its first tick failed; the previous source then stays.
         """
         self._is_read = True
         frame, was_playing = self.session.frame, self.session.playing
@@ -261,7 +262,7 @@ class SourcePanel(Panel):
         return False
 
     def _plan_as_known(self, before: Frame | None, source: Source) -> None:
-        """Give the planner the facts of another flight, also where it goes by undo; a recording has none."""
+        """Give the planner the facts of another flight, also in the configurations of undo; a recording has none."""
         if before is not None:
             old, new = before.source, source.info
             self._controls.convert_configs(lambda config: config_for_next_flight(config, before=old, after=new))
@@ -319,5 +320,5 @@ class SourcePanel(Panel):
 
 
 def _place(spec: str) -> Path:
-    """Return what is the same for all paths of a file; a name that is no file stays as it is."""
+    """Return the canonical path of a file; any other name is returned unchanged."""
     return Path(spec).expanduser().resolve() if Path(spec).expanduser().exists() else Path(spec)

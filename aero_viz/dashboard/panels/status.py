@@ -38,7 +38,7 @@ class StatusPanel(Panel):
         self._playback_since = 0.0
 
     def create_details(self, gui: viser.GuiApi) -> None:
-        """Create the times of the stages and the legend, in the container that is open: they need much height."""
+        """Create the times of the stages and the legend, in the open container. They are tall."""
         self.stages = gui.add_html("")
         self.key = gui.add_html("")
 
@@ -104,7 +104,7 @@ def _recorded(plan: RecordedPlan) -> str:
 
 
 def _live(frame: Frame) -> str:
-    """Return the heading of what follows where it is not the plan that was flown; empty for a flight."""
+    """Return the heading above a live plan that was not flown; empty for a simulated flight."""
     is_flown = frame.source.recorded_plan is None
     return "" if is_flown else f'<div style="font-weight:600">{markup.text("live planner on this cloud")}</div>'
 

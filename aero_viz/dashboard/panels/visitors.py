@@ -14,7 +14,7 @@ _HINT = "Take control of the session. The visitor who holds it now can only watc
 
 
 class VisitorPanel(Panel):
-    """A line for each visitor alone, above all controls. It is empty for a visitor who is alone and in control."""
+    """A line above all controls, separate for each visitor. It is empty for a single visitor who holds control."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self._rows: dict[int, tuple[viser.GuiHtmlHandle, viser.GuiButtonHandle]] = {}

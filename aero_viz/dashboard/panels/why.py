@@ -29,7 +29,7 @@ _HINT = (
 
 
 class WhyPanel(Panel):
-    """Costs by term over all instances, and the card of the selection. It works only while it is switched on."""
+    """Costs by term over all instances, and the card of the selection. It computes nothing while it is switched off."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self._replan = Replanner()

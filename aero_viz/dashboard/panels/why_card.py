@@ -25,7 +25,7 @@ _CONTROLS = (("thrust", "N"), ("roll rate", "rad/s"), ("pitch rate", "rad/s"), (
 
 
 def chart(evidence: Evidence, selected: int | None) -> str:
-    """Return a column for each instance: by which terms its S2 exceeds the least value of each term."""
+    """Return a column for each instance: the terms by which its S2 exceeds the smallest value of each term."""
     terms, plan = evidence.terms.sum(axis=2), evidence.plan
     excess = terms - terms.min(axis=1, keepdims=True)
     total = excess.sum(axis=0)

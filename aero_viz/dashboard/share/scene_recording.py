@@ -1,4 +1,4 @@
-"""Recording of the scene over a flight, which viser's client plays without a server."""
+"""Recording of the scene during a flight, which viser's client plays without a server."""
 
 from __future__ import annotations
 

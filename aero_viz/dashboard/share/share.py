@@ -1,4 +1,4 @@
-"""Writes a flight to a file, of the kind that its name asks for."""
+"""Writes a flight to a file, in the format that the suffix of its name selects."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def share(
     """Fly or replay `source` and write it to a file.
 
     Args:
-        source: what to show; closed afterwards.
+        source: source to show; closed afterwards.
         path: file to write, with one of `SUFFIXES`. An existing one is replaced once the new one is complete.
         command: command that shows the flight live, for the page.
         config: configuration of the planner; None is the default.
@@ -118,7 +118,7 @@ def write(
     layers: Sequence[str] | None = None,
     report: Report = lambda _: None,
 ) -> None:
-    """Write frames, of one source and in the order of time, as a page, a video or a log."""
+    """Write frames of one source, in chronological order, as a page, a video or a log."""
     suffix = path.suffix.lower()
     with _complete(path) as partial:
         if suffix == ".mcap":
@@ -163,7 +163,7 @@ def _complete(path: Path) -> Iterator[Path]:
 
 
 def _in_thread(action: Callable[[], T]) -> T:
-    """Return the result of `action`, run where there is no event loop, as Playwright needs it."""
+    """Return the result of `action`, run on a thread without an event loop, as Playwright requires."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(action).result()
 

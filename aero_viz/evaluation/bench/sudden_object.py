@@ -112,11 +112,11 @@ class SuddenObjects:
 
 
 def can_evade(distance: float, speed: float, *, vehicle: VehicleConfig, radius: float) -> bool:
-    """Return whether a drone in straight and level flight could evade the object if it knew of it at once.
+    """Return whether a drone in straight and level flight could evade the object if it saw it at once.
 
     The drone tilts from level at its full rate, up to the tilt at which its full thrust holds the height, in the best
     of all directions between straight back and sideways. It must stop, or pass the object on the nearer side. The
-    object is as far to one side as any seed puts it.
+    object has the largest lateral offset of any seed.
 
     Args:
         distance: from the centre of the drone to the front of the object [m].

@@ -27,8 +27,8 @@ class _Shard:
 class CandidateFlights:
     """Flies candidates through worlds.
 
-    Every candidate has the same seed in the same world, so that the LiDAR, the noise and the samples of the planner do
-    not make a difference between candidates.
+    Every candidate has the same seed in the same world, so that candidates do not differ in the LiDAR, the noise and
+    the samples of the planner.
 
     Args:
         worlds: all worlds. A world that occurs several times is flown with different seeds.

@@ -28,7 +28,7 @@ ARRIVED = "arrived [%]"
 _LEAST_TRIALS = 8
 """Number of complete candidates from which the importance of parameters is estimated."""
 _BEST_SHARE = 0.25
-"""The importance says what sets this share of the candidates apart from the others."""
+"""Share of the candidates that the importance sets apart from the others."""
 _RESAMPLES = 30
 _NAMES_MAX = 10
 

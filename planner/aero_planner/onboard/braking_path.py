@@ -43,8 +43,8 @@ class BrakingPath:
     def near(self, position: Array, lead: float) -> PathState | None:
         """Return the desired motion at the place nearest to `position` [m]; None if the path is too far away.
 
-        Past the end it is rest at the end. The acceleration is that of `lead` [s] later, because the drone must first
-        turn to it.
+        Past the end, it is rest at the end point. The acceleration is that of `lead` [s] later, because the drone must
+        first turn to it.
         """
         distances = np.linalg.norm(self.positions - position, axis=1)
         i = int(distances.argmin())

@@ -1,7 +1,7 @@
 """Drift of the autopilot's estimate, measured by the LiDAR: the cloud of one moment against that of the next.
 
-If position and attitude are right, what stands still stays where it is in the world frame. The motion that brings the
-newer points onto the older ones is therefore an error of the estimate.
+If position and attitude are right, static obstacles stay in place in the world frame. The motion that brings the newer
+points onto the older ones is therefore an error of the estimate.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Drift(NamedTuple):
 
 
 def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: Array) -> Drift | None:
-    """Return how far `new` has moved against `old`; None if too little is visible to tell, or what is visible moves.
+    """Return how far `new` has moved against `old`; None if too little is visible, or the visible obstacles move.
 
     The older points are divided into voxels with a plane in each. A rigid motion is fitted that moves the newer points
     onto these planes. Directions in which nothing holds the points count as free of drift. An error of the estimate

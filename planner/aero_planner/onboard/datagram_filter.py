@@ -47,7 +47,7 @@ def filter_senders(sock: socket.socket, senders: Iterable[tuple[str, int | None]
 
 
 def count_drops(sock: socket.socket) -> int:
-    """Return how many datagrams the kernel has dropped, by the filter or for lack of room; 0 if it does not tell."""
+    """Return the number of datagrams that the kernel has dropped, filtered or for lack of room; 0 if it is unknown."""
     with contextlib.suppress(OSError):
         numbers = sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * (_DROPS + 1))
         if len(numbers) == 4 * (_DROPS + 1):

@@ -1,4 +1,4 @@
-"""Drift of the estimate in the last seconds, as the LiDAR measured it."""
+"""Drift of the estimate during the last seconds, as measured by the LiDAR."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DriftMonitor:
         self._measured.append((time, drift.angle, drift.shift / interval))
 
     def update(self, now: float) -> None:
-        """Forget what was measured too long before `now` [s]."""
+        """Forget measurements from too long before `now` [s]."""
         while self._measured and self._measured[0][0] < now - _WINDOW:
             self._measured.popleft()
         count = len(self._measured)

@@ -1,4 +1,4 @@
-"""The height of the ground in the autopilot's local frame, whose height may be wrong by a metre."""
+"""The ground height in the autopilot's local frame, whose own height may be wrong by a metre."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class GroundSource(enum.Enum):
 
 
 class GroundTracker:
-    """The height of the ground, by the best source so far: distance sensor, LiDAR, or where the drone stood.
+    """The ground height from the best source so far: distance sensor, LiDAR, or the place where the drone stood.
 
     A measured height stays in force until the same or a better source measures another one.
 

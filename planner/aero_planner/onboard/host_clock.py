@@ -24,7 +24,7 @@ class HostClock:
     """
 
     PATIENCE = 20
-    """Number of inconsistent stamps in a row after which they are believed."""
+    """Number of inconsistent stamps in a row after which they are accepted."""
 
     def __init__(self, *, jump: float = 1.0, window: float = 5.0) -> None:
         self.rejected = 0

@@ -1,6 +1,6 @@
 """The autopilot over MAVLink 2: receives vehicle state, heartbeat and goal; sends thrust and body rates.
 
-The first autopilot that is heard, with the system id of the settings, is obeyed for good: messages from elsewhere are
+The first autopilot with the system id of the settings is the only one from then on: messages from elsewhere are
 ignored, except for goals from the senders that the settings name. A goal comes from SET_POSITION_TARGET_LOCAL_NED
 addressed to this component. `aero_planner.onboard.mavlink_state` tells where the state comes from.
 

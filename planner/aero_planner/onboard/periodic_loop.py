@@ -69,7 +69,7 @@ class DeadlineStatistics:
 
 
 class PeriodicLoop:
-    """Calls a function at a fixed rate until it is stopped. Late calls are skipped, never made up for in a burst.
+    """Calls a function at a fixed rate until it is stopped. Late calls are skipped, never caught up in a burst.
 
     Args:
         period: Time between two calls [s].

@@ -1,4 +1,4 @@
-"""PX4's parameters over MAVLink: which values the node needs, why, and how they are read and written."""
+"""PX4's parameters over MAVLink: the values that the node needs, why, and how they are read and written."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def _request(
     clock: Callable[[], float],
     sleep: Callable[[float], object],
 ) -> None:
-    """Call `send` for each name, again until the autopilot has answered, or the time is over."""
+    """Call `send` for each name, repeatedly until the autopilot has answered or time is up."""
     end, next_try = clock() + _TIMEOUT, -math.inf
     while clock() < end and (missing := [name for name in names if name not in link.parameters]):
         if clock() >= next_try:

@@ -34,7 +34,7 @@ _HOVER_SPEED = 1.0
 _GROUND_PERIOD = 1.0
 """Time between two searches for the ground in the cloud [s]."""
 _SPARE_SWEEPS = 64
-"""Sweeps for which the planner has room beside those of its memory."""
+"""Number of sweeps for which the planner has room in addition to its memory."""
 _STEP = 0.02
 """Time step of the prediction [s]."""
 

@@ -18,7 +18,7 @@ _POSES = 512
 
 
 class SweepBuffer:
-    """The deskewed points of the last `sweeps` x `period` seconds, and thinned ones from before. Thread-safe.
+    """The deskewed points of the last `sweeps` x `period` seconds, and thinned points from before. Thread-safe.
 
     Points newer than the newest pose wait for the next one. Points that are older than the oldest pose, or that lie
     between two poses too far apart to interpolate, are dropped and counted. Memory is bounded for any input.
@@ -139,7 +139,7 @@ class SweepBuffer:
             return Sweeps(chunks, whole=len(self._chunks), arrivals=arrivals), now - self._newest
 
     def _arrivals(self) -> list[Arrival]:
-        """Return when the newest point of each chunk was measured, and from where."""
+        """Return the time of the newest point of each chunk, and the position from which it was measured."""
         if not self._chunks:
             return []
         times = [time for _, time in self._chunks]

@@ -20,7 +20,7 @@ _TIME_CONSTANT = 2.0
 _LARGEST = 1.5
 """Largest gain; the smallest is its inverse."""
 _MAX_ERROR = 0.5
-"""Largest relative error of one measurement that is believed."""
+"""Largest relative error of a measurement that is accepted."""
 _MAX_INTERVAL = 0.1
 """Longest time between two states that are compared [s]."""
 _MIN_UPRIGHT = 0.8

@@ -63,7 +63,7 @@ def open_transport(url: str, *, baud: int | None = 921_600, allowed: Collection[
     """Open "udpin:ADDRESS:PORT", "udpout:ADDRESS:PORT" or a serial device such as "/dev/ttyTHS1".
 
     Args:
-        url: What to open.
+        url: Address or device to open.
         baud: Baud rate of a serial device [bit/s]. None keeps the device's settings and buffers, for a device that
             another process has already opened.
         allowed: Addresses other than the peer from which datagrams are received.
