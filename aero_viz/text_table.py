@@ -1,4 +1,4 @@
-"""Plain-text tables for terminals and pipes."""
+"""Plain-text tables and sizes for terminals and pipes."""
 
 from __future__ import annotations
 
@@ -31,3 +31,8 @@ def format_table(rows: Sequence[Sequence[str]], *, header: Sequence[str] = (), r
     with console.capture() as capture:
         console.print(table)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def format_size(size: int) -> str:
+    """Return the size of a file [bytes] as text, such as "12 kB" or "3.4 MB"."""
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB"

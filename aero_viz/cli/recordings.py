@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -65,6 +66,7 @@ def convert(
     from aero_viz.recordings import open_recording
     from aero_viz.recordings.convert import convert as convert_recording
     from aero_viz.recordings.convert import refuse_source
+    from aero_viz.recordings.storage import open_storage
 
     if to == "rrd" or output.suffix.lower() == ".rrd":
         mcap, rrd = output.with_suffix(".mcap"), output.with_suffix(".rrd")
@@ -74,7 +76,9 @@ def convert(
         )
     if output.suffix.lower() != ".mcap":
         raise UserError(f"{output} would hold MCAP; give a name that ends in .mcap, such as {output.stem}.mcap.")
-    refuse_source(output, [Path(file)])
+    if output.exists():
+        with contextlib.closing(open_storage(file)) as storage:
+            refuse_source(output, storage)
     check_output_files(output, overwrite=overwrite)
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:

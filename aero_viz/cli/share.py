@@ -18,6 +18,7 @@ from aero_viz.cli.flags import (
 )
 from aero_viz.cli.output import progress_bar
 from aero_viz.errors import UserError
+from aero_viz.text_table import format_size
 
 _CONFIG = ConfigFlags()
 _FLIGHT = FlightFlags()
@@ -83,7 +84,7 @@ def share(
             layers=None if layers is None else [name.strip() for name in layers.split(",")],
             report=lambda time: update_bar(min(time, duration), duration, f"{time:.1f} s"),
         )
-    print(f"{output}: {output.stat().st_size / 1e6:.1f} MB")
+    print(f"{output}: {format_size(output.stat().st_size)}")
 
 
 def _command(source: str, output: Path, *, closed_loop: bool) -> str:

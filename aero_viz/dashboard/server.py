@@ -353,24 +353,30 @@ def configure_theme(gui: viser.GuiApi, *, light: bool = False) -> None:
 
 
 def _require_free(host: str, port: int) -> None:
+    if not 0 <= port <= 65535:
+        raise UserError(
+            f"The port {port} does not exist; choose one from 0 to 65535 with --port, 0 takes any free one."
+        )
     # viser would silently take the next free port.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             raise _busy(host, port, error) from error
 
 
-def _busy(host: str, port: int, error: Exception | None = None) -> UserError:
+def _busy(host: str, port: int, error: OSError | None = None) -> UserError:
     if isinstance(error, socket.gaierror) or getattr(error, "errno", None) == errno.EADDRNOTAVAIL:
         return UserError(
             f"{host} is not an address of this machine; choose another one with --host: 127.0.0.1 for this machine "
             "only, 0.0.0.0 for everyone who can reach it."
         )
     reason = getattr(error, "strerror", None) or (str(error) if error else "it is in use")
-    return UserError(f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any.")
+    return UserError(
+        f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any free one."
+    )
 
 
 def sky(height: int, width: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,8 @@ from aero_viz.recordings.ros_messages import (
     message_type,
     ros1_to_cdr,
 )
-from aero_viz.recordings.storage import open_storage, readable
+from aero_viz.recordings.storage import Storage, open_storage, readable
+from aero_viz.text_table import format_size
 
 _ODOMETRY_TOPICS = ("/odometry", "/tf")
 
@@ -54,7 +55,7 @@ class ConvertReport:
 
     def format_table(self) -> str:
         """Return the report as text for a terminal."""
-        lines = [f"{self.path}: {self.messages} messages on {len(self.topics)} topics, {self.bytes / 1e6:.1f} MB"]
+        lines = [f"{self.path}: {self.messages} messages on {len(self.topics)} topics, {format_size(self.bytes)}"]
         return "\n".join([*lines, *(f"note: {topic} is left out: {reason}" for topic, reason in self.left_out.items())])
 
 
@@ -95,7 +96,7 @@ def convert(
     try:
         with readable(storage.path):
             contents = read_contents(storage)
-        refuse_source(target, [file.path for file in storage.files])
+        refuse_source(target, storage)
         unknown = sorted(set(topics) - {topic.name for topic in contents.topics})
         if unknown:
             names = ", ".join(topic.name for topic in contents.topics)
@@ -126,13 +127,13 @@ def convert(
         storage.close()
 
 
-def refuse_source(target: Path, sources: Iterable[Path]) -> None:
-    """Check that the file to write is not one of the files to read.
+def refuse_source(target: Path, storage: Storage) -> None:
+    """Check that the file to write is not one of the files of a recording.
 
     Raises:
         UserError: it is one of them.
     """
-    if any(source.resolve() == target.resolve() for source in sources):
+    if any(file.path.resolve() == target.resolve() for file in storage.files):
         raise UserError(f"{target} is the recording itself; give another name to write to.")
 
 

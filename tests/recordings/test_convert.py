@@ -106,6 +106,7 @@ def test_mistakes_leave_no_file(
 def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest.CaptureFixture[str]):
     source = mcap_of(bags.drive())
     before = source.read_bytes()
-    for flags in ((), ("--overwrite",)):
-        assert "is the recording itself" in run_refused(capsys, "convert", str(source), str(source), *flags)
+    for given in (source, source.parent):
+        for flags in ((), ("--overwrite",)):
+            assert "is the recording itself" in run_refused(capsys, "convert", str(given), str(source), *flags)
     assert source.read_bytes() == before

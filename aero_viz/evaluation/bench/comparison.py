@@ -102,7 +102,7 @@ def _read(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int]
     """Return the header and the flights by row, index and seed of the world."""
     header, flights = read_folder(Path(folder))
     if header is None:
-        raise UserError(f"{folder} holds no results; give a folder that `aero-viz bench` wrote, as results/table2.")
+        raise UserError(f"{folder} holds no results; give a folder that `aero-viz bench` wrote, like results/table2.")
     return header, {(f["row"], f["index"], f["world_seed"]): _Flight(f["arrived"], f["flight_time_s"]) for f in flights}
 
 

@@ -149,9 +149,10 @@ def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequenc
         raise UserError("--flights, --check and --batch must be at least 1.")
     check_seed(search.seed)
     if not 1 <= search.rungs <= len(worlds):
+        possible = "1" if len(worlds) == 1 else f"1 to {len(worlds)}"
         raise UserError(
-            f"{len(worlds)} flights cannot be divided into {search.rungs} rungs, each of at least one flight; "
-            f"give --rungs between 1 and {len(worlds)}, or more --flights."
+            f"--flights {len(worlds)} cannot be divided into {search.rungs} rungs, each of at least one flight; give "
+            f"--rungs {possible}, or more --flights."
         )
 
 

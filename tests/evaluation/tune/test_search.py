@@ -178,7 +178,7 @@ def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path):
     ("options", "message"),
     [
         ({"rungs": 0}, "cannot be divided into 0 rungs"),
-        ({"rungs": 3}, "give --rungs between 1 and 2, or more --flights"),
+        ({"rungs": 3}, "give --rungs 1 to 2, or more --flights"),
         ({"trials": 0}, "--trials and --generation must be at least 1"),
         ({"check": 0}, "--flights, --check and --batch must be at least 1"),
         ({"batch": 0}, "at least 1"),
