@@ -354,9 +354,7 @@ def configure_theme(gui: viser.GuiApi, *, light: bool = False) -> None:
 
 def _require_free(host: str, port: int) -> None:
     if not 0 <= port <= 65535:
-        raise UserError(
-            f"The port {port} does not exist; choose one from 0 to 65535 with --port, 0 takes any free one."
-        )
+        raise UserError(f"The port {port} does not exist; give --port from 0 to 65535; 0 takes any.")
     # viser would silently take the next free port.
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
