@@ -54,7 +54,7 @@ _STYLE = "".join(
         "{max-height:calc(100vh - 19rem);overflow-y:auto!important;overflow-x:hidden}",
         # All tabs fit in one row without their icons.
         ".mantine-ScrollArea-content [role=tab]>:has(svg){display:none!important}",
-        ".mantine-ScrollArea-content [role=tab]{padding:0 0.8em!important}",
+        ".mantine-ScrollArea-content [role=tab]{padding:0 0.8em!important;min-height:2.3em!important}",
         # A number or a checkbox needs little room, its label much.
         f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
         # The floating panel stays beside the docked one. On a phone, the controls are a sheet below the drone.

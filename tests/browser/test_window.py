@@ -85,6 +85,10 @@ def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(r
     assert box("Fly")["width"] == 480
     place = desk.place_on_page(desk.session.frame.observation.state.position)
     assert place[1] < box("Fly")["y"], "the drone is above the controls"
+    tab = desk.page.get_by_role("tab", name="Fly").bounding_box() or {}
+    assert tab["height"] >= 24.0, "a finger can hit a tab"
+    camera = desk.page.get_by_role("button", name="follow", exact=True).bounding_box() or {}
+    assert tab["y"] + 0.5 * tab["height"] > camera["y"] + camera["height"] + 8.0, "the words of the tabs are below it"
     resize(1000)
     rows = {tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()}
     assert len(rows) == 1, "all tabs of the controls are in one row"
