@@ -146,7 +146,8 @@ class ReaderProcess:
         process, first = self._process, self._first_bytes
         if process is None or not first:
             return seconds
-        return f"{max(_bytes_read(process.pid) - first, 0) / 1e6:.0f} MB, {seconds}"
+        megabytes = round(1e-6 * (_bytes_read(process.pid) - first))
+        return f"{megabytes} MB, {seconds}" if megabytes > 0 else seconds
 
     def cancel(self) -> None:
         """End the reading; the call raises `ReadCancelled`."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_planner import PlanStatus
+from aero_planner import PlanStatus, Sweeps
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers.drone import DroneLayer
@@ -70,6 +70,13 @@ def test_a_page_without_rollouts_has_a_status_without_the_chart_of_their_costs(s
     small = Dashboard(session, port=0, layers=[DroneLayer])
     assert "filtered points" in status_of(small) and "shorter is better" not in status_of(small)
     small.close()
+
+
+@pytest.mark.parametrize(("count", "text"), [(345, "/345<"), (9_999, "/9999<"), (172_345, "/172k<")])
+def test_the_size_of_a_small_cloud_is_not_rounded_to_nothing(session, dashboard, count: int, text: str):
+    seen = session.frame.observation
+    sweeps = Sweeps([np.full((count, 3), 5.0, np.float32)])
+    assert text in status_of(dashboard, observation=dataclasses.replace(seen, sweeps=sweeps))
 
 
 def bars_of(content: str) -> list[str]:

@@ -115,13 +115,15 @@ def _figures(frame: Frame) -> str:
     goal_distance = np.linalg.norm(np.asarray(frame.observation.goal.position) - position)
     clearance, reach = float(frame.plan.clearance[int(frame.plan.best)].min()), frame.config.costs.distance_max
     is_beyond = clearance >= reach - 1e-4
+    count = len(frame.observation.points)
+    points = f"{count // 1000}k" if count >= 10_000 else f"{count}"
     return markup.metrics(
         [
             ("speed", f"{np.linalg.norm(np.asarray(state.velocity)):.1f}", "m/s"),
             ("height", f"{position[2]:.1f}", "m"),
             ("distance to goal", f"{goal_distance:.1f}", "m"),
             ("clearance", f"{'≥' if is_beyond else ''}{reach if is_beyond else clearance:.2f}", "m"),
-            ("filtered points", f"{len(frame.plan.filtered_points)}", f"/{len(frame.observation.points) // 1000}k"),
+            ("filtered points", f"{len(frame.plan.filtered_points)}", f"/{points}"),
             ("plan", f"{frame.timings_ms.get('plan', 0.0):.1f}", "ms"),
         ]
     )
