@@ -48,7 +48,7 @@ def is_recording(spec: str) -> bool:
 
 def _is_path(spec: str) -> bool:
     """Return True if `spec` can only be a path, or is one of a file or folder."""
-    return "/" in spec or Path(spec).suffix != "" or Path(spec).exists()
+    return spec != "" and ("/" in spec or Path(spec).suffix != "" or Path(spec).exists())
 
 
 def refuse_irregular(spec: str) -> None:

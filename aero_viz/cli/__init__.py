@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> None:
         if os.environ.get("AERO_VIZ_DEBUG"):
             raise
         where = f"{error.filename}: " if error.filename else "the output cannot be written or read: "
-        print(f"aero-viz: {where}{error.strerror or error}", file=sys.stderr)
+        print(f"aero-viz: {where}{error.strerror or error}.", file=sys.stderr)
         with contextlib.suppress(OSError, ValueError):  # stdout without a file, as in a test
             abandon_output()
         raise SystemExit(2) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import logging
 import secrets
 import threading
@@ -73,6 +74,8 @@ class FoxgloveServer:
         except (OSError, OverflowError) as error:
             self._stop_loop()
             reason = getattr(error, "strerror", None) or error
+            if getattr(error, "errno", None) == errno.EADDRINUSE:
+                reason = "it is in use; give another one, such as --foxglove 8766"
             raise UserError(f"--foxglove cannot listen on port {port} of {host}: {reason}.") from error
         self.url = f"ws://{local_address(host, next(iter(self._server.sockets)).getsockname()[1])}"
         """Address for the clients."""

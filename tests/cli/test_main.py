@@ -156,4 +156,4 @@ def test_a_closed_stdout_is_no_error():
 def test_a_full_disk_behind_stdout_is_reported_in_one_line():
     done = run_with_stdout("> /dev/full", "parameters")
     assert done.returncode == 2
-    assert done.stderr == "aero-viz: the output cannot be written or read: No space left on device\n"
+    assert done.stderr == "aero-viz: the output cannot be written or read: No space left on device.\n"

@@ -164,7 +164,7 @@ def test_a_port_in_use_is_refused_with_its_number():
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(UserError, match=rf"port {port} of 127.0.0.1: .*in use"):
+        with pytest.raises(UserError, match=rf"port {port} of 127.0.0.1: it is in use; give another one"):
             FoxgloveServer("127.0.0.1", port)
 
 

@@ -57,7 +57,9 @@ def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, 
         (folder / _FLIGHTS).write_text(text, encoding="utf-8")
         return previous, flights
     except OSError as error:
-        raise UserError(f"Cannot write the results to {folder}: {error.strerror or error}.") from error
+        raise UserError(
+            f"Cannot write the results to {folder}: {error.strerror or error}. Choose another --output."
+        ) from error
 
 
 def read_folder(folder: Path) -> tuple[Header | None, Flights]:
