@@ -51,7 +51,10 @@ _STYLE = "".join(
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # Everything below the playback controls scrolls separately, so that these stay in view.
         ".mantine-ScrollArea-content div:has(>[role=tab])+div"
-        "{max-height:calc(100vh - 19rem);overflow-y:auto!important;overflow-x:hidden}",
+        "{max-height:calc(100vh - 19rem - var(--aero-visitors,0rem));overflow-y:auto!important;overflow-x:hidden}",
+        # The line about the visitors, and the button that takes control.
+        ".mantine-ScrollArea-content:has(.aero-visitors){--aero-visitors:3rem}",
+        ".mantine-ScrollArea-content:has(.aero-take-control){--aero-visitors:5rem}",
         # All tabs fit in one row without their icons.
         ".mantine-ScrollArea-content [role=tab]>:has(svg){display:none!important}",
         ".mantine-ScrollArea-content [role=tab]{padding:0 0.8em!important;min-height:2.3em!important}",

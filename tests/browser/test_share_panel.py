@@ -1,12 +1,16 @@
 """The Share folder of the page: files of the flight so far, and a link to the present moment."""
 
+import threading
+
 import imageio.v3 as iio
 import numpy as np
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.links import Link
+from aero_viz.dashboard.share import FlightFiles
 from aero_viz.flight.known_drone import config_for_flight
+from tests.browser.desk import TIMEOUT
 from tests.browser.pictures import count
 
 
@@ -22,6 +26,29 @@ def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(restore
     before = desk.session.frame.index
     desk.session.step(1).result()  # the session goes on
     assert desk.session.frame.index == before + 1
+
+
+def test_a_file_has_the_name_of_its_flight_if_another_one_is_opened_meanwhile(restored_desk, monkeypatch):
+    desk, is_writing, may_end, write = restored_desk, threading.Event(), threading.Event(), FlightFiles.write
+
+    def slow_write(self, frames, path, **options) -> None:
+        frames = list(frames)
+        is_writing.set()
+        assert may_end.wait(TIMEOUT)
+        write(self, frames, path, **options)
+
+    monkeypatch.setattr(FlightFiles, "write", slow_write)
+    desk.open_folder("Share", "Log")
+    with desk.page.expect_download() as download:
+        desk.click("Log")
+        assert is_writing.wait(TIMEOUT)
+        desk.choose("Scene", "pillars")
+        desk.click("Open")
+        link = desk.control("Link").locator("input")
+        desk.session.pause()
+        desk.wait_for(lambda: "source=pillars" in link.input_value(), "the other scene")
+        may_end.set()
+    assert download.value.suggested_filename == "forest.mcap"
 
 
 def test_the_picture_shows_the_scene_and_the_panels(restored_desk, tmp_path):

@@ -58,6 +58,15 @@ def test_a_visitor_who_looks_on_cannot_step_until_taking_control(desk: Desk, sec
     second.get_by_role("button", name="Take control").wait_for()
 
 
+def test_the_line_about_the_visitors_leaves_room_for_the_controls(desk: Desk, second: Page):
+    """Only what is below the tabs scrolls, so that no second scroll bar covers the controls."""
+    hidden = "() => { const e = document.querySelector('.mantine-ScrollArea-viewport');"
+    hidden += " return e.scrollHeight - e.clientHeight; }"
+    for page in (desk.page, second):
+        page.get_by_role("tab", name="Tune").click()
+        desk.wait_for(lambda page=page: page.evaluate(hidden) <= 0, "the panel to fit")
+
+
 def test_layers_and_camera_belong_to_each_visitor(desk: Desk, second: Page):
     cells = desk.dashboard.layers["coarse_cells"]
     assert not cells.visible

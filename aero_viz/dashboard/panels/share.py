@@ -16,7 +16,7 @@ import viser
 
 from aero_viz.catalog import open_source
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.links import Link
+from aero_viz.dashboard.links import Link, Opening
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.source import SourcePanel
@@ -155,10 +155,10 @@ class SharePanel(Panel):
 
     def _write(self, suffix: str, client: viser.ClientHandle) -> None:
         notification = client.add_notification("AERO-Viz", "Writing the file ..", loading=True, with_close_button=False)
+        opening = self._sources.opening  # another source may be opened while the file is written
         try:
-            content = self._content(suffix, notification)
-            name = Path(self._sources.opening.spec).stem + suffix
-            client.send_file_download(name, content, save_immediately=True)
+            content = self._content(suffix, opening, notification)
+            client.send_file_download(Path(opening.spec).stem + suffix, content, save_immediately=True)
         except (UserError, CancelledError) as error:
             notify(self.page.server, str(error) or "The session was closed.", level="error", client=client)
         except Exception as error:
@@ -169,23 +169,23 @@ class SharePanel(Panel):
             with contextlib.suppress(Exception):  # the page may be closed
                 notification.remove()
 
-    def _content(self, suffix: str, notification: viser.NotificationHandle) -> bytes:
+    def _content(self, suffix: str, opening: Opening, notification: viser.NotificationHandle) -> bytes:
         if suffix == ".png":
             return self._files.picture(self.page.server.link(view_only=True))
         shown = [name for name, layer in self.page.layers.items() if layer.visible]
         frame = self.session.frame
-        command = self._sources.opening.command(closed_loop=frame is None or frame.source.closed_loop)
+        command = opening.command(closed_loop=frame is None or frame.source.closed_loop)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"flight{suffix}"
 
             def report(time: float) -> None:
                 notification.body = f"Writing the file .. {time:.1f} s"
 
-            self._files.write(self._frames(report), path, command=command, layers=shown, report=report)
+            self._files.write(self._frames(opening, report), path, command=command, layers=shown, report=report)
             return path.read_bytes()
 
-    def _frames(self, report: Callable[[float], None]) -> Iterator[Frame]:
-        ticks, info, opening = self._controls.flown().result(), self.session.frame, self._sources.opening
+    def _frames(self, opening: Opening, report: Callable[[float], None]) -> Iterator[Frame]:
+        ticks, info = self._controls.flown().result(), self.session.frame
         if info is None or not ticks:
             raise UserError("Nothing has been planned yet.")
         twin = FlightSource.twin(info.source) if info.source.world is not None and info.source.closed_loop else None

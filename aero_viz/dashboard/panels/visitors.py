@@ -10,6 +10,8 @@ from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 
+_VISITORS_CLASS, _TAKE_CONTROL_CLASS = "aero-visitors", "aero-take-control"
+"""Classes of the line, and of a line with the button below it."""
 _HINT = "Take control of the session. The visitor who holds it now can only watch afterwards."
 
 
@@ -47,9 +49,13 @@ class VisitorPanel(Panel):
             if not may_control:
                 role += " This link cannot control the session."
             count = f"<b>{visitors.count} visitors</b>" if visitors.count != 1 else "<b>1 visitor</b>"
+            is_shown, is_offered = visitors.count > 1 or not controls, may_control and not controls
+            # The style sheet leaves room for elements of these classes.
+            classes = _VISITORS_CLASS + (f" {_TAKE_CONTROL_CLASS}" if is_offered else "")
+            line = markup.block(f'<span class="{classes}">{count} {markup.muted(role)}</span>')
             changes: list[Change] = [
-                (text, "content", markup.block(f"{count} {markup.muted(role)}")),
-                (text, "visible", visitors.count > 1 or not controls),
-                (button, "visible", may_control and not controls),
+                (text, "content", line if is_shown else ""),
+                (text, "visible", is_shown),
+                (button, "visible", is_offered),
             ]
             apply(changes)
