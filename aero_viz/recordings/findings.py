@@ -140,7 +140,7 @@ def _rate(times: NDArray[np.float64]) -> float | None:
 
 
 def _sweep_starts(recording: Recording) -> NDArray[np.float64]:
-    """Return the times of the sweeps, of those that were written as one cloud only the last [s]."""
+    """Return the times of the sweeps [s]; of sweeps that were written as one cloud, only the last."""
     times = recording.sweep_times
     return times[np.append(np.diff(times) > _BURST, True)]
 

@@ -1,8 +1,8 @@
 """Model of how PX4 obeys setpoints of attitude and body rates in OFFBOARD.
 
 PX4 has one controller for the attitude and one for the body rates, and its commander selects one of them. A setpoint of
-another kind selects the other controller, but late: until then the previous one goes on with the last setpoint that it
-can use. A message with attitude and rates feeds both.
+another kind selects the other controller, but late: until then the previous one continues with the last setpoint that
+it can use. A message with attitude and rates feeds both.
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ class Px4Autopilot:
     def local(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a position [m], shape [3], world frame, in PX4's local frame, north-west-up.
 
-        The origin of this frame is where PX4 initialised its estimator, which is a little off.
+        The origin of this frame is the place where PX4 initialised its estimator, which is slightly off.
         """
         return self._tracker.local(position, self._estimator_origin)
 

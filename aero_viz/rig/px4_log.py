@@ -27,7 +27,7 @@ class Px4LogSummary:
     offboard_time: float
     """[s]"""
     position_error: float
-    """Largest horizontal error of the estimated position, after that at its beginning was subtracted [m]."""
+    """Largest horizontal error of the estimated position, less the error at the beginning [m]."""
     height_error: float
     """The same for the height [m]."""
     velocity_error: float

@@ -28,7 +28,7 @@ class ConditionControls:
 
     def __init__(self, gui: viser.GuiApi, first: Conditions) -> None:
         self._spec = ""
-        self._count = gui.add_number("Obstacles", 0, step=1, hint=f"Number of them. {_HINT}")
+        self._count = gui.add_number("Obstacles", 0, step=1, hint=f"Number of obstacles. {_HINT}")
         names = tuple(dict.fromkeys([first.lidar or "mid360", *LIDARS]))
         self._lidar = gui.add_dropdown("LiDAR", names, initial_value=names[0], hint=f"Model of the LiDAR. {_HINT}")
         with gui.add_folder("Noise and wind", expand_by_default=False):

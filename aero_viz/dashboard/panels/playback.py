@@ -31,7 +31,7 @@ class PlaybackPanel(Panel):
         if self.session.controls is not None:
             self._add_restart(gui)
         self._steps = gui.add_button_group(
-            "Step", ("-10", "-1", "+1", "+10"), hint="Pause and move by some ticks, backward or forward."
+            "Step", ("-10", "-1", "+1", "+10"), hint="Pause and move by this many ticks."
         )
         self._time = gui.add_slider(
             "Time [s]", 0.0, 1.0, 0.01, 0.0,

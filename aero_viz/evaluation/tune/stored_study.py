@@ -170,7 +170,7 @@ class StoredStudy:
     def _estimate_importance(self, *, is_final: bool) -> tuple[Importance, ...]:
         """Return the importance of the parameters, estimated anew once there are a tenth more candidates.
 
-        This takes seconds for some hundred candidates, on a machine that may fly at the same time.
+        This takes seconds for several hundred candidates, on a machine that may fly at the same time.
         """
         trials = [
             trial

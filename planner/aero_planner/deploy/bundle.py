@@ -5,8 +5,8 @@
     kernels/..        compiled kernels in the layout of Warp's cache
     graph/cpu, sm_..  the plan as a sequence of launches for the C++ host, if the exporting machine could capture it
 
-`open_bundle` trusts nothing in a bundle. It refuses what does not fit, with the reason, and copies what fits to a
-private folder, so that later changes of the bundle have no effect.
+`open_bundle` trusts nothing in a bundle. It refuses a bundle that does not fit, with the reason, and copies the files
+that a planner needs to a private folder, so that later changes of the bundle have no effect.
 """
 
 from __future__ import annotations

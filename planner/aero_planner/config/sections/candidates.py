@@ -9,7 +9,7 @@ from aero_planner.config.parameter import ParameterSection, choice, live, switch
 
 @dataclass(frozen=True)
 class CandidateConfig(ParameterSection, section="candidates"):
-    """Candidates in addition to the anchors, and the selection among all."""
+    """Candidates in addition to the anchors, and the selection among all candidates."""
 
     previous: bool = switch(
         True, "Add the previous best plan as a candidate, shifted in time and without the tracking cost, so that the "
@@ -45,8 +45,8 @@ class CandidateConfig(ParameterSection, section="candidates"):
     prove_stop: str = choice(
         "instead", ("off", "required", "instead"),
         "Fly a candidate only while a clear stop remains: a braking manoeuvre that leaves it now or later. Otherwise "
-        "the drone flies the stop that was proven last while that is clear of what stands. Instead: such a candidate "
-        "need not be clear beyond that.",
+        "the drone flies the stop that was proven last, while that is clear of static obstacles. Instead: such a "
+        "candidate need not itself be clear beyond the point at which its stop begins.",
         label="Proven stop",
     )  # fmt: skip
     stop_clearance: float = live(
@@ -66,7 +66,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
     )  # fmt: skip
     brake_fan: float = live(
         20.0, "deg", 0.0, 45.0, "Angle between the five braking candidates, of which the one with the largest "
-        "clearance is flown, among those that are clear of what stands: there may be an obstacle straight ahead. 0 "
+        "clearance is flown, among those that are clear of static obstacles: there may be one straight ahead. 0 "
         "brakes straight ahead only.",
         label="Braking fan angle",
     )  # fmt: skip

@@ -22,8 +22,8 @@ class EscapeConfig(ParameterSection, section="escape"):
     )  # fmt: skip
     ahead: float = live(
         2.0, "m", 0.01, 1e3, "Distance by which a rollout must end nearer to the goal than the drone has been, so that "
-        "the remembered places cost nothing there: it leads to a way out. Ends that are nearer by less cost a part. "
-        "1000 m: the places cost as much anywhere.",
+        "the remembered places cost nothing there: it leads to a way out. Ends that are nearer by less cost a part of "
+        "it. 1000 m: the places cost the same everywhere.",
         label="Distance ahead without escape cost",
     )  # fmt: skip
     rise: float = live(
@@ -33,15 +33,15 @@ class EscapeConfig(ParameterSection, section="escape"):
     )  # fmt: skip
     guide_depth: float = live(
         20.0, "m", 0.0, 400.0, "Sum of the depths in the neighbourhoods of remembered places above which a slow drone "
-        "is stuck: its guides end before what is seen, since a guide through a wall does not lead out. 400 m switches "
-        "this off.",
+        "is stuck: its guides end in front of the surfaces that are seen, since a guide through a wall does not lead "
+        "out. 400 m switches this off.",
         label="Depth of short guides",
     )  # fmt: skip
     guide_margin: float = live(
-        0.2, "m", 0.0, 5.0, "Distance from the end of such a guide to what its fine cell measured.",
+        0.2, "m", 0.0, 5.0, "Distance from the end of such a guide to the range of its fine cell.",
     )  # fmt: skip
     guide_min: float = live(
-        0.6, "m", 0.0, 30.0, "Least length of such a guide.", label="Shortest guide",
+        0.6, "m", 0.0, 30.0, "Smallest length of such a guide.", label="Shortest guide",
     )  # fmt: skip
     patience: float = live(
         0.15, "s", 0.05, 10.0, "Time without progress toward the goal after which the place is remembered."

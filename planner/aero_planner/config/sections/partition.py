@@ -1,4 +1,4 @@
-"""Parameters of the cloud: its range, its cells, and what is continued or moves in it."""
+"""Parameters of the cloud: range, cells, continued surfaces and moving obstacles."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Age of the view",
     )  # fmt: skip
     predict: bool = switch(
-        True, "Estimate the velocities of obstacles from successive sweeps, and keep clear of where they will be. Off "
-        "as in the paper.",
+        True, "Estimate the velocities of obstacles from successive sweeps, and keep clear of their predicted "
+        "positions. Off as in the paper.",
         label="Predict motion",
     )  # fmt: skip
     predict_memory: bool = switch(
@@ -72,7 +72,8 @@ class PartitionConfig(ParameterSection, section="partition"):
     )  # fmt: skip
     predict_wake_speed: float = live(
         2.5, "m/s", 0.0, 50.0, "Speed limit below which points of older sweeps are left out where an obstacle has "
-        "moved on since: they are a wall to a slow drone, and keep a fast one away from what may turn back. 0: never.",
+        "moved on since: they are a wall to a slow drone, but keep a fast one away from an obstacle that may turn "
+        "back. 0: never.",
         label="Speed limit for forgetting wakes",
     )  # fmt: skip
     predict_range: float = live(

@@ -44,5 +44,5 @@ class VehicleConfig(ParameterSection, section="vehicle"):
     )  # fmt: skip
     descent_limit: float = live(
         3.0, "m/s", 0.2, 50.0, "Rate of descent to stay below; costs.q_speed penalizes the excess. A sensor whose view "
-        "ends 7 deg below the horizon does not see where a diving drone flies to.",
+        "ends 7 deg below the horizon does not see where a diving drone is heading.",
     )  # fmt: skip
