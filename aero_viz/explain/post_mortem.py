@@ -90,7 +90,9 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
     outcome = trace.outcome or last.outcome
     facts: dict[str, Any] = {"scene": last.source.name, "outcome": outcome, "time_s": round(trace.end_time, 3)}
     if outcome not in FAILURES:
-        text = "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight is not over."
+        text = (
+            "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight was not over."
+        )
         return PostMortem(**facts, cause=None, sentences=[text], missing=trace.missing), None
     replan = Replanner()
     try:
@@ -167,7 +169,9 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
         since = frame.time
     if since is None:
         return ["The planner did not track it as moving at the end."]
-    return [f"The planner followed its motion since {since:.2f} s{' or longer' if since == frames[0].time else ''}."]
+    return [
+        f"The planner had tracked its motion since {since:.2f} s{' or earlier' if since == frames[0].time else ''}."
+    ]
 
 
 def _cause(seen: Seen, braking: BrakingTick | None, was_braking: bool, *, is_start: bool) -> str:
@@ -183,9 +187,9 @@ def _seen_sentence(seen: Seen, braking: BrakingTick | None) -> str:
     if seen.since_s is None:
         return f"It was not in the cloud: {seen.detail}."
     if seen.from_start:
-        return f"It was in the cloud since {seen.since_s:.2f} s or longer."
+        return f"It had been in the cloud since {seen.since_s:.2f} s or earlier."
     before = "" if braking is None or seen.since_s <= braking.time_s else ", too late to brake"
-    return f"It was in the cloud since {seen.since_s:.2f} s{before}; before, it was {seen.detail}."
+    return f"It had been in the cloud since {seen.since_s:.2f} s{before}; before that, it was {seen.detail}."
 
 
 def _contact(frame: Frame, world: World | None, position: Array) -> tuple[Array, str]:
