@@ -14,6 +14,9 @@ from aero_planner.config import ParameterInfo, did_you_mean
 from aero_viz.flight.conditions import OFFERED
 from aero_viz.session.source import Conditions
 
+MOST_ENTRIES = 500
+"""Largest number of entries in the query of a link; there may be one for each parameter."""
+
 
 @dataclass(frozen=True)
 class Opening:
@@ -67,7 +70,7 @@ class Link:
         Raises:
             ValueError: an entry is unknown or its value cannot be used; names it.
         """
-        entries = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True, max_num_fields=500))
+        entries = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True, max_num_fields=MOST_ENTRIES))
         if "source" not in entries:
             return None
         spec, conditions = entries.pop("source"), {info.path: info for info in OFFERED}

@@ -180,7 +180,7 @@ class LocalServer(viser.ViserServer):
         if cookie is None or "Upgrade" in request.headers:
             return None
         response = connection.respond(303, "")
-        response.headers["Location"] = "./"
+        response.headers["Location"] = "./" + tokens.without_token(request.path)
         response.headers["Set-Cookie"] = cookie
         return response
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import enum
 import secrets
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
 from websockets import Headers
+
+from aero_viz.dashboard.links import MOST_ENTRIES
 
 
 class Role(enum.Enum):
@@ -47,6 +49,16 @@ class Tokens:
             return None
         return f"{self._cookie}={self._values[role]}; Path=/; HttpOnly; SameSite=Lax"
 
+    def without_token(self, path: str) -> str:
+        """Return the query of a path without its token, with a leading "?" unless nothing is left.
+
+        Raises:
+            ValueError: the query has too many entries.
+        """
+        entries = parse_qsl(urlsplit(path).query, keep_blank_values=True, max_num_fields=MOST_ENTRIES)
+        left = [(name, value) for name, value in entries if name != "token"]
+        return "?" + urlencode(left, safe="/") if left else ""
+
     def _role(self, given: str | None) -> Role | None:
         found = None
         for role, value in self._values.items():  # both, so that the time does not depend on what was given
@@ -57,7 +69,7 @@ class Tokens:
     def _in_query(self, path: str) -> str | None:
         """Return the token in a query, empty if it is given twice; None if there is none."""
         try:
-            given = parse_qs(urlsplit(path).query, keep_blank_values=True, max_num_fields=10).get("token", [])
+            given = parse_qs(urlsplit(path).query, keep_blank_values=True, max_num_fields=MOST_ENTRIES).get("token", [])
         except ValueError:
             return ""
         return given[0] if len(given) == 1 else "" if given else None

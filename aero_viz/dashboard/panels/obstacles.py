@@ -87,7 +87,7 @@ class ObstaclePanel(Panel):
         self._center.precision = self._size.precision = self._yaw.precision = 3
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
         hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl Z, Ctrl Shift Z."
-        self._history = gui.add_button_group("History", ("Undo", "Redo"), hint=hint)
+        self._history = gui.add_button_group("History", ("undo", "redo"), hint=hint)
         hint = "Download the world as it is now, as JSON that `aero-viz fly` and Open path read."
         self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
 
@@ -106,7 +106,7 @@ class ObstaclePanel(Panel):
 
         @self._history.on_click
         async def _(event: viser.GuiEvent) -> None:
-            action = self._controls.undo if self._history.value == "Undo" else self._controls.redo
+            action = self._controls.undo if self._history.value == "undo" else self._controls.redo
             self.page.attempt(action, event.client)
 
         @self._save.on_click
