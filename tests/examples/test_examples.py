@@ -38,7 +38,7 @@ def test_replay_recording_refuses_a_missing_file_in_one_sentence(tmp_path: Path)
     command = [sys.executable, str(EXAMPLES["replay_recording"]), "missing.mcap"]
     result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert (result.returncode, result.stdout) == (1, "")
-    assert result.stderr == "replay_recording.py: missing.mcap does not exist; this folder holds no recording\n"
+    assert result.stderr == "replay_recording.py: missing.mcap does not exist; this folder holds no recording.\n"
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
