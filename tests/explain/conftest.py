@@ -15,7 +15,6 @@ OPEN_ABOVE = PlannerConfig().replace(
         "costs.height_max": 99.0,
         "partition.view_age": 0.0,
         "partition.continue_before": 1e3,
-        "partition.fine_cells": 6,
     }
 )
 """A planner that takes what it does not see above for free, and hits ceilings."""

@@ -6,8 +6,6 @@ from aero_planner.config.parameter import Value
 
 _PAPER: dict[str, Value] = {
     "vehicle.speed_limit": 50.0,
-    "vehicle.descent_limit": 50.0,
-    "partition.fine_cells": 6,
     "partition.range_min": 0.0,
     "anchors.lookahead_rest": 5.0,
     "partition.range_time": 0.0,
@@ -54,8 +52,6 @@ _PX4: dict[str, Value] = {
     "costs.q_control_jump": 60.0,
     "costs.q_height": 3.0,
     # As in the flights with PX4 of docs/onboard.md: defaults of that time.
-    "vehicle.descent_limit": 50.0,
-    "partition.fine_cells": 6,
     "partition.continue_before": 1.0,
     "candidates.stop_clearance": 0.3,
     "sampling.temperature": 0.1,
@@ -69,10 +65,7 @@ _PX4: dict[str, Value] = {
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {
     "default": ("The best configuration known.", {}),
     "paper": ("The literal paper: every number and every formula.", _PAPER),
-    "fast-cpu": (
-        "The default with a quarter of the samples and larger cells, for slow machines.",
-        {"sampling.samples": 32, "partition.fine_cells": 6},
-    ),
+    "fast-cpu": ("The default with a quarter of the samples, for slow machines.", {"sampling.samples": 32}),
     "px4": ("The default with the lags of a drone with PX4, and smooth commands.", _PX4),
 }
 """Description and changes of each preset by name."""

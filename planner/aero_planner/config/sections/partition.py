@@ -93,8 +93,7 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Growth of moving obstacles",
     )  # fmt: skip
     fine_cells: int = structural(
-        8, 2, 18, "Fine cells along each side of a coarse cell; 8 divide 18 deg into cells of 2.25 deg, and 6 as in "
-        "the paper into cells of 3 deg.",
+        6, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg.",
         label="Fine cells per coarse cell", symbol="n",
     )  # fmt: skip
     coarse_columns: int = structural(20, 8, 40, "Coarse cells around the horizon; 20 are 18 deg wide each.")

@@ -43,6 +43,6 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         "more speed, and costs.q_speed penalizes the excess.", basic=True,
     )  # fmt: skip
     descent_limit: float = live(
-        3.0, "m/s", 0.2, 50.0, "Rate of descent to stay below; costs.q_speed penalizes the excess. A sensor whose view "
-        "ends 7 deg below the horizon does not see where a diving drone is heading.",
+        50.0, "m/s", 0.2, 50.0, "Rate of descent to stay below; costs.q_speed penalizes the excess. 50 m/s: no limit, "
+        "as in the paper.",
     )  # fmt: skip
