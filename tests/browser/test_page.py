@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
 from tests.browser.desk import COARSE, visit
 from tests.browser.pictures import Image, count, differing
@@ -146,6 +147,7 @@ def test_a_wrong_path_is_reported_and_the_source_stays(restored_desk):
     desk.click("Open")
     desk.wait_for(lambda: desk.session.source is not source, "the source on offer")
     desk.wait_for(lambda: desk.session.source.name in status_text(desk), "its name")
+    desk.wait_for(lambda: desk.session.config == desk.known(PlannerConfig()), "the facts of its flight")
 
 
 def test_a_second_client_can_leave_during_a_flight_without_affecting_the_first(restored_desk, browser):

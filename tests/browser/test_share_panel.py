@@ -47,6 +47,7 @@ def test_a_file_has_the_name_of_its_flight_if_another_one_is_opened_meanwhile(re
         link = desk.control("Link").locator("input")
         desk.session.pause()
         desk.wait_for(lambda: "source=pillars" in link.input_value(), "the other scene")
+        desk.wait_for(lambda: desk.session.config == desk.known(PlannerConfig()), "the facts of its flight")
         may_end.set()
     assert download.value.suggested_filename == "forest.mcap"
 
