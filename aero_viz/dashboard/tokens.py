@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import secrets
-from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
+from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from websockets import Headers
 
@@ -55,8 +55,7 @@ class Tokens:
         Raises:
             ValueError: the query has too many entries.
         """
-        entries = parse_qsl(urlsplit(path).query, keep_blank_values=True, max_num_fields=MOST_ENTRIES)
-        left = [(name, value) for name, value in entries if name != "token"]
+        left = [(name, value) for name, value in _entries(path) if name != "token"]
         return "?" + urlencode(left, safe="/") if left else ""
 
     def _role(self, given: str | None) -> Role | None:
@@ -69,7 +68,7 @@ class Tokens:
     def _in_query(self, path: str) -> str | None:
         """Return the token in a query, empty if it is given twice; None if there is none."""
         try:
-            given = parse_qs(urlsplit(path).query, keep_blank_values=True, max_num_fields=MOST_ENTRIES).get("token", [])
+            given = [value for name, value in _entries(path) if name == "token"]
         except ValueError:
             return ""
         return given[0] if len(given) == 1 else "" if given else None
@@ -78,3 +77,7 @@ class Tokens:
         pairs = [pair.strip().partition("=") for line in headers.get_all("Cookie") for pair in line.split(";")]
         given = [value for name, _, value in pairs if name == self._cookie]
         return given[0] if len(given) == 1 else None
+
+
+def _entries(path: str) -> list[tuple[str, str]]:
+    return parse_qsl(urlsplit(path).query, keep_blank_values=True, max_num_fields=MOST_ENTRIES)

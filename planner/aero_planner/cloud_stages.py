@@ -61,68 +61,58 @@ class CloudStages:
 
     def finish_fine_cells(self) -> list[Chunk]:
         """Merge the cells of all workers into ranges and the filtered cloud; every worker merges its share."""
-        o, w, sizes = self._outputs, self._work, self._sizes
-        return [
-            self._serial("partition", self._record(
-                partition.finish_fine_cells,
-                self._threads(sizes.W),
-                inputs=[
-                    worker, sizes.W, self._tuning.cells_per_thread, self._cloud.bundle(), self._params, w.cell_keys,
-                    w.worker_dropped,
-                ],
-                outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
-            ))[0]
-            for worker in range(sizes.W)
-        ]  # fmt: skip
-
-    def _threads(self, workers: int) -> tuple[int, int]:
-        """Return the size of a launch in which the threads of `workers` workers share the fine cells."""
-        return self._sizes.B, -(-self._sizes.F // (workers * self._tuning.cells_per_thread))
+        o, w, width = self._outputs, self._work, self._tuning.cells_per_thread
+        return self._shared(
+            partition.finish_fine_cells,
+            self._threads(self._sizes.W),
+            inputs=[width, self._cloud.bundle(), self._params, w.cell_keys, w.worker_dropped],
+            outputs=[o.fine_range, o.occupied, o.filtered_points, o.dropped_points],
+        )
 
     def find_surfaces(self) -> list[Chunk]:
         """Find the surfaces to continue; every worker looks at its share of the cells."""
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
-        return [
-            self._serial("partition", self._record(
-                continuation.find_edges,
-                self._threads(sizes.W),
-                inputs=[
-                    worker, sizes.W, self._tuning.cells_per_thread, i.position, i.velocity, i.quaternion, self._params,
-                    w.view_quaternion, w.fine_directions, o.occupied, o.filtered_points,
-                ],
-                outputs=[w.surfaces],
-            ))[0]
-            for worker in range(sizes.W)
-        ]  # fmt: skip
+        i, o, w, width = self._inputs, self._outputs, self._work, self._tuning.cells_per_thread
+        return self._shared(
+            continuation.find_edges,
+            self._threads(self._sizes.W),
+            inputs=[
+                width, i.position, i.velocity, i.quaternion, self._params, w.view_quaternion, w.fine_directions,
+                o.occupied, o.filtered_points,
+            ],
+            outputs=[w.surfaces],
+        )  # fmt: skip
 
     def find_nearest_surfaces(self) -> list[Chunk]:
         """Find the nearest surface above and below each cell; every worker looks at its share of the columns."""
         sizes = self._sizes
-        return [
-            self._serial("partition", self._record(
-                continuation.find_nearest_surfaces,
-                (sizes.B, 2, -(-sizes.F1 // sizes.W)),
-                inputs=[worker, sizes.W, self._params, sizes.F0, sizes.F1],
-                outputs=[self._work.surfaces],
-            ))[0]
-            for worker in range(sizes.W)
-        ]  # fmt: skip
+        return self._shared(
+            continuation.find_nearest_surfaces,
+            (sizes.B, 2, -(-sizes.F1 // sizes.W)),
+            inputs=[self._params, sizes.F0, sizes.F1],
+            outputs=[self._work.surfaces],
+        )
 
     def continue_surfaces(self) -> list[Chunk]:
         """Fill cells that the sensor does not see; every worker fills its share."""
-        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
+        i, o, w, width = self._inputs, self._outputs, self._work, self._tuning.cells_per_thread
+        return self._shared(
+            continuation.continue_surfaces,
+            self._threads(self._sizes.W),
+            inputs=[width, i.position, i.quaternion, self._params, w.fine_directions, w.surfaces],
+            outputs=[o.fine_range, o.occupied, o.filtered_points],
+        )
+
+    def _shared(self, kernel: Any, size: tuple[int, ...], *, inputs: list[Any], outputs: list[Any]) -> list[Chunk]:
+        """Record a launch for every worker; its number and the number of workers come before `inputs`."""
+        workers = self._sizes.W
         return [
-            self._serial("partition", self._record(
-                continuation.continue_surfaces,
-                self._threads(sizes.W),
-                inputs=[
-                    worker, sizes.W, self._tuning.cells_per_thread, i.position, i.quaternion, self._params,
-                    w.fine_directions, w.surfaces,
-                ],
-                outputs=[o.fine_range, o.occupied, o.filtered_points],
-            ))[0]
-            for worker in range(sizes.W)
-        ]  # fmt: skip
+            self._serial("partition", self._record(kernel, size, inputs=[worker, workers, *inputs], outputs=outputs))[0]
+            for worker in range(workers)
+        ]
+
+    def _threads(self, workers: int) -> tuple[int, int]:
+        """Return the size of a launch in which the threads of `workers` workers share the fine cells."""
+        return self._sizes.B, -(-self._sizes.F // (workers * self._tuning.cells_per_thread))
 
     def build_clearance_grid(self) -> list[Chunk]:
         """Sort the filtered cloud into the grid; every worker sorts the layers that are its own."""
